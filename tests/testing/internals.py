@@ -47,12 +47,12 @@ from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
-from gnc_opt.planning.optimality.multiplier_estimate import estimate
+from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.reach import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.optimality.switches import Switches
-from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
+from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.guess import simulation as guess_simulation
@@ -103,9 +103,9 @@ from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
-from gnc_opt.planning.verification.bang_bang_second_order import obstacle, strict_switches
-from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_order_parts
-from gnc_opt.planning.verification.recomputed import ends_of, from_problem
+from gnc_opt.planning.verification.bang_bang_second_order import check_strict_switches, why_not_applicable
+from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, check_second_order_parts
+from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
 from gnc_opt.planning.verification.verify_trajectory import _build_solution
 from gnc_opt.plot.scene import scene_html
 from gnc_opt.plot.style import derivative_unit, number_text, unit_text, variable_name_text

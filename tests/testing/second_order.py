@@ -11,9 +11,9 @@ from testing.internals import (
     Magnitudes,
     Samples,
     _build_solution,
-    ends_of,
-    from_problem,
-    second_order_parts,
+    check_second_order_parts,
+    evaluate_ends,
+    recompute_from_problem,
 )
 
 Array = NDArray[np.float64]
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 
 def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> dict[str, go.Condition]:
     """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
-    solution = from_problem(solution)
+    solution = recompute_from_problem(solution)
     samples = list(solution.samples().values())
     magnitude = Magnitudes.of(solution, samples).cost
     samples = [s.with_cost_magnitude(magnitude) for s in samples]
-    return {c.name: c for c in second_order_parts(solution, samples, ends_of(solution), tol)}
+    return {c.name: c for c in check_second_order_parts(solution, samples, evaluate_ends(solution), tol)}
 
 
 def of_samples(problem: go.Problem, t: Array, x: Array, u: Array) -> go.Solution:

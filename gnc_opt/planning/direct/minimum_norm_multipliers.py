@@ -21,7 +21,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
-from gnc_opt.planning.optimality.program_point import as_sparse
+from gnc_opt.planning.optimality.program_point import to_scipy_sparse
 from gnc_opt.planning.transcription.transcription import Transcription
 
 SMALL_WEIGHT = 1e-6
@@ -43,7 +43,7 @@ def minimum_norm_multipliers(transcription: Transcription, point: NlpPoint, resu
     if not 0.0 < largest < np.inf:
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
-    jacobian = as_sparse(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
+    jacobian = to_scipy_sparse(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
     along = fixed & _along_phases(transcription)
     r = _null_space_part(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
     left = jacobian.T @ r

@@ -128,7 +128,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
 
 
 @contextlib.contextmanager
-def sigint_stops(run: SolveWatch) -> Iterator[None]:
+def stop_on_sigint(run: SolveWatch) -> Iterator[None]:
     """While open, the first Ctrl-C requests a stop of the run; the previous handler receives the next one."""
     previous = signal.getsignal(signal.SIGINT)
     ignored = previous in (None, signal.SIG_IGN)
@@ -154,7 +154,7 @@ def _buffer_view(buffer: Any, size: int) -> Array:
     return np.frombuffer(buffer, dtype=np.float64)
 
 
-def vector(name: str, value: npt.ArrayLike, size: int) -> Array:
+def as_float_vector(name: str, value: npt.ArrayLike, size: int) -> Array:
     """A fresh vector (size,) from a vector or a scalar."""
     array = np.asarray(value, dtype=np.float64)
     if array.ndim == 0:

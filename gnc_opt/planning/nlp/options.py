@@ -162,7 +162,7 @@ def _complementarity_options(tolerance: float) -> float:
     return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
-def last_barrier(tolerance: float) -> float:
+def final_barrier_parameter(tolerance: float) -> float:
     """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10."""
     return _complementarity_options(tolerance) / (10.0 + 1.0)
 

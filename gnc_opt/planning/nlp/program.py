@@ -72,7 +72,7 @@ class NlpProblem:
     def lagrangian(self) -> Any:
         """Function `(x, p, lam_g) -> (f, g, gradient of f + lam_g . g)`; the gradient is (nx, 1)."""
         if self.grad_f is not None and self.jac_g is not None:
-            x, p, lam_g = symbols(self, "x", "p", "lam_g")
+            x, p, lam_g = nlp_symbols(self, "x", "p", "lam_g")
             f, gradient = self.grad_f(x, p)
             g, jacobian = self.jac_g(x, p)
             total = gradient + ca.mtimes(jacobian.T, lam_g)
@@ -87,7 +87,7 @@ def joint_jacobian(problem: NlpProblem) -> Any:
     """`(x, p) -> (f, grad_f_x, g, jac_g_x)`, the `jac_fg` of sqpmethod; None without derivatives."""
     if problem.grad_f is None or problem.jac_g is None:
         return None
-    x, p = symbols(problem, "x", "p")
+    x, p = nlp_symbols(problem, "x", "p")
     return ca.Function("nlp_jac_fg", [x, p], [*problem.grad_f(x, p), *problem.jac_g(x, p)])
 
 
@@ -95,11 +95,11 @@ def full_hessian(problem: NlpProblem) -> Any:
     """`(x, p, lam_f, lam_g) -> (hess_gamma_x_x)`, both triangles, as sqpmethod wants it; or None."""
     if problem.hess_lag is None:
         return None
-    inputs = symbols(problem, "x", "p", "lam_f", "lam_g")
+    inputs = nlp_symbols(problem, "x", "p", "lam_f", "lam_g")
     return ca.Function("nlp_hess_l", inputs, [ca.triu2symm(problem.hess_lag(*inputs))])
 
 
-def symbols(problem: NlpProblem, *names: str) -> list[Any]:
+def nlp_symbols(problem: NlpProblem, *names: str) -> list[Any]:
     rows = {"x": problem.n_variables, "p": problem.n_parameters, "lam_f": 1, "lam_g": problem.n_constraints}
     return [ca.MX.sym(name, rows[name]) for name in names]
 

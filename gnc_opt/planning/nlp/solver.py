@@ -21,7 +21,14 @@ import numpy.typing as npt
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.planning.nlp.monitor import Box, Monitor, ProgressCallback, SolveWatch, sigint_stops, vector
+from gnc_opt.planning.nlp.monitor import (
+    Box,
+    Monitor,
+    ProgressCallback,
+    SolveWatch,
+    as_float_vector,
+    stop_on_sigint,
+)
 from gnc_opt.planning.nlp.options import SolverOptions, Start, nlpsol_options
 from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.status import Status, status_from_stats
@@ -85,7 +92,7 @@ class NlpPoint:
         sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
         given = {f.name: getattr(self, f.name) for f in fields(self)}
         return {
-            name: vector(name, value, sizes.get(name, problem.n_variables))
+            name: as_float_vector(name, value, sizes.get(name, problem.n_variables))
             for name, value in given.items()
             if value is not None
         }
@@ -206,7 +213,7 @@ class NlpSolver:
         self._monitor.run = run
         begin = time.perf_counter()
         try:
-            with sigint_stops(run), _swallow_stderr(overdetermined):
+            with stop_on_sigint(run), _swallow_stderr(overdetermined):
                 raw = solver(**arguments)
         finally:
             self._monitor.run = None

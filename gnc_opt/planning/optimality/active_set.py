@@ -39,7 +39,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, RANK
 
 
-def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
+def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
     """Return, for every sample, an orthonormal basis (m, k) of the free controls' directions that no constraint takes.
 
     Parameters
@@ -49,7 +49,7 @@ def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
     unit : array (m,)
         What a step of 1 in each control is.
     """
-    rows, axes = _rows(s) * unit[None, :, None], np.eye(unit.size)
+    rows, axes = _constraint_control_gradients(s) * unit[None, :, None], np.eye(unit.size)
     bases = [axes[:, here] for here in free.T]
     if not rows.size:
         return bases
@@ -63,23 +63,23 @@ def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
     return bases
 
 
-def left(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
+def undetermined_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
     """Return which free controls have something left that H does not curve in (m, n_samples), and where all is left.
 
-    Arguments as `left_free`; curvature of H that is at most ``flat`` is none. Without active constraints the
+    Arguments as `free_control_directions`; curvature of H that is at most ``flat`` is none. Without active constraints the
     curvature is not evaluated.
     """
-    if not _rows(s).size:
+    if not _constraint_control_gradients(s).size:
         return free, np.ones(s.times.size, dtype=bool)
-    bases = left_free(s, free, unit)
+    bases = free_control_directions(s, free, unit)
     whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
     hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     for j in np.flatnonzero(~whole):
-        bases[j] = _uncurved(bases[j], hessian[:, :, j], flat)
+        bases[j] = _flat_directions(bases[j], hessian[:, :, j], flat)
     return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), whole
 
 
-def _uncurved(basis: Array, hessian: Array, flat: float) -> Array:
+def _flat_directions(basis: Array, hessian: Array, flat: float) -> Array:
     """Return the directions of a basis in which a quadratic form is flat, or no number."""
     reduced = basis.T @ hessian @ basis
     if not reduced.size or not np.all(np.isfinite(reduced)):
@@ -88,17 +88,17 @@ def _uncurved(basis: Array, hessian: Array, flat: float) -> Array:
     return np.asarray(basis @ vectors[:, np.abs(values) <= flat])
 
 
-def _rows(s: PhaseSamples) -> Array:
+def _constraint_control_gradients(s: PhaseSamples) -> Array:
     """Control gradients of the quantities that active constraints keep at zero (n, m, n_samples); else zero."""
     leg = s.leg
     found = [np.zeros((0, leg.controls.size, s.times.size))]
     if leg.path_labels:
         # One that holds all along hardly moves: it is near by what could move it.
         scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_reach, s.path_scale, s.path_reach)
-        near = _near(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
+        near = _at_limits(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span
-    on_state = _near(s.x, leg.state_bounds, s.state_scale)
+    on_state = _at_limits(s.x, leg.state_bounds, s.state_scale)
     on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
     on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
     if s.pure_paths.size:
@@ -117,7 +117,7 @@ def _rows(s: PhaseSamples) -> Array:
     return np.concatenate(found)
 
 
-def _near(values: Array, box: Any, scale: Array) -> Mask:
+def _at_limits(values: Array, box: Any, scale: Array) -> Mask:
     at_lower, at_upper = box.near(values, ACTIVE * scale)
     return np.asarray(at_lower | at_upper)
 
@@ -146,7 +146,7 @@ LEVEL, TOUCH_MAX_SHARE_OF_SCALE = 1e-2, 1e-3
 (share of the segment) beside the boundary."""
 
 
-def with_touches(solution: Solution) -> Problem:
+def add_touch_points(solution: Solution) -> Problem:
     """Return the problem of a solution with its state constraints active at free breakpoints with multipliers.
 
     Next to a touch point they are released, since an interior-point method leaves spurious multipliers there. Phases
@@ -155,20 +155,22 @@ def with_touches(solution: Solution) -> Problem:
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
-            problem = _held(problem, s, _touches(problem, s, StateConstraints(problem, s)), [])
+            problem = _hold_constraints(
+                problem, s, _find_touch_points(problem, s, StateConstraints(problem, s)), []
+            )
     return problem
 
 
-def with_contacts(solution: Solution) -> Problem:
+def add_constraint_contacts(solution: Solution) -> Problem:
     """Return the problem of a solution with its state constraints held at such touches and along their arcs."""
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
-            arcs = [found for arc in solution.structure for found in _arcs(problem, s, arc)]
+            arcs = [found for arc in solution.structure for found in _state_constraint_arcs(problem, s, arc)]
             ends = {(arc.row, k) for arc in arcs for k in (arc.first, arc.last)}
-            touches = _touches(problem, s, StateConstraints(problem, s))
+            touches = _find_touch_points(problem, s, StateConstraints(problem, s))
             alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
-            problem = _held(problem, s, alone, arcs)
+            problem = _hold_constraints(problem, s, alone, arcs)
     return problem
 
 
@@ -183,7 +185,7 @@ class _HeldArc:
     last: int
 
 
-def _arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
+def _state_constraint_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
     """Return [arc on this phase's mesh]; empty unless it is a state-constraint arc of order two or more."""
     leg = s.leg
     labels = (*leg.path_labels, *leg.states.labels)
@@ -197,7 +199,9 @@ def _arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
     return [_HeldArc(row, arc.kind, order, first, last)]
 
 
-def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[_HeldArc]) -> Problem:
+def _hold_constraints(
+    problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[_HeldArc]
+) -> Problem:
     leg, n_paths = s.leg, len(s.leg.path_labels)
     if not touches and not arcs:
         return problem
@@ -255,7 +259,7 @@ def with_movable_touches(solution: Solution) -> Solution:
     return replace(solution, phases=phases)
 
 
-def _touches(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
     """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
     boundaries, found = s.leg.mesh.movable, []
     for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), _pushing(rows, boundaries)[1], strict=True):
@@ -263,12 +267,12 @@ def _touches(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple
             order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-            elif order == 1 and (side := _given_up(rows, int(row), boundaries[k])):
+            elif order == 1 and (side := _side_of_departure(rows, int(row), boundaries[k])):
                 found.append(Junction(int(row), boundaries[k], kind, 0, side))
-    return tuple(found) + _handovers(problem, rows)
+    return tuple(found) + _find_limit_changes(problem, rows)
 
 
-def _handovers(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
     """Where a path constraint of a control and another limit of it take over from one another, one condition each."""
     s, leg = rows.samples, rows.samples.leg
     orders = [constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
@@ -284,12 +288,12 @@ def _handovers(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]
         limits = [at_bound[owners[row][0]], *others]
         for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
             for k in leg.mesh.movable:
-                if side := _takes_over(s, near, limits, k):
+                if side := _side_of_other_limit(s, near, limits, k):
                     found.setdefault(k, Junction(row, k, kind, 0, side))
     return tuple(found.values())
 
 
-def _takes_over(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+def _side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
     """The side, -1 or 1, on which another limit holds a control up to where a constraint does; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
@@ -299,7 +303,7 @@ def _takes_over(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) 
     return 0
 
 
-def _given_up(rows: StateConstraints, row: int, boundary: int) -> int:
+def _side_of_departure(rows: StateConstraints, row: int, boundary: int) -> int:
     """The side, -1 or 1, to which a constraint leaves its limit at a boundary without a slope; 0 if it does not."""
     s, breaks = rows.samples, rows.samples.leg.breaks
     along = np.any(rows.near(rows.values(s.times, s.x, s.u))[:, row], axis=0)

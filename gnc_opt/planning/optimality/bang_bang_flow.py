@@ -137,7 +137,7 @@ class BangBangFlow:
         return directions, sensitivity
 
 
-def bang_bang_flow(
+def integrate_bang_bang(
     problem: Problem,
     s: PhaseSamples,
     pieces: PiecewiseControl,
@@ -220,13 +220,13 @@ class _Rates:
         weights = ca.SX.sym("weights", state.shape[0])
         width, control, p = ca.vertsplit(inputs, [0, 1, 1 + m, inputs.shape[0]])
 
-        def derivative(z: Any) -> Any:
+        def augmented_rate(z: Any) -> Any:
             x, _, t, q = ca.vertsplit(z, [0, n, n + n_integrals, n + n_integrals + 1, z.shape[0]])
             unused = (np.zeros(n), np.zeros(len(s.leg.path_labels)), np.zeros(n_integrals))
             here = (t, x, control, *unused, p, q)
             return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
 
-        rate = ca.Function("rate", [state, inputs], [ca.cse(derivative(state))])
+        rate = ca.Function("rate", [state, inputs], [ca.cse(augmented_rate(state))])
         places: list[Any] = []
         slopes: list[Any] = []
         for reach in _REACHES:

@@ -35,17 +35,17 @@ LEAST_COST_SHARE = 1e-9
 """Least cost scale, in shares of the objective."""
 
 
-def control_deviation(s: PhaseSamples) -> Array:
+def compute_control_deviation(s: PhaseSamples) -> Array:
     """Return how far the applied control deviates, or is pulled, from its mean (m, n_samples); zero if idle."""
     lasts, u = max(float(np.sum(s.weights)), TINY), s.u
-    about = finite(np.abs(u - (u @ s.weights / lasts)[:, None]))
-    size = np.max(np.abs(finite(u)), axis=1, initial=0.0)
+    about = replace_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
+    size = np.max(np.abs(replace_nonfinite(u)), axis=1, initial=0.0)
     mean = about @ s.weights / lasts
     moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), PEAK_SHARE * np.max(about, axis=1, initial=0.0))
-    bends = np.sqrt(finite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
+    bends = np.sqrt(replace_nonfinite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
     bounds = s.leg.control_bounds
     extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
-    slope = np.abs(finite(s.switching))
+    slope = np.abs(replace_nonfinite(s.switching))
     pull = np.where(slope > 0, np.inf, 0.0)
     pull = np.minimum(np.divide(slope, bends[:, None], out=pull, where=bends[:, None] > 0), extent[:, None])
     moves = moved > STEADY_SHARE * size
@@ -54,11 +54,14 @@ def control_deviation(s: PhaseSamples) -> Array:
     deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
     pulled = np.sqrt(pull**2 @ s.weights / lasts) > STEADY_SHARE * size
     steady = ~moves & ~pulled
-    deviation = np.where(steady[:, None], _steady(s, size, bends)[:, None], deviation)
-    return np.fmax(deviation, _at_rest(s, np.fmax(size, np.max(deviation, axis=1, initial=0.0)))[:, None])
+    deviation = np.where(steady[:, None], _constant_control_deviation(s, size, bends)[:, None], deviation)
+    return np.fmax(
+        deviation,
+        _resting_control_deviation(s, np.fmax(size, np.max(deviation, axis=1, initial=0.0)))[:, None],
+    )
 
 
-def _steady(s: PhaseSamples, size: Array, bends: Array) -> Array:
+def _constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:
     """Return the deviation of controls that are constant (m,): their size, unless that is nothing beside the cost."""
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
@@ -70,7 +73,7 @@ def _steady(s: PhaseSamples, size: Array, bends: Array) -> Array:
     return np.where(idle, worth if still else 0.0, size)
 
 
-def _at_rest(s: PhaseSamples, size: Array) -> Array:
+def _resting_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero."""
     asked, rounding = steering(s.leg, s.functions), STEADY_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(STEADY_SHARE * asked, rounding)):
@@ -78,7 +81,9 @@ def _at_rest(s: PhaseSamples, size: Array) -> Array:
     # Where the effect of a control vanishes at its value only, as that of an angle of 180 degrees, it is not rounding.
     own, beside = (
         np.max(
-            np.abs(finite(s.functions.input_jacobian(s.times, s.x, factor * s.u))), axis=(0, 2), initial=0.0
+            np.abs(replace_nonfinite(s.functions.input_jacobian(s.times, s.x, factor * s.u))),
+            axis=(0, 2),
+            initial=0.0,
         )
         for factor in (1.0, BESIDE)
     )
@@ -88,25 +93,25 @@ def _at_rest(s: PhaseSamples, size: Array) -> Array:
     return np.asarray(np.where(asked > rounding, AT_REST_SHARE * asked, s.control_span))
 
 
-def resolved_deviation(s: PhaseSamples, deviation: Array, cost: float) -> Array:
+def limit_deviation_from_below(s: PhaseSamples, deviation: Array, cost: float) -> Array:
     """Return deviations of controls in which H curves that are no smaller than those that a least cost allows."""
-    bends = np.abs(finite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    bends = np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     least = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     return np.fmax(deviation, least[:, None])
 
 
-def with_idle_controls(s: PhaseSamples, deviation: Array, cost: float) -> Array:
+def add_inactive_controls(s: PhaseSamples, deviation: Array, cost: float) -> Array:
     """Return deviations with idle controls at what costs as much as those of all others."""
     idle = np.max(deviation, axis=1, initial=0.0) <= 0
     if not np.any(idle):
         return deviation
     lasts = max(float(np.sum(s.weights)), TINY)
-    bends = np.abs(finite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    bends = np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     extent = s.leg.control_bounds.upper - s.leg.control_bounds.lower
     other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)
     return np.where(idle[:, None], other[:, None], deviation)
 
 
-def finite(values: Array) -> Array:
+def replace_nonfinite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, 0.0)

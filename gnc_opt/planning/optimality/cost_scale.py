@@ -27,7 +27,7 @@ SMEARED = 1e-4
 """A control that is between its bounds for less than this share of a phase is on its way from one to the other."""
 
 
-def lasting(times: Array, violation: Array) -> Array:
+def average_over_time(times: Array, violation: Array) -> Array:
     """Violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE` of the phase, since a kink between
     two nodes hardly
     affects the cost.
@@ -43,12 +43,12 @@ def lasting(times: Array, violation: Array) -> Array:
     return np.asarray(np.reshape(means, violation.shape))
 
 
-def without_switches(times: Array, inside: Mask) -> Mask:
+def exclude_switches(times: Array, inside: Mask) -> Mask:
     """Where controls are between their bounds (m, n_times) for longer than a switch, smeared by a polynomial, takes."""
-    return lasting_longer(times, inside, SMEARED)
+    return holds_for_share(times, inside, SMEARED)
 
 
-def lasting_longer(times: Array, here: Mask, share: float) -> Mask:
+def holds_for_share(times: Array, here: Mask, share: float) -> Mask:
     """Where something holds (m, n_times) for longer than a share of the phase."""
     arcs = here.copy()
     for row in arcs:
@@ -58,7 +58,7 @@ def lasting_longer(times: Array, here: Mask, share: float) -> Mask:
     return arcs
 
 
-def least_for_long(times: Array, values: Array) -> int:
+def lasting_minimum_index(times: Array, values: Array) -> int:
     """Return a sample at which values (n_times,) are least, of those that are not undercut for longer than `SMEARED`.
 
     A dip that takes less is a switch, smeared by a polynomial that wiggles on the way. ``times`` do not decrease.

@@ -78,25 +78,25 @@ def path_gradients(
     """dc/dx, (n_states, n_paths, n_times), dc/dt, (n_paths, n_times), and dc/dq, (n_parameters, n_paths, n_times)."""
     zero, mu = np.zeros_like(x), np.zeros((n_paths, times.size))
 
-    def gradients() -> list[Array]:
+    def evaluate_gradients() -> list[Array]:
         kinds = functions.state_gradient, functions.time_gradient, functions.parameter_gradient
         return [np.reshape(gradient(times, x, u, zero, mu), (-1, times.size)) for gradient in kinds]
 
-    idle = gradients()
+    idle = evaluate_gradients()
     found = [np.zeros((rows.shape[0], n_paths, times.size)) for rows in idle]
     for i in range(n_paths):
         mu[i] = 1.0
-        for whole, one, without in zip(found, gradients(), idle, strict=True):
+        for whole, one, without in zip(found, evaluate_gradients(), idle, strict=True):
             whole[:, i] = one - without
         mu[i] = 0.0
     by_state, by_time, by_parameter = found
     return by_state, by_time[0], by_parameter
 
 
-def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:
+def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return the jumps at inner segment boundaries with the parts that active constraints explain.
 
-    Adjacent multiplier density may compensate a jump of the wrong sign, see `pushed_beside`.
+    Adjacent multiplier density may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`.
 
     Returns
     -------
@@ -153,7 +153,7 @@ class EndPush:
     limits: Interval
 
 
-def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
+def explain_end_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
     """Explain a costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     leg, name, pure, n = s.leg, s.leg.name, s.pure_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds
@@ -176,7 +176,7 @@ def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
     return EndPush(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
 
 
-def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
+def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
     """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of (K - 1) boundaries."""
     offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
     widths = np.minimum(np.diff(s.leg.breaks), near)
@@ -187,5 +187,7 @@ def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
 
 def _nearby_impulses(s: PhaseSamples) -> Array:
     """The same by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
-    beside = pushed_beside(s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]]))
+    beside = integrate_nearby_multipliers(
+        s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])
+    )
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])

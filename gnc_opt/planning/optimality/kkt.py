@@ -131,7 +131,7 @@ STRETCH = 60
 """Rows per copy: about as many as the band is wide."""
 
 
-def factorised(matrix: Any) -> Callable[[Array], Array]:
+def factorise_symmetric(matrix: Any) -> Callable[[Array], Array]:
     """Return the solver of a sparse symmetric system (n, n): right-hand sides (n,) to solutions."""
     matrix = scipy.sparse.csr_array(matrix)
     many = np.diff(matrix.indptr) > DENSE
@@ -260,7 +260,7 @@ class NullSpace:
         n, m = self.size, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, DEPENDENT_ROW_SHIFT))
-        return matrix, factorised(matrix - slack)
+        return matrix, factorise_symmetric(matrix - slack)
 
     @cached_property
     def of_identity(self) -> tuple[Any, Callable[[Array], Array]]:

@@ -193,7 +193,7 @@ _ROUNDS = 8
 """Of sorting out which limits push."""
 
 
-def estimate(
+def estimate_multipliers(
     transcription: Transcription,
     problem: Problem,
     fitted: Mapping[str, FittedPhase],

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.active_set import with_touches
+from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
@@ -98,7 +98,7 @@ class ProgramPoint:
         meshes: Mapping[str, Mesh] | None = None,
         scaled_by: Callable[[Transcription, Problem, Array], Array] = scale_variables,
         rounding: float = 0.0,
-        held: Callable[[Solution], Problem] = with_touches,
+        held: Callable[[Solution], Problem] = add_touch_points,
     ) -> ProgramPoint:
         """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
 
@@ -174,7 +174,7 @@ class ProgramPoint:
     @cached_property
     def _rows_and_jacobian(self) -> tuple[Array, Any]:
         g, jacobian = self.transcription.nlp.jac_g(self.x, self.numbers)
-        return g.full().ravel(), as_sparse(jacobian)
+        return g.full().ravel(), to_scipy_sparse(jacobian)
 
     @property
     def values(self) -> Array:
@@ -199,7 +199,7 @@ class ProgramPoint:
 
     def hessian_of(self, objective: float, multipliers: Array) -> Any:
         """Of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
-        upper = as_sparse(self.transcription.nlp.hess_lag(self.x, self.numbers, objective, multipliers))
+        upper = to_scipy_sparse(self.transcription.nlp.hess_lag(self.x, self.numbers, objective, multipliers))
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 
     @property
@@ -242,7 +242,7 @@ def _scale_interval(box: Interval, scales: Array) -> Interval:
     return Interval(box.lower / scales, box.upper / scales)
 
 
-def as_sparse(matrix: Any) -> Any:
+def to_scipy_sparse(matrix: Any) -> Any:
     """Convert a sparse CasADi DM to scipy."""
     pattern = matrix.sparsity()
     return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

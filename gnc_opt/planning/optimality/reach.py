@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.control_deviation import STEADY_SHARE, finite
+from gnc_opt.planning.optimality.control_deviation import STEADY_SHARE, replace_nonfinite
 from gnc_opt.planning.problem.functions import end_values
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
@@ -71,14 +71,14 @@ class Ellipsoid:
 
     def displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) in shares of the ellipsoid (...)."""
-        parts = np.tensordot(self.axes.T, _shares(moved, self.radius), 1)
-        return np.asarray(np.linalg.norm(parts / _column(self.shares, parts), axis=0))
+        parts = np.tensordot(self.axes.T, _divide_by_scale(moved, self.radius), 1)
+        return np.asarray(np.linalg.norm(parts / _as_column(self.shares, parts), axis=0))
 
     def change(self, gradient: Array) -> Array:
         """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
-        scaled = np.asarray(gradient) * _column(self.radius, gradient)
+        scaled = np.asarray(gradient) * _as_column(self.radius, gradient)
         parts = np.tensordot(self.axes.T, scaled, 1)
-        return np.asarray(np.linalg.norm(parts * _column(self.shares, parts), axis=0))
+        return np.asarray(np.linalg.norm(parts * _as_column(self.shares, parts), axis=0))
 
     @property
     def principal(self) -> Array:
@@ -118,30 +118,30 @@ def reach_gramians(
     for s in samples:
         others = {name: row for name, row in links[s.leg.name].items() if name}
         start = _start_covariance(s, others, links[s.leg.name][""], found)
-        found[s.leg.name] = _gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
+        found[s.leg.name] = _phase_gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
     return found
 
 
-def _gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
+def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
     leg = s.leg
     if not s.has_length:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
     n, n_integrals = start.shape[0], leg.integrals.size
-    edges, parts = cells_of(leg.breaks), -(-CELLS // leg.mesh.segments)
+    edges, parts = cell_edges(leg.breaks), -(-CELLS // leg.mesh.segments)
     middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     x, u = leg.x(middles), leg.flown(middles)
     with np.errstate(all="ignore"):
         by_state = np.moveaxis(s.functions.state_jacobian(middles, x, u), 2, 0)
         by_control = np.moveaxis(s.functions.input_jacobian(middles, x, u), 2, 0)
         integrands = [_integrand_gradients(s, middles, x, u, i) for i in range(n_integrals)]
-    by_state, by_control = finite(by_state), finite(by_control)
+    by_state, by_control = replace_nonfinite(by_state), replace_nonfinite(by_control)
     if n_integrals:  # integrals are states that nothing depends on
         slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
-        by_state = np.concatenate([by_state, finite(slopes[0])], axis=1)
+        by_state = np.concatenate([by_state, replace_nonfinite(slopes[0])], axis=1)
         by_state = np.concatenate([by_state, np.zeros((*by_state.shape[:2], n_integrals))], axis=2)
-        by_control = np.concatenate([by_control, finite(slopes[1])], axis=1)
+        by_control = np.concatenate([by_control, replace_nonfinite(slopes[1])], axis=1)
         start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
-    half = exponentials(0.5 * widths[:, None, None] * by_state)
+    half = matrix_exponentials(0.5 * widths[:, None, None] * by_state)
     weighted = deviation * s.weights
     starts = np.searchsorted(s.segments, np.arange(leg.mesh.segments))
     per_cell = np.repeat(np.add.reduceat(weighted, starts, axis=1) / parts, parts, axis=1)
@@ -167,12 +167,12 @@ def _gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | N
 
 def end_response(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end with respect to the controls (n, m, n_cells) at centres of cells, and these."""
-    edges = cells_of(s.leg.breaks)
+    edges = cell_edges(s.leg.breaks)
     times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     at = times, s.leg.x(times), s.leg.flown(times)
     by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
     by_control = np.moveaxis(np.nan_to_num(s.functions.input_jacobian(*at)), 2, 0)
-    halves, onwards = exponentials(0.5 * widths[:, None, None] * by_state), np.eye(at[1].shape[0])
+    halves, onwards = matrix_exponentials(0.5 * widths[:, None, None] * by_state), np.eye(at[1].shape[0])
     found = np.zeros((onwards.shape[0], *at[2].shape))
     for k in reversed(range(widths.size)):
         onwards = onwards @ halves[k]
@@ -181,14 +181,14 @@ def end_response(s: PhaseSamples) -> tuple[Array, Array]:
     return times, found
 
 
-def exponentials(matrices: Array) -> Array:
+def matrix_exponentials(matrices: Array) -> Array:
     """Return matrix exponentials (n_matrices, n, n); those of large norm, of matrices that are reduced to it."""
     sizes = np.max(np.abs(np.linalg.eigvals(matrices)), axis=1, initial=0.0)
     reduced = np.minimum(1.0, np.divide(_EXPONENT, sizes, out=np.ones_like(sizes), where=sizes > 0))
     return np.asarray(scipy.linalg.expm(matrices * reduced[:, None, None]))
 
 
-def cells_of(breaks: Array) -> Array:
+def cell_edges(breaks: Array) -> Array:
     """Return the edges of the cells of a phase with given mesh boundaries: segments in equal parts."""
     parts = -(-CELLS // (breaks.size - 1))
     shares = np.arange(parts) / parts
@@ -202,10 +202,10 @@ def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: i
     return alone.state_gradient(times, x, u, *none).T, alone.switching(times, x, u, none[0]).T
 
 
-def reach_of(s: PhaseSamples, gramian: _Gramian) -> Reach:
+def phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
     """Return the reach at the start, along the phase and at the end, there also with the integrals."""
-    size = np.max(np.abs(finite(s.x)), axis=1, initial=0.0)
-    moved = np.max(np.abs(finite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
+    moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     along, end, start = (
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
@@ -231,10 +231,10 @@ def _start_covariance(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: zero where given, by links to other phases, else by the size of the state."""
-    size = np.max(np.abs(finite(s.x)), axis=1, initial=0.0)
-    moved = np.max(np.abs(finite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
+    moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     size = np.where(moved > STEADY_SHARE * size, moved, size)
-    size = np.where(size > 0, size, width(s.leg.state_bounds))
+    size = np.where(size > 0, size, interval_width(s.leg.state_bounds))
     own = left * np.where(size > 0, size, 1.0)
     covariance = own @ own.T
     for name, response in links.items():
@@ -250,7 +250,7 @@ def start_links(
     for k, s in enumerate(samples):
         leg = s.leg
         free = np.flatnonzero(~leg.initial_bounds.fixed)
-        size = np.max(np.abs(finite(s.x)), axis=1, initial=0.0)
+        size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
         unit = np.where(size > 0, size, 1.0)[free]
         own = jacobians[leg.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)
@@ -297,17 +297,17 @@ def end_arguments(leg: PhaseSolution) -> list[Any]:
     return [first, last, leg.initial_time, leg.final_time, leg.integrals, leg.parameters]
 
 
-def _column(scale: Array, values: Array) -> Array:
+def _as_column(scale: Array, values: Array) -> Array:
     return scale.reshape(-1, *([1] * (np.ndim(values) - 1)))
 
 
-def _shares(values: Array, scale: Array) -> Array:
+def _divide_by_scale(values: Array, scale: Array) -> Array:
     """Return values (n, ...) in shares of a scale (n,); zero stays zero, anything else over zero is infinite."""
-    column = np.broadcast_to(_column(scale, values), np.shape(values))
+    column = np.broadcast_to(_as_column(scale, values), np.shape(values))
     nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)
     return np.divide(values, column, out=nothing, where=column > 0)
 
 
-def width(box: Interval) -> Array:
+def interval_width(box: Interval) -> Array:
     width = box.upper - box.lower
     return np.where(np.isfinite(width), width, 0.0)

@@ -38,22 +38,22 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.control_deviation import (
     LEAST_COST_SHARE,
-    control_deviation,
-    finite,
-    resolved_deviation,
-    with_idle_controls,
+    add_inactive_controls,
+    compute_control_deviation,
+    limit_deviation_from_below,
+    replace_nonfinite,
 )
 from gnc_opt.planning.optimality.reach import (
     Ellipsoid,
     Reach,
-    cells_of,
+    cell_edges,
     end_arguments,
     end_response,
+    interval_width,
     link_jacobians,
+    phase_reach,
     reach_gramians,
-    reach_of,
     start_links,
-    width,
 )
 from gnc_opt.planning.problem.functions import end_gradients, end_values, phase_functions
 from gnc_opt.planning.problem.problem import Problem
@@ -141,24 +141,24 @@ class Scales:
         lasting = [s for s in samples if s.has_length]
         ends, order = EndPoints.of(solution, samples), sorted(samples, key=lambda s: s.leg.initial_time)
         links = start_links(problem, solution, order)
-        deviations = {s.leg.name: control_deviation(s) for s in samples}
+        deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
         gramians = reach_gramians(links, order, deviations, {})
-        reach = {s.leg.name: reach_of(s, gramians[s.leg.name]) for s in samples}
+        reach = {s.leg.name: phase_reach(s, gramians[s.leg.name]) for s in samples}
         changed = sum(_cost_of_states(s, reach[s.leg.name][1]) for s in lasting)
         changed += sum(float(np.sum(_control_costs(s, deviations[s.leg.name]))) for s in samples)
         changed += ends.curvature(reach)
         least = LEAST_COST_SHARE * changed
         costs, resolved = {}, {}
         for s in samples:
-            resolved[s.leg.name] = resolved_deviation(s, deviations[s.leg.name], least)
+            resolved[s.leg.name] = limit_deviation_from_below(s, deviations[s.leg.name], least)
             costs[s.leg.name] = _control_costs(s, resolved[s.leg.name])
         flat = sum(float(np.sum(c)) for c in costs.values())
         for s in lasting:
-            resolved[s.leg.name] = with_idle_controls(s, resolved[s.leg.name], flat)
+            resolved[s.leg.name] = add_inactive_controls(s, resolved[s.leg.name], flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             gramians = reach_gramians(links, order, deviations, {})
-            reach = {s.leg.name: reach_of(s, gramians[s.leg.name]) for s in samples}
+            reach = {s.leg.name: phase_reach(s, gramians[s.leg.name]) for s in samples}
         cost = sum(_cost_of_controls(s, deviations[s.leg.name]) for s in samples)
         cost += sum(map(_cost_of_time, samples, [ends.time_cost(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
@@ -175,7 +175,7 @@ class Scales:
         if parameters.size:
             columns = {s.leg.name: _parameter_columns(s) * parameters for s in lasting}
             gramians = reach_gramians(links, order, deviations, columns)
-            reach = {s.leg.name: reach_of(s, gramians[s.leg.name]) for s in samples}
+            reach = {s.leg.name: phase_reach(s, gramians[s.leg.name]) for s in samples}
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         return cls(phases, cost, changed, parameters, ends, reach, links, ends.constraints(reach, parameters))
@@ -200,17 +200,17 @@ class Scales:
 
 def _control_costs(s: PhaseSamples, deviation: Array) -> Array:
     """Return what deviations of each control alone cost (m,), to first and to second order."""
-    first = np.abs(finite(s.switching)) * deviation
-    second = 0.5 * np.abs(finite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
+    first = np.abs(replace_nonfinite(s.switching)) * deviation
+    second = 0.5 * np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
     return np.asarray((first + second) @ s.weights)
 
 
 def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
     """Return what deviations of all controls cost; where H neither slopes nor curves, what their terms amount to."""
-    bends = np.abs(finite(s.control_hessian))
-    first = np.sum(np.abs(finite(s.switching)) * deviation, axis=0) @ s.weights
+    bends = np.abs(replace_nonfinite(s.control_hessian))
+    first = np.sum(np.abs(replace_nonfinite(s.switching)) * deviation, axis=0) @ s.weights
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
-    slopes = np.abs(finite(s.cost_slope)), np.abs(finite(s.switching - s.cost_slope))
+    slopes = np.abs(replace_nonfinite(s.cost_slope)), np.abs(replace_nonfinite(s.switching - s.cost_slope))
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
     return change if change > VANISHED_SHARE * terms else terms
@@ -230,7 +230,7 @@ def _curved_changes(s: PhaseSamples, moves: Array) -> Array:
     """Return half second differences of the integral of H along moves (n,), from small steps: at a kink in proportion
     to them, else to their squares."""
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
-    coarse, fine = (finite(second_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps)
+    coarse, fine = (replace_nonfinite(second_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps)
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
@@ -269,7 +269,7 @@ def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Arra
 
 
 def _parameter_sizes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), width(problem.parameter_interval())
+    size, extent = np.abs(solution.parameter_values), interval_width(problem.parameter_interval())
     return np.asarray(np.where(size > 0, size, np.where(extent > 0, extent, 1.0)))
 
 
@@ -300,7 +300,7 @@ def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSa
 def _parameter_columns(s: PhaseSamples) -> Array:
     """Return rate derivatives with respect to the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
-    edges = cells_of(leg.breaks)
+    edges = cell_edges(leg.breaks)
     middles = 0.5 * (edges[:-1] + edges[1:])
     x, u = leg.x(middles), leg.flown(middles)
     mu = np.zeros((len(leg.path_labels), middles.size))
@@ -313,7 +313,7 @@ def _parameter_columns(s: PhaseSamples) -> Array:
     for i in range(leg.integrals.size):
         alone = replace(s.functions, weights=np.eye(leg.integrals.size)[i])
         rows.append(alone.parameter_gradient(middles, x, u, np.zeros_like(x), mu))
-    return np.moveaxis(finite(np.stack(rows)), 2, 0)
+    return np.moveaxis(replace_nonfinite(np.stack(rows)), 2, 0)
 
 
 # --- ends -------------------------------------------------------------------------------------------------
@@ -355,7 +355,7 @@ class EndPoints:
 
         If requested with the boundary constraints and their multipliers.
         """
-        found = self._differences(self._moves(reach))
+        found = self._differences(self._principal_moves(reach))
         if found is None:
             return 0.0
         change = found[1][-1]
@@ -369,12 +369,12 @@ class EndPoints:
         n = self.solution.constraint_multipliers.size
         if not n:
             return np.zeros(0), np.zeros(0), np.zeros(0)
-        moves = self._moves(reach)
+        moves = self._principal_moves(reach)
         for i, size in enumerate(parameters):
             moves.append(self._move({len(self.values) - 1: size * np.eye(parameters.size)[i]}))
         for k, s in enumerate(self.samples):
             if not s.lasts_as_told:
-                moves += self._shifted(k, s)
+                moves += self._time_shift_moves(k, s)
         found = self._differences(moves)
         jacobians = link_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.zeros(n)
@@ -387,7 +387,7 @@ class EndPoints:
         first, second = (np.sqrt(np.sum(v[:-1] ** 2, axis=1)) for v in found)
         return first, second, terms
 
-    def _moves(self, reach: Mapping[str, Reach], *, still: bool = False) -> list[list[Array]]:
+    def _principal_moves(self, reach: Mapping[str, Reach], *, still: bool = False) -> list[list[Array]]:
         """Return moves of the ends along their principal axes; if ``still``, those that nothing moves have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
@@ -402,7 +402,7 @@ class EndPoints:
     def _move(self, changes: Mapping[int, Array]) -> list[Array]:
         return [changes.get(k, np.zeros_like(v)) for k, v in enumerate(self.values)]
 
-    def _shifted(self, k: int, s: PhaseSamples) -> list[list[Array]]:
+    def _time_shift_moves(self, k: int, s: PhaseSamples) -> list[list[Array]]:
         """Return moves of the ends of a phase along its flow, together with their times, by its duration."""
         moves = []
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
@@ -410,12 +410,12 @@ class EndPoints:
             if not box.fixed[0]:
                 rate = s.functions.rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
                 step = SECOND_DIFFERENCE_STEP_SHARE * s.span
-                moves.append(self._move({place: finite(rate) * step, place + 2: np.array([step])}))
+                moves.append(self._move({place: replace_nonfinite(rate) * step, place + 2: np.array([step])}))
         return moves
 
     def kink(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by directions (2, n)."""
-        moves = self._moves(reach, still=True)
+        moves = self._principal_moves(reach, still=True)
         moves += [
             self._move({len(self.values) - 1: size * np.eye(parameters.size)[i]})
             for i, size in enumerate(parameters)
@@ -445,4 +445,4 @@ class EndPoints:
             found = evaluate_columns(end_values(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
-        return finite(first), finite(second)
+        return replace_nonfinite(first), replace_nonfinite(second)

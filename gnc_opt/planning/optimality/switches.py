@@ -52,7 +52,7 @@ class Switches:
     def of(cls, s: PhaseSamples) -> Switches:
         """Find the switches of a phase whose controls sit on their bounds everywhere."""
         leg = s.leg
-        times, channels = inner_switches(s)
+        times, channels = find_inner_switches(s)
         ends = leg.breaks[[0, -1]]
         at_start, at_end = _controls_with_vanishing_switching(s, 0), _controls_with_vanishing_switching(s, -1)
         times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
@@ -122,7 +122,7 @@ class Switches:
         return np.array(rows).reshape(-1, self.times.size + 2)
 
 
-def inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
+def find_inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     """Times (s) and controls of the jumps from bound to bound at the boundaries of segments."""
     leg = s.leg
     breaks = leg.breaks[1:-1]

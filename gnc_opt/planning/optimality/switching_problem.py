@@ -4,7 +4,7 @@ Its unknowns :math:`\theta` are, phase by phase, the start, one time for every s
 start values, and the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
 :math:`\underline\psi \le \psi(\theta) \le \overline\psi` on end values, times, durations, parameters, boundary
 constraints and linkages. Only conditions at a limit count. Flows are integrated from switch to switch (module
-`bang_bang_flow`). Unknowns and conditions are dimensionless.
+`integrate_bang_bang`). Unknowns and conditions are dimensionless.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, bang_bang_flow
+from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, parameter_scale, state_variations
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.functions import EndGradients, end_function
@@ -167,7 +167,7 @@ class InducedProblem:
         for s in samples:
             asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
             grid, flow = _choose_grid(*asked)
-            flows[s.leg.name] = flow if refinement == 1 else bang_bang_flow(*asked, refinement * grid)
+            flows[s.leg.name] = flow if refinement == 1 else integrate_bang_bang(*asked, refinement * grid)
         with np.errstate(over="ignore", invalid="ignore"):  # see `finite`
             changes = _end_derivatives(samples, unknowns, flows)
         derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
@@ -215,7 +215,7 @@ def _choose_grid(
     end = s.leg.x(s.leg.breaks[-1])
     flows = []
     for finer in GRIDS:
-        flows.append(bang_bang_flow(problem, s, pieces, free_start, finer))
+        flows.append(integrate_bang_bang(problem, s, pieces, free_start, finer))
         if np.all(np.abs(flows[-1].final[: end.size] - end) < RESOLVED_END_SHARE * s.state_scale):
             return finer, flows[-1]
     which = 0 if np.isfinite(flows[0].final).all() else -1

@@ -102,7 +102,7 @@ def _subdivide(whole: PiecewisePolynomial, breaks: Array, parts: int) -> Piecewi
     return PiecewisePolynomial(breaks, nodes, values)
 
 
-def fit(samples: Samples, rates: Rates) -> FittedPhase:
+def fit_trajectory(samples: Samples, rates: Rates) -> FittedPhase:
     """Return polynomials through the samples.
 
     Parameters
@@ -198,15 +198,15 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
 def _intersection_time(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
     """Where two interpolants meet between two samples, if they do."""
 
-    def gap(time: float) -> float:
+    def interpolant_difference(time: float) -> float:
         return float(left(time) - right(time))
 
     for end in (first, last):
-        if abs(gap(end)) <= slack:
+        if abs(interpolant_difference(end)) <= slack:
             return end
-    if gap(first) * gap(last) > 0:
+    if interpolant_difference(first) * interpolant_difference(last) > 0:
         return None
-    return float(scipy.optimize.brentq(gap, first, last))
+    return float(scipy.optimize.brentq(interpolant_difference, first, last))
 
 
 class _Controls:
@@ -261,7 +261,7 @@ def _place_jumps(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
     first, last = float(samples.t[i]), float(samples.t[i + 1])
     size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
 
-    def miss(times: Array) -> Array:
+    def propagation_error(times: Array) -> Array:
         for jump, time in zip(jumps, times, strict=True):
             jump.time = float(time)
         ends = np.unique([first, *np.clip(times, first, last), last])
@@ -274,7 +274,13 @@ def _place_jumps(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
 
     start = np.array([first + (last - first) * (k + 1) / (len(jumps) + 1) for k in range(len(jumps))])
     found = scipy.optimize.least_squares(
-        miss, start, bounds=(first, last), x_scale=last - first, xtol=1e-15, ftol=1e-15, gtol=1e-15
+        propagation_error,
+        start,
+        bounds=(first, last),
+        x_scale=last - first,
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
     )
     slack = AT_SAMPLE * (last - first)
     for jump, time in zip(jumps, found.x, strict=True):
@@ -286,15 +292,15 @@ def _propagate_states(x: Array, a: Array, b: Array, controls: _Controls, rates: 
     """States (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
     h, middle = (b - a) / _RUNGE_KUTTA_STEPS, 0.5 * (a + b)
 
-    def f(t: Array, x: Array) -> Array:
+    def state_rate(t: Array, x: Array) -> Array:
         return rates(t, x, controls(t, middle))
 
     for k in range(_RUNGE_KUTTA_STEPS):
         t = a + k * h
-        k1 = f(t, x)
-        k2 = f(t + 0.5 * h, x + 0.5 * h * k1)
-        k3 = f(t + 0.5 * h, x + 0.5 * h * k2)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(t + h, x + h * k3))
+        k1 = state_rate(t, x)
+        k2 = state_rate(t + 0.5 * h, x + 0.5 * h * k1)
+        k3 = state_rate(t + 0.5 * h, x + 0.5 * h * k2)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + state_rate(t + h, x + h * k3))
     return np.asarray(x)
 
 

@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
 from gnc_opt.planning.solution.verdict import Verdict
-from gnc_opt.planning.verification.control_conditions import minimum_loss
+from gnc_opt.planning.verification.control_conditions import minimum_principle_loss
 from gnc_opt.planning.verification.engine import verify
 from gnc_opt.tolerances import SMALL
 
@@ -79,7 +79,7 @@ class Candidate:
     @cached_property
     def loss(self) -> float:
         """Loss of the minimum principle, in the unit of the objective."""
-        loss = minimum_loss(self.solution)
+        loss = minimum_principle_loss(self.solution)
         return loss if math.isfinite(loss) else 0.0
 
     @property

@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.control_conditions import least_controls
+from gnc_opt.planning.verification.control_conditions import minimise_hamiltonian
 
 
 def with_least_controls(solution: Solution) -> Solution:
@@ -27,7 +27,7 @@ def with_least_controls(solution: Solution) -> Solution:
 def _with_controls_of_least_h(s: PhaseSamples) -> PhaseSolution:
     if not s.leg.controls.size:
         return s.leg
-    times, controls = least_controls(s)
+    times, controls = minimise_hamiltonian(s)
     nearest = np.clip(np.searchsorted(times, s.leg.point_times), 1, times.size - 1)
     nearest -= s.leg.point_times - times[nearest - 1] < times[nearest] - s.leg.point_times
     values: Array = controls[:, nearest]

@@ -31,7 +31,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.optimality.active_set import with_contacts
+from gnc_opt.planning.optimality.active_set import add_constraint_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
 from gnc_opt.planning.optimality.program_point import (
     WEAKLY_ACTIVE_TOLERANCE,
@@ -181,7 +181,7 @@ class KktPoint:
 
     def _solve_conditions(self, solution: Solution) -> str:
         """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
-        self._point = ProgramPoint.of(solution, held=with_contacts)
+        self._point = ProgramPoint.of(solution, held=add_constraint_contacts)
         return self._newton() or self._wrong_limit()
 
     def _newton(self) -> str:

@@ -98,7 +98,9 @@ def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: Pha
                 limits[boundaries[idle]] = limits[points] = wider[i]
 
 
-def drop_idle(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
+def drop_inactive_constraints(
+    box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
+) -> None:
     """Drop the bounds of states that hold by themselves, since a vector keeps its length."""
     sides = (box.lower, -np.inf), (box.upper, np.inf)
     for (limits, none), idle in zip(sides, idle_bounds(problem, leg), strict=True):
@@ -169,7 +171,7 @@ class Beside:
     weights: Array
 
 
-def controls_beside(collocation: PhaseCollocation, junction: Junction) -> Beside:
+def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> Beside:
     """Return the controls of the segment whose end at a junction is one where a constraint is tangent to its limit."""
     places = collocation.point_controls
     if not junction.tangent:

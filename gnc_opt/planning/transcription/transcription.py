@@ -23,8 +23,8 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
-    controls_beside,
-    drop_idle,
+    controls_at_junction,
+    drop_inactive_constraints,
     hold_controls,
     hold_paths,
     hold_states,
@@ -163,7 +163,7 @@ class Transcription(Numbering):
         found = constraint_order(self.problem, leg, junction.constraint)
         orders = junction_orders(junction, len(leg.path_labels))
         outputs = ca.vertcat(*[found.derivatives[k] for k in orders], ca.SX(0, 1))
-        beside = controls_beside(part.collocation, junction)
+        beside = controls_at_junction(part.collocation, junction)
         points = ca.SX.sym("points", u.numel(), beside.points.shape[1])
         if junction.tangent:
             last = found.derivatives[-1]
@@ -347,7 +347,7 @@ class Transcription(Numbering):
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
         loosen_one_way(box, problem, leg, collocation)
-        drop_idle(box, problem, leg, collocation)
+        drop_inactive_constraints(box, problem, leg, collocation)
         check_segments(leg, collocation)
         if numbers.arcs is not None:
             hold_controls(box, numbers.arcs, numbers.controls, collocation)

@@ -27,16 +27,16 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
-from gnc_opt.planning.optimality.switches import GRAZES, Switches, inner_switches
+from gnc_opt.planning.optimality.switches import GRAZES, Switches, find_inner_switches
 from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, Unknowns
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.quality import worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.critical_cone import aimed_gradient
-from gnc_opt.planning.verification.feasibility import decided
-from gnc_opt.planning.verification.goh import straight
+from gnc_opt.planning.verification.critical_cone import direction_optimal_gradient
+from gnc_opt.planning.verification.feasibility import decide_result
+from gnc_opt.planning.verification.goh import find_flat_controls
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, RANK
 
 OWN = 1e-4
@@ -50,7 +50,7 @@ MOST_ORDERS = 120
 """Orders of simultaneous switches that are tried."""
 
 
-def strict_switches(samples: list[PhaseSamples]) -> Condition:
+def check_strict_switches(samples: list[PhaseSamples]) -> Condition:
     """Switching functions cross zero with the right slope at every switch, and vanish nowhere else."""
     meaning = (
         "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
@@ -65,7 +65,7 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
-    result = decided(least > GRAZES, worst.wrong)
+    result = decide_result(least > GRAZES, worst.wrong)
     return Condition(name, result, -least, -GRAZES, worst.where, meaning, sufficient=True)
 
 
@@ -86,7 +86,7 @@ class _Crossing:
 def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
     """The worst crossing of a phase, or None without a switch."""
     leg = s.leg
-    times, channels = inner_switches(s)
+    times, channels = find_inner_switches(s)
     if not times.size:
         return None
     neighbours = np.searchsorted(leg.breaks, times)
@@ -95,7 +95,7 @@ def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
     )
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
     at = beside, leg.x(beside), leg.flown(beside), leg.lam(beside), leg.path_multiplier(beside)
-    values = aimed_gradient(s, *at)
+    values = direction_optimal_gradient(s, *at)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
     unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
@@ -128,15 +128,15 @@ def _switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) 
 
 
 def _evaluate_switching_functions(s: PhaseSamples) -> Array:
-    return aimed_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
+    return direction_optimal_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
 
 
 def _find_touched_zero(s: PhaseSamples) -> str:
     """Where a switching function touches zero along a bang arc, or nothing."""
-    times, channels = inner_switches(s)
+    times, channels = find_inner_switches(s)
     worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, _controls_on_bound(s)
-    affine = np.all(straight(s), axis=1) | np.all(on_bound, axis=1)
+    affine = np.all(find_flat_controls(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
@@ -173,10 +173,12 @@ class SecondOrder:
     @property
     def result(self) -> ConditionResult:
         """Whether the form is positive definite."""
-        return decided(self.least > self.error, self.least < -self.error and self.attained)
+        return decide_result(self.least > self.error, self.least < -self.error and self.attained)
 
 
-def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
+def check_bang_bang_second_order(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients
+) -> Condition:
     """The reduced Hessian of the switching-time problem is positive definite in every order of its switches."""
     meaning = (
         "The Hessian of the Lagrangian in switch times, end times, free end values and parameters, on directions that "
@@ -188,7 +190,7 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
     def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
 
-    reason = obstacle(samples)
+    reason = why_not_applicable(samples)
     switches = {} if reason else {s.leg.name: Switches.of(s) for s in samples}
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
@@ -235,7 +237,7 @@ def _second_order_for_switch_order(
     jacobian = _extrapolate_richardson(jacobian, coarse.conditions.jacobian)
     cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
     at_lower, at_upper = conditions.active
-    active, rows, norms, multipliers = least_squares(gradient, jacobian, fine)
+    active, rows, norms, multipliers = nearest_multipliers(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
     precedences = _switch_order_constraints(unknowns, orders, switches)[:, free]
     residual, precedence_multipliers = _explain_residual_by_order(
@@ -265,7 +267,7 @@ def _second_order_for_switch_order(
     return SecondOrder(float(eigenvalues[0]) / (size + cost), error, null.shape[1], attained)
 
 
-def least_squares(
+def nearest_multipliers(
     gradient: Array, jacobian: Array, induced: InducedProblem
 ) -> tuple[Indices, Array, Array, Array]:
     """Return the multipliers nearest to the solution's that leave least of the gradient.
@@ -329,7 +331,7 @@ def _controls_on_bound(s: PhaseSamples) -> Mask:
     return at_lower | at_upper
 
 
-def obstacle(samples: list[PhaseSamples]) -> str:
+def why_not_applicable(samples: list[PhaseSamples]) -> str:
     """Why the induced problem says nothing, or nothing."""
     for s in samples:
         if not s.has_length:

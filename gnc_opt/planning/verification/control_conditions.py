@@ -12,20 +12,20 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.active_set import left, left_free
-from gnc_opt.planning.optimality.cost_scale import lasting, least_for_long, without_switches
+from gnc_opt.planning.optimality.active_set import free_control_directions, undetermined_controls
+from gnc_opt.planning.optimality.cost_scale import average_over_time, exclude_switches, lasting_minimum_index
 from gnc_opt.planning.optimality.reference_scales import CHEAP_AFFINE, CHEAP_CURVED, RESOLVED_MISS, Scales
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import condition_of, decided
+from gnc_opt.planning.verification.feasibility import condition_from_violation, decide_result
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
     coupled_gains,
     coupled_minima,
-    limits,
+    search_bounds,
 )
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY
 
@@ -38,7 +38,7 @@ SLOPE_MIN_SHARE = 1e-3
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
-def control_worth(s: PhaseSamples, scales: Scales) -> Array:
+def control_gain_scale(s: PhaseSamples, scales: Scales) -> Array:
     """Return by what gains in H of each control alone are measured (m,), cost per second."""
     bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1, initial=0.0)
     least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
@@ -46,7 +46,7 @@ def control_worth(s: PhaseSamples, scales: Scales) -> Array:
     return np.asarray(np.minimum(own, scales.cost) / s.span)
 
 
-def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
+def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
     """Return the first-order gain in H of controls between their bounds, or the share by which they miss its minimum.
 
     Root mean square over the phase of the means of segments, with their sign. Inside a segment deviations change the
@@ -54,18 +54,18 @@ def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) 
     """
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _losses(s, scales.phases[s.leg.name].deviation)
-        miss = _miss(s, scales)
+        loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
+        miss = _distance_to_minimum(s, scales)
         # However cheap a control is: multipliers may be rounding, what the cost itself curves by is not.
         clear = np.isfinite(miss) & (miss > RESOLVED_MISS) & _curves_cost(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
-        share = np.where(clear, loss, 0.0) / control_worth(s, scales)[:, None]
+        share = np.where(clear, loss, 0.0) / control_gain_scale(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
-        means = lasting(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
+        means = average_over_time(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
         root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
         # The place is that of the largest mean.
         by_phase = np.where(means == np.max(means, axis=1, keepdims=True), root_mean[:, None], 0.0)
-        violation = np.maximum(by_phase, lasting(s.times, gain) * np.sqrt(tolerance))
+        violation = np.maximum(by_phase, average_over_time(s.times, gain) * np.sqrt(tolerance))
         worst = worst.or_worse(_worst_control(s, violation, "dH/du of "))
     return worst
 
@@ -85,7 +85,7 @@ def _segment_means(s: PhaseSamples, values: Array) -> Array:
     return np.asarray(means[:, s.segments])
 
 
-def _miss(s: PhaseSamples, scales: Scales) -> Array:
+def _distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
     """Share of its deviation by which each control misses the minimum of H; infinite where H curves downwards."""
     deviation = scales.phases[s.leg.name].deviation
     curvature = np.einsum("iij->ij", s.control_hessian) * deviation
@@ -94,17 +94,17 @@ def _miss(s: PhaseSamples, scales: Scales) -> Array:
     return np.asarray(np.divide(slope, curvature, out=missed, where=curvature > 0))
 
 
-def control_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
+def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     """Return what controls on a bound would gain in H to first order if they left it."""
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _losses(s, scales.phases[s.leg.name].deviation)
-        gain = lasting(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
+        loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
+        gain = average_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
         worst = worst.or_worse(_worst_control(s, gain, "switching function of "))
     return worst
 
 
-def _losses(s: PhaseSamples, scale: Array, size: Array | None = None) -> tuple[Array, Mask]:
+def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None) -> tuple[Array, Mask]:
     """First-order gain in H of each control over a scale (m, n_samples), cost per second, and whether it is on a bound.
 
     ``size`` (m,) is what the distance to a bound is compared with; by default the largest scale.
@@ -125,7 +125,9 @@ def _worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
     return Worst(float(loss[i, j]), s.place(j, what + s.leg.controls.labels[i]))
 
 
-def minimum(samples: list[PhaseSamples], scales: Scales, tolerance: float, unit: str = "") -> Condition:
+def check_minimum_principle(
+    samples: list[PhaseSamples], scales: Scales, tolerance: float, unit: str = ""
+) -> Condition:
     """No other admissible control has a smaller H; the loss in ``unit`` is the integral of H less its least value."""
     meaning = (
         "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
@@ -134,32 +136,34 @@ def minimum(samples: list[PhaseSamples], scales: Scales, tolerance: float, unit:
     worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
         if s.leg.controls.size:
-            gain, lost, here = _largest_gain(s, scales, tolerance)
+            gain, lost, here = _find_largest_gain(s, scales, tolerance)
             worst, searched, loss = worst.or_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
             f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
             f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
         )
-    found = condition_of("minimum principle", worst, tolerance, meaning)
+    found = condition_from_violation("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
-def _largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, float, bool]:
+def _find_largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, float, bool]:
     """Return what other controls gain at most and along the phase, and whether they had to be searched for."""
     deviation = np.max(scales.phases[s.leg.name].deviation, axis=1, initial=0.0)
-    gain, own, searched = _gains(s, deviation, scales.cost, tolerance)
-    lasts = lasting(s.times, gain[None])[0]
+    gain, own, searched = _hamiltonian_gains(s, deviation, scales.cost, tolerance)
+    lasts = average_over_time(s.times, gain[None])[0]
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
     j = int(np.argmax(share))
     return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
 
 
-def _gains(s: PhaseSamples, deviation: Array, cost: float, tolerance: float) -> tuple[Array, Array, bool]:
+def _hamiltonian_gains(
+    s: PhaseSamples, deviation: Array, cost: float, tolerance: float
+) -> tuple[Array, Array, bool]:
     """Return what other controls gain in H and its share along the phase, and whether they had to be searched for."""
     apart = _separable_gain(s)
-    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scattered_controls(s), s.lam)
+    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scatter_controls(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
     others, searched = coupled_gains(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
@@ -169,17 +173,19 @@ def _gains(s: PhaseSamples, deviation: Array, cost: float, tolerance: float) -> 
     return gain, own, searched
 
 
-def minimum_loss(solution: Solution) -> float:
+def minimum_principle_loss(solution: Solution) -> float:
     """Return the integral of H less its least value, in the objective's unit; not finite where H has no value."""
     samples = [s for s in solution.samples().values() if s.has_length and s.leg.controls.size]
-    return float(sum(s.weights @ _gains(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples))
+    return float(
+        sum(s.weights @ _hamiltonian_gains(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples)
+    )
 
 
-def least_controls(s: PhaseSamples) -> tuple[Array, Array]:
+def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and minimising controls (m, n_times); those with a slope of rounding stay."""
     times, u = coupled_minima(s)
     apart = s.functions.separable_controls
-    lower, upper = (limit[:, None] for limit in limits(s))
+    lower, upper = (limit[:, None] for limit in search_bounds(s))
     slope = s.control_gradient[:, np.searchsorted(s.times, times)]
     clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SLOPE_MIN_SHARE * s.joint_worth)
     return times, np.where(clear, np.where(slope > 0, lower, upper), u)
@@ -188,20 +194,22 @@ def least_controls(s: PhaseSamples) -> tuple[Array, Array]:
 def _separable_gain(s: PhaseSamples) -> Array:
     """What H loses at most by other values of its separable controls: each goes where its slope says."""
     apart = s.functions.separable_controls
-    lower, upper = (limit[apart, None] for limit in limits(s))
+    lower, upper = (limit[apart, None] for limit in search_bounds(s))
     slope, u = s.control_gradient[apart], s.u[apart]
     return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
 
 
-def _scattered_controls(s: PhaseSamples) -> Array:
+def _scatter_controls(s: PhaseSamples) -> Array:
     """Separable controls anywhere between their limits: a step of H, whose slope is zero, shows nowhere else."""
-    lower, upper = limits(s)
+    lower, upper = search_bounds(s)
     shares = np.outer(1 + np.arange(s.u.shape[0]), _GOLDEN * np.arange(s.u.shape[1])) % 1.0
     other = lower[:, None] + (upper - lower)[:, None] * shares
     return np.where(s.functions.separable_controls[:, None], other, s.u)
 
 
-def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask]) -> Condition:
+def check_legendre_clebsch(
+    samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask]
+) -> Condition:
     """The Hessian of H in the controls off their bounds is positive definite (strengthened form)."""
     name = "Legendre-Clebsch"
     meaning = (
@@ -220,7 +228,7 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Se
         nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
-    result = decided(least >= tolerance, not least > -tolerance)
+    result = decide_result(least >= tolerance, not least > -tolerance)
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
@@ -229,16 +237,16 @@ def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float,
     unit = s.control_span / np.sqrt(s.control_worth)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     least = np.full(s.times.size, np.inf)
-    for j, basis in enumerate(left_free(s, _inside(s) & among, unit)):
+    for j, basis in enumerate(free_control_directions(s, _controls_between_bounds(s) & among, unit)):
         if basis.size:
             reduced = basis.T @ scaled[:, :, j] @ basis
             finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
             least[j] = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
-    j = least_for_long(s.times, least)
+    j = lasting_minimum_index(s.times, least)
     return float(least[j]), s.place(j) if least[j] < np.inf else None
 
 
-def singular_arcs(
+def check_singular_arcs(
     samples: list[PhaseSamples],
     tolerance: float,
     singular: Sequence[Mask],
@@ -264,7 +272,7 @@ def singular_arcs(
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 
 
-def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
+def find_undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     """Where controls are between their bounds, and H or constraints do not determine them.
 
     Returns
@@ -274,22 +282,22 @@ def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     inside : bool array (m, n_samples)
         Between the bounds, and active constraints leave all directions free.
     """
-    loss = _losses(s, s.control_span[:, None], s.control_scale)[0] / s.control_worth[:, None]
+    loss = _first_order_gains(s, s.control_span[:, None], s.control_scale)[0] / s.control_worth[:, None]
     unit = s.control_span / np.sqrt(s.control_worth)
-    inside = _inside(s)
-    some, whole = left(s, inside, unit, tolerance)
-    singular = some & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
-    return without_switches(s.times, singular), inside & whole
+    inside = _controls_between_bounds(s)
+    some, whole = undetermined_controls(s, inside, unit, tolerance)
+    singular = some & (loss <= tolerance) & (np.abs(_hamiltonian_curvature(s)) <= tolerance)
+    return exclude_switches(s.times, singular), inside & whole
 
 
-def _curvature(s: PhaseSamples) -> Array:
+def _hamiltonian_curvature(s: PhaseSamples) -> Array:
     """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
     return np.asarray(
         np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_worth)[:, None]
     )
 
 
-def _inside(s: PhaseSamples) -> Mask:
+def _controls_between_bounds(s: PhaseSamples) -> Mask:
     """Where each control that does something is between its bounds, and not only on its way across, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
-    return without_switches(s.times, np.asarray(~(at_lower | at_upper | s.idle)))
+    return exclude_switches(s.times, np.asarray(~(at_lower | at_upper | s.idle)))

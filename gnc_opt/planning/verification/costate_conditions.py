@@ -27,7 +27,11 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.cost_scale import parameter_scale
-from gnc_opt.planning.optimality.costate_jumps import end_push, jumps_explained, pushed_beside
+from gnc_opt.planning.optimality.costate_jumps import (
+    explain_costate_jumps,
+    explain_end_gap,
+    integrate_nearby_multipliers,
+)
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.functions import EndGradients
@@ -39,18 +43,23 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.verification.feasibility import path_reach
-from gnc_opt.planning.verification.recomputed import ends_of
+from gnc_opt.planning.verification.recomputed import evaluate_ends
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))
 """The ends of a phase and their samples."""
 
 
-def with_end_limits(
+def add_end_constraints(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> tuple[Solution, EndGradients]:
     """Return the solution of the problem with these boundary constraints, their multipliers with it, and its ends."""
-    met = [(s, end, at, rows) for s in samples for end, at in ENDS if (rows := _met_at(s, at)).size]
+    met = [
+        (s, end, at, rows)
+        for s in samples
+        for end, at in ENDS
+        if (rows := _path_constraints_active_at_end(s, at)).size
+    ]
     if not met:
         return solution, ends
     problem, pushes = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
@@ -59,11 +68,11 @@ def with_end_limits(
         box = leg.path_interval()
         for row in rows:
             label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
-            expression = _at_end(leg, row, end)
+            expression = _path_constraint_at_end(leg, row, end)
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
-        pushes.append(end_push(s, at, ends).multipliers[rows])
+        pushes.append(explain_end_gap(s, at, ends).multipliers[rows])
     problem.changed()
     stated = replace(
         solution,
@@ -71,10 +80,10 @@ def with_end_limits(
         constraint_multipliers=np.concatenate(pushes),
         constraint_labels=problem.constraint_labels(),
     )
-    return stated, ends_of(stated)
+    return stated, evaluate_ends(stated)
 
 
-def _met_at(s: PhaseSamples, at: int) -> Indices:
+def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Path constraints without controls that are at a limit at an end of the phase, and not at the point beside it."""
     leg, pure = s.leg, s.pure_paths
     if not pure.size:
@@ -88,26 +97,28 @@ def _met_at(s: PhaseSamples, at: int) -> Indices:
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
 
-def _at_end(leg: Phase, row: int, end: str) -> ca.SX:
+def _path_constraint_at_end(leg: Phase, row: int, end: str) -> ca.SX:
     t, x, _, _ = leg.model.arguments()
     time = leg.initial_time if end == "initial" else leg.final_time
     return ca.substitute(leg.path_expression()[int(row)], ca.vertcat(t, x), ca.vertcat(time, leg.ends(end)))
 
 
-def adjoint(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
+def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
     """Return by how much costates miss their differential equation, or jump where no state constraint acts."""
     worst = NOTHING
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
-        share, total = _adjoint_shares(s, s.mu, scales, tolerance)
+        share, total = _adjoint_residuals(s, s.mu, scales, tolerance)
         if s.leg.scheme != GAUSS and s.pure_paths.size:
-            share = np.fmin(share, _adjoint_shares(s, _without_atoms(s), scales, tolerance)[0])
+            share = np.fmin(
+                share, _adjoint_residuals(s, _path_multipliers_without_atoms(s), scales, tolerance)[0]
+            )
         k = int(np.argmax(share))
         i = int(np.argmax(np.abs(total[:, k]) * along.radius))
         place = s.segment_place(k, f"adjoint equation of {s.leg.states.labels[i]}")
         worst = worst.or_worse(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
-            jumps = jumps_explained(s)[0]
+            jumps = explain_costate_jumps(s)[0]
             share = along.change(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
@@ -117,7 +128,7 @@ def adjoint(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Wo
     return worst
 
 
-def _adjoint_shares(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
+def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
     along = scales.phases[s.leg.name].along
     gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, mu)
@@ -131,7 +142,7 @@ def _adjoint_shares(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
 
-def _without_atoms(s: PhaseSamples) -> Array:
+def _path_multipliers_without_atoms(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) by the points inside of segments: those at boundaries have atoms."""
     leg = s.leg
     inner = [np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool) for rule in leg.rules]
@@ -142,16 +153,16 @@ def _without_atoms(s: PhaseSamples) -> Array:
     return mu
 
 
-def transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:
+def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:
     """Return by how much costates at free ends, and H at free times, miss the gradients of cost and constraints."""
     worst = NOTHING
     for s in samples:
         own = scales.phases[s.leg.name]
         # The multiplier that would explain the gap must be one that the end's bounds can exert.
-        pushes = {end: end_push(s, at, ends) for end, at in (("start", 0), ("end", -1))}
+        pushes = {end: explain_end_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
             left = push.gap - push.explained
-            left = np.copysign(_unexplained(left, s.x[:, at], push.limits, s.state_scale), left)
+            left = np.copysign(_inadmissible_multipliers(left, s.x[:, at], push.limits, s.state_scale), left)
             violation = float(ellipsoid.change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.miss_of_cheap_controls(s, left))
@@ -159,17 +170,17 @@ def transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scal
             place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
             worst = worst.or_worse(Worst(violation, place))
         drifts = np.array([push.drift for push in pushes.values()])
-        worst = worst.or_worse(_time_transversality(s, ends, drifts, scales))
+        worst = worst.or_worse(_check_time_transversality(s, ends, drifts, scales))
     return worst
 
 
-def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, scales: Scales) -> Worst:
+def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, scales: Scales) -> Worst:
     """Of free times; ``pushes`` is what path constraints that depend on time do at both ends (module `pushes`)."""
     leg, name = s.leg, s.leg.name
     boxes, lasts = leg.duration_bounds, np.array([leg.duration])
     # A multiplier of the duration counts only if a bound of the duration can exert it.
     exerted = np.array([leg.duration_multiplier])
-    alone = np.copysign(_unexplained(exerted, lasts, boxes, lasts), exerted)
+    alone = np.copysign(_inadmissible_multipliers(exerted, lasts, boxes, lasts), exerted)
     duration = float((exerted - alone)[0])
     gaps = np.array(
         [
@@ -187,7 +198,7 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, sca
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
     # Multipliers are known for times that are variables only.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
-    violation = np.maximum(_unexplained(gaps, times, box, span), told) * s.span / scales.cost
+    violation = np.maximum(_inadmissible_multipliers(gaps, times, box, span), told) * s.span / scales.cost
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
     return worst.or_worse(
@@ -195,7 +206,7 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, sca
     )
 
 
-def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _inadmissible_multipliers(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Size of bound multipliers that the bounds cannot exert: >= 0 needs the upper, <= 0 the lower bound."""
     at_lower, at_upper = box.near(values, AT_LIMIT * scale)
     # A given value takes any multiplier; whether it is met is for the boundary conditions to say.
@@ -203,14 +214,14 @@ def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array)
     return np.where(allowed, 0.0, np.abs(multipliers))
 
 
-def complementarity(
+def check_complementarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
     """Return what multipliers contribute to the cost away from their limits, or from the wrong side of them."""
-    worst = _end_multipliers(solution, ends, scales)
+    worst = _check_end_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
-        worst = worst.or_worse(_impulses(s, scales))
+        worst = worst.or_worse(_check_bound_impulses(s, scales))
         leg, times = s.leg, s.leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
         paths = s.functions.paths(times, x, u)
@@ -237,7 +248,7 @@ def complementarity(
     return worst
 
 
-def _end_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
+def _check_end_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Multipliers of boundary constraints that are not at the limit which could exert them."""
     nu, values = solution.constraint_multipliers, ends.constraints
     if not nu.size:
@@ -249,12 +260,12 @@ def _end_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> 
     return Worst(float(violation[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
 
 
-def _impulses(s: PhaseSamples, scales: Scales) -> Worst:
+def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     """Impulses of state bounds at inner segment boundaries that are not at the limit which could exert them."""
     leg, breaks = s.leg, s.leg.breaks[1:-1]
     if not breaks.size:
         return NOTHING
-    impulses, beside = leg.state_impulses[:, 1:-1], pushed_beside(s, leg.state_multipliers)
+    impulses, beside = leg.state_impulses[:, 1:-1], integrate_nearby_multipliers(s, leg.state_multipliers)
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[leg.name].along.radius[:, None]
     violation = (
@@ -273,7 +284,9 @@ def _slack_violation(multipliers: Array, values: Array, box: Interval, scale: Ar
     return np.abs(multipliers) * np.where(multipliers > 0, room_up, room_down)
 
 
-def parameters(solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:
+def check_parameter_stationarity(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
+) -> Worst:
     """Return by how much the cost changes with the free parameters."""
     values, box = solution.parameter_values, solution.need_problem("verify").parameter_interval()
     if not values.size:
@@ -286,7 +299,11 @@ def parameters(solution: Solution, samples: list[PhaseSamples], ends: EndGradien
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier a bound would have to exert is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
-    violation = _unexplained(-left, values, box, parameter_scale(solution)) * scales.parameters / scales.cost
+    violation = (
+        _inadmissible_multipliers(-left, values, box, parameter_scale(solution))
+        * scales.parameters
+        / scales.cost
+    )
     i = int(np.argmax(violation))
     return Worst(float(violation[i]), f"parameter {solution.free_parameters.labels[i]}")
 
@@ -294,8 +311,8 @@ def parameters(solution: Solution, samples: list[PhaseSamples], ends: EndGradien
 def _parameter_atoms(s: PhaseSamples, ends: EndGradients) -> Array:
     """What pushes of no duration do to parameters, where path constraints are touched or met at an end (q, n_atoms)."""
     leg = s.leg
-    pushes = [end_push(s, at, ends).multipliers for at in (0, -1)]
-    atoms = np.column_stack([pushes[0], jumps_explained(s)[2], pushes[1]])
+    pushes = [explain_end_gap(s, at, ends).multipliers for at in (0, -1)]
+    atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[2], pushes[1]])
     times = leg.breaks[[0, *range(1, leg.mesh.segments), -1]]
     x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (leg.x, leg.flown))
     none = np.zeros_like(x)

@@ -32,7 +32,7 @@ SURELY = 0.99
 """A collocation point between samples that are idle by this share is so itself."""
 
 
-def lone_vector(s: PhaseSamples, group: Indices) -> VectorControl | None:
+def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
     """Return the vector control that a group consists of, if H is affine in it and only its length is limited."""
     layout = s.leg.controls
     for vector in s.leg.composed_controls:
@@ -53,10 +53,12 @@ def lone_vector(s: PhaseSamples, group: Indices) -> VectorControl | None:
     return None
 
 
-def aimed_gradient(s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array, mu: Array) -> Array:
+def direction_optimal_gradient(
+    s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array, mu: Array
+) -> Array:
     """Return d(H + mu.c)/du (m, n_times), by a magnitude that is zero as if its direction were the best."""
     gradient = s.functions.control_gradient(times, x, u, lam, mu)
-    for vector in filter(None, (lone_vector(s, group) for group in s.functions.coupled_controls)):
+    for vector in filter(None, (find_vector_control(s, group) for group in s.functions.coupled_controls)):
         magnitude, direction = (s.leg.controls.slice(part) for part in vector.parts)
         at = np.flatnonzero(u[magnitude][0] <= AT_LIMIT * s.control_scale[magnitude][0])
         if not at.size:
@@ -69,7 +71,7 @@ def aimed_gradient(s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array
     return gradient
 
 
-def without_idle_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def hold_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with directions held where their magnitude is, and angles that do nothing there."""
     strong = cone.strong.copy()
     for s in samples:
@@ -96,7 +98,7 @@ def without_idle_directions(cone: CriticalCone, samples: Sequence[PhaseSamples])
     return replace(cone, strong=strong)
 
 
-def held_from_their_start(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def hold_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with its path constraints held where their arcs begin, too."""
     point = cone.point
     found = []

@@ -24,42 +24,42 @@ from gnc_opt.planning.verification import bang_bang_second_order as second_order
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
-from gnc_opt.planning.verification.costate_conditions import with_end_limits
-from gnc_opt.planning.verification.feasibility import condition_of
+from gnc_opt.planning.verification.costate_conditions import add_end_constraints
+from gnc_opt.planning.verification.feasibility import condition_from_violation
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.recomputed import (
-    costates_kept_twice,
-    ends_of,
-    from_problem,
+    check_stored_numbers,
+    costate_inconsistency,
+    evaluate_ends,
+    find_missing_number,
     has_costates,
-    missing_number,
-    stored_numbers,
+    recompute_from_problem,
 )
 from gnc_opt.planning.verification.reduced_hessian import (
-    critical_cone,
-    flown_spans,
-    reduced_hessian,
-    rounding_of_cost,
+    build_critical_cone,
+    check_reduced_hessian,
+    cost_rounding_error,
+    trajectory_spans,
 )
 from gnc_opt.planning.verification.singular_arcs import (
-    generalised_legendre_clebsch,
-    of_first_order,
-    singular_arcs,
+    analyse_singular_arcs,
+    check_generalised_legendre_clebsch,
+    find_first_order_arcs,
 )
 from gnc_opt.planning.verification.smoothness import (
     KINKS,
-    beyond_theorems,
-    concave_kink,
-    roughness,
-    smoothness,
+    find_concave_kink,
+    find_roughness,
+    kink_condition,
+    mark_theorem_inapplicable,
 )
 from gnc_opt.planning.verification.sufficiency import (
-    determined_by_slope,
-    has_one_solution,
+    controls_determined_by_slope,
+    has_unique_solution,
     is_convex,
     reaches_least_cost,
 )
-from gnc_opt.planning.verification.switching_times import switching_times
+from gnc_opt.planning.verification.switching_times import check_switching_times
 
 CONDITION_TOLERANCE = 1e-5
 
@@ -121,104 +121,104 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
     known = solution.verdict if tol == CONDITION_TOLERANCE and solution.problem is not None else None
     if known is None:
-        known = _checked(solution, tol)
+        known = _check_solution(solution, tol)
         if tol == CONDITION_TOLERANCE:  # the one field of a solution that is set after its construction
             object.__setattr__(solution, "verdict", known)
     return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
 
-def _checked(solution: Solution, tol: float) -> Verdict:
-    stored, solution = solution, from_problem(solution)
+def _check_solution(solution: Solution, tol: float) -> Verdict:
+    stored, solution = solution, recompute_from_problem(solution)
     samples = list(solution.samples().values())
-    ends, amounts = ends_of(solution), Magnitudes.of(solution, samples)
+    ends, amounts = evaluate_ends(solution), Magnitudes.of(solution, samples)
     with_costates = has_costates(samples, ends, amounts.cost)
-    missing = missing_number(stored, with_costates)
+    missing = find_missing_number(stored, with_costates)
     problem = solution.need_problem("verify")
     samples = [s.with_cost_magnitude(amounts.cost, feature_edges(problem, s)) for s in samples]
     scales = Scales.of(solution, samples)
     lasting = [s for s in samples if s.has_length]
-    kept = missing.or_worse(costates_kept_twice(samples) if with_costates else NOTHING)
-    limits = [feasibility.limits(solution, samples, scales, tol)]
+    kept = missing.or_worse(costate_inconsistency(samples) if with_costates else NOTHING)
+    limits = [feasibility.check_limits(solution, samples, scales, tol)]
     if any(table_uses(problem, leg) for leg in problem.phases.values()):
-        limits.append(feasibility.tables(solution))
+        limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
-        feasibility.dynamics(samples, scales, tol),
-        _joined("limits", limits),
-        feasibility.boundary(solution, samples, ends, scales, tol),
-        _joined(
+        feasibility.check_dynamics(samples, scales, tol),
+        _join_conditions("limits", limits),
+        feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
+        _join_conditions(
             "cost",
             [
-                feasibility.cost(stored, samples, ends, with_costates, scales, tol),
-                stored_numbers(stored, solution, kept, tol),
+                feasibility.check_cost(stored, samples, ends, with_costates, scales, tol),
+                check_stored_numbers(stored, solution, kept, tol),
             ],
         ),
     ]
-    first = _first_order(solution, samples, ends, scales, tol)
-    concave = None if missing.value or not with_costates else concave_kink(lasting, scales)
+    first = _check_first_order(solution, samples, ends, scales, tol)
+    concave = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
     failed = with_costates and any(c.result is ConditionResult.FAIL for c in first)
     if failed and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
-        first = [_of_least_cost(c) for c in first]
+        first = [_pass_by_least_cost(c) for c in first]
     extremal = (*trajectory[:3], *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
     if fails and with_costates:
-        second = [_inconclusive(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
-        second[0] = _naming_singular_arcs(second[0], _singular_parts(problem, lasting, tol))
+        second = [_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
+        second[0] = _name_singular_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
     elif with_costates and not missing.value:
-        second = _second_order(solution, samples, ends, scales, tol, first[2].loss)
+        second = _check_second_order(solution, samples, ends, scales, tol, first[2].loss)
     else:
-        second = [_inconclusive(name, missing.where, _CANNOT_VARY) for name in _SECOND]
+        second = [_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
-        checked = [_without_length(c, vanished) for c in checked]
+        checked = [_mark_zero_duration(c, vanished) for c in checked]
     doubted = with_costates and any(c.result is not ConditionResult.PASS for c in checked)
     if doubted and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
-        checked = [_of_least_cost(c) for c in checked]
+        checked = [_pass_by_least_cost(c) for c in checked]
     if (
         not fails
-        and any(_leaves_open(c) for c in checked)
+        and any(_is_sufficient_and_inconclusive(c) for c in checked)
         and with_costates
-        and _is_only_one(problem, lasting)
+        and _has_unique_solution(problem, lasting)
     ):
-        checked = [_of_one_solution(c) if _leaves_open(c) else c for c in checked]
+        checked = [_pass_by_uniqueness(c) if _is_sufficient_and_inconclusive(c) else c for c in checked]
     kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "none", KINKS)
     if concave is not None:
-        kinks = smoothness(concave, False, falls=True)
+        kinks = kink_condition(concave, False, falls=True)
     elif any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
-        rough = None if missing.value else roughness(problem, lasting, tol)
-        kinks = smoothness(rough, any(c.result is ConditionResult.FAIL for c in checked))
+        rough = None if missing.value else find_roughness(problem, lasting, tol)
+        kinks = kink_condition(rough, any(c.result is ConditionResult.FAIL for c in checked))
         if rough is not None:
-            checked = [beyond_theorems(c, rough) for c in checked]
+            checked = [mark_theorem_inapplicable(c, rough) for c in checked]
     if missing.value:
-        checked = [_incomplete(c, missing.where) for c in checked]
+        checked = [_mark_incomplete(c, missing.where) for c in checked]
     if not with_costates:
-        checked = [_without_costates(c) for c in checked]
+        checked = [_mark_without_costates(c) for c in checked]
     conditions = (*trajectory, *checked[: len(first)], kinks, *checked[len(first) :])
     return Verdict(solution.problem_name, conditions, not_checked="" if with_costates else "no costates")
 
 
-def _first_order(
+def _check_first_order(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
 ) -> list[Condition]:
     """Stationarity, active set and minimum of H."""
     lasting = [s for s in samples if s.has_length]
     gradient = (
-        costates.adjoint(lasting, scales, tol)
-        .or_worse(costates.transversality(lasting, ends, scales))
-        .or_worse(controls.stationarity(lasting, scales, tol))
-        .or_worse(costates.parameters(solution, samples, ends, scales))
+        costates.check_adjoint_equation(lasting, scales, tol)
+        .or_worse(costates.check_transversality(lasting, ends, scales))
+        .or_worse(controls.check_control_stationarity(lasting, scales, tol))
+        .or_worse(costates.check_parameter_stationarity(solution, samples, ends, scales))
     )
-    active = controls.control_signs(lasting, scales).or_worse(
-        costates.complementarity(solution, lasting, ends, scales)
+    active = controls.check_switching_signs(lasting, scales).or_worse(
+        costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
-        condition_of("stationarity", gradient, tol, _STATIONARITY),
-        condition_of("active set", active, tol, _ACTIVE_SET),
-        controls.minimum(lasting, scales, tol, solution.need_problem("verify").cost_unit),
+        condition_from_violation("stationarity", gradient, tol, _STATIONARITY),
+        condition_from_violation("active set", active, tol, _ACTIVE_SET),
+        controls.check_minimum_principle(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 
 
-def _joined(name: str, parts: list[Condition]) -> Condition:
+def _join_conditions(name: str, parts: list[Condition]) -> Condition:
     """Return one condition with the result of several; its number and place are those of the part that decides."""
     order = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
     passed = all(c.result is ConditionResult.PASS for c in parts)
@@ -227,7 +227,7 @@ def _joined(name: str, parts: list[Condition]) -> Condition:
     return replace(decisive, name=name, where=where)
 
 
-def _second_order(
+def _check_second_order(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
@@ -238,17 +238,19 @@ def _second_order(
     """Second order and switching times; `loss` is that of the minimum principle."""
     lasting = [s for s in samples if s.has_length]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
-    strict = [second_order.strict_switches(lasting)] if switching else []
-    parts = second_order_parts(solution, samples, ends, tol)
+    strict = [second_order.check_strict_switches(lasting)] if switching else []
+    parts = check_second_order_parts(solution, samples, ends, tol)
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
-        parts = [_within_errors(c) if c.name == "Legendre-Clebsch" else c for c in parts]
+        parts = [_treat_as_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
-        _naming_singular_arcs(_joined("second order", parts), parts),
-        _joined("switching times", [*strict, switching_times(solution, samples, ends, scales)]),
+        _name_singular_arcs(_join_conditions("second order", parts), parts),
+        _join_conditions(
+            "switching times", [*strict, check_switching_times(solution, samples, ends, scales)]
+        ),
     ]
 
 
-def _naming_singular_arcs(condition: Condition, parts: list[Condition]) -> Condition:
+def _name_singular_arcs(condition: Condition, parts: list[Condition]) -> Condition:
     """Return a condition that names the singular arcs which nothing determines, whatever decides its result."""
     arcs = next((c for c in parts if c.name == SINGULAR_ARCS), None)
     if arcs is None or arcs.result is ConditionResult.PASS or SINGULAR_ARCS in condition.where:
@@ -256,7 +258,7 @@ def _naming_singular_arcs(condition: Condition, parts: list[Condition]) -> Condi
     return replace(condition, where=f"{condition.where}; {SINGULAR_ARCS}: {arcs.where}")
 
 
-def _within_errors(condition: Condition) -> Condition:
+def _treat_as_multiplier_error(condition: Condition) -> Condition:
     """Where no other control has a smaller H, downward curvature of H is an error of a solver's multipliers."""
     if condition.result is not ConditionResult.FAIL:
         return condition
@@ -264,45 +266,51 @@ def _within_errors(condition: Condition) -> Condition:
     return replace(condition, result=ConditionResult.INCONCLUSIVE, where=where)
 
 
-def second_order_parts(
+def check_second_order_parts(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tol: float
 ) -> list[Condition]:
     """Return the second variation, Legendre-Clebsch's condition and what decides on singular arcs."""
     problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
-    limited, limited_ends = with_end_limits(solution, samples, ends)
-    found = _second_variation(limited, samples, limited_ends)
+    limited, limited_ends = add_end_constraints(solution, samples, ends)
+    found = _check_second_variation(limited, samples, limited_ends)
     if any(c.result is not ConditionResult.PASS for c in found) and is_convex(problem):
-        found = [_of_convex(c) for c in found]
-    return [*found, *_singular_parts(problem, lasting, tol)]
+        found = [_pass_by_convexity(c) for c in found]
+    return [*found, *_check_singular_arcs(problem, lasting, tol)]
 
 
-def _singular_parts(problem: Problem, samples: list[PhaseSamples], tol: float) -> list[Condition]:
+def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: float) -> list[Condition]:
     """Return Legendre-Clebsch's condition, whether singular arcs are determined, and the generalised condition."""
-    undetermined = [controls.undetermined(s, tol) for s in samples]
+    undetermined = [controls.find_undetermined(s, tol) for s in samples]
     singular = [mask for mask, _ in undetermined]
-    arcs = [singular_arcs(problem, s, *where, tol) for s, where in zip(samples, undetermined, strict=True)]
-    determined = [of_first_order(s, found, tol) for s, found in zip(samples, arcs, strict=True)]
+    arcs = [
+        analyse_singular_arcs(problem, s, *where, tol) for s, where in zip(samples, undetermined, strict=True)
+    ]
+    determined = [find_first_order_arcs(s, found, tol) for s, found in zip(samples, arcs, strict=True)]
     return [
-        controls.legendre_clebsch(samples, tol, singular),
-        controls.singular_arcs(samples, tol, singular, determined),
-        generalised_legendre_clebsch([arc for found in arcs for arc in found], tol),
+        controls.check_legendre_clebsch(samples, tol, singular),
+        controls.check_singular_arcs(samples, tol, singular, determined),
+        check_generalised_legendre_clebsch([arc for found in arcs for arc in found], tol),
     ]
 
 
-def _second_variation(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> list[Condition]:
-    if not second_order.obstacle(samples):
-        return [second_order.second_order(solution, samples, ends)]
+def _check_second_variation(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients
+) -> list[Condition]:
+    if not second_order.why_not_applicable(samples):
+        return [second_order.check_bang_bang_second_order(solution, samples, ends)]
     solution = with_movable_touches(solution)
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
     samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
-    rounding = rounding_of_cost(samples)
-    cone = critical_cone(solution, samples, rounding, flown_spans)
+    rounding = cost_rounding_error(samples)
+    cone = build_critical_cone(solution, samples, rounding, trajectory_spans)
     if not cone.point.is_finite:
-        return [_inconclusive("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
-    return [reduced_hessian(solution, samples, cone)]
+        return [
+            _inconclusive_condition("second order", "a derivative of the problem is no number", _CANNOT_VARY)
+        ]
+    return [check_reduced_hessian(solution, samples, cone)]
 
 
-def _of_convex(condition: Condition) -> Condition:
+def _pass_by_convexity(condition: Condition) -> Condition:
     """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
     if condition.result is ConditionResult.PASS or not condition.sufficient:
         return condition
@@ -310,7 +318,7 @@ def _of_convex(condition: Condition) -> Condition:
     return replace(condition, result=ConditionResult.INCONCLUSIVE, where=where)
 
 
-def _of_least_cost(condition: Condition) -> Condition:
+def _pass_by_least_cost(condition: Condition) -> Condition:
     """Where no trajectory can cost less, costates are rounding errors and no evidence against it."""
     if condition.result is ConditionResult.PASS:
         return condition
@@ -319,28 +327,28 @@ def _of_least_cost(condition: Condition) -> Condition:
     return replace(condition, result=result, where=where)
 
 
-def _is_only_one(problem: Problem, samples: list[PhaseSamples]) -> bool:
+def _has_unique_solution(problem: Problem, samples: list[PhaseSamples]) -> bool:
     every_phase_lasts = len(samples) == len(problem.phases)
-    return every_phase_lasts and has_one_solution(
-        problem, {s.leg.name: determined_by_slope(s) for s in samples}
+    return every_phase_lasts and has_unique_solution(
+        problem, {s.leg.name: controls_determined_by_slope(s) for s in samples}
     )
 
 
-def _leaves_open(condition: Condition) -> bool:
+def _is_sufficient_and_inconclusive(condition: Condition) -> bool:
     return condition.sufficient and condition.result is ConditionResult.INCONCLUSIVE
 
 
-def _of_one_solution(condition: Condition) -> Condition:
+def _pass_by_uniqueness(condition: Condition) -> Condition:
     """Where the first order suffices and the minimum is unique, no other condition is needed."""
     where = f"{condition.where}; the problem is convex and has one solution only"
     return replace(condition, result=ConditionResult.PASS, where=where)
 
 
-def _inconclusive(name: str, where: str, meaning: str) -> Condition:
+def _inconclusive_condition(name: str, where: str, meaning: str) -> Condition:
     return Condition(name, ConditionResult.INCONCLUSIVE, float("nan"), 0.0, where, meaning, sufficient=True)
 
 
-def _without_value(condition: Condition, where: str, meaning: str) -> Condition:
+def _mark_inconclusive(condition: Condition, where: str, meaning: str) -> Condition:
     value = float("nan")
     return replace(
         condition,
@@ -353,25 +361,25 @@ def _without_value(condition: Condition, where: str, meaning: str) -> Condition:
     )
 
 
-def _without_costates(condition: Condition) -> Condition:
-    return _without_value(
+def _mark_without_costates(condition: Condition) -> Condition:
+    return _mark_inconclusive(
         condition,
         "everywhere",
         "The solution has no costates (none finite and non-zero), so that the minimum principle cannot be checked.",
     )
 
 
-def _incomplete(condition: Condition, where: str) -> Condition:
+def _mark_incomplete(condition: Condition, where: str) -> Condition:
     """A condition does not pass if numbers are missing."""
     if condition.result is not ConditionResult.PASS:
         return condition
-    return _without_value(condition, where, "It holds as far as can be seen, but a number is missing.")
+    return _mark_inconclusive(condition, where, "It holds as far as can be seen, but a number is missing.")
 
 
-def _without_length(condition: Condition, phase: str) -> Condition:
+def _mark_zero_duration(condition: Condition, phase: str) -> Condition:
     if condition.result is ConditionResult.FAIL:  # in another phase
         return condition
-    inconclusive = _without_value(
+    inconclusive = _mark_inconclusive(
         condition,
         f"phase {phase}, which has no length",
         "The phase has no length: its duration is at its lower bound of zero, and costates and controls have no "

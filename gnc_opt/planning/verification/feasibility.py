@@ -42,27 +42,27 @@ _DRAWN = 1e-8
 """A phase without length is drawn a little longer than it lasts (s)."""
 
 
-def condition_of(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+def condition_from_violation(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def decided(passes: bool, fails: bool) -> ConditionResult:
+def decide_result(passes: bool, fails: bool) -> ConditionResult:
     """Return FAIL, PASS, or INCONCLUSIVE where neither is certain."""
     if fails:
         return ConditionResult.FAIL
     return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
 
 
-def dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
+def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
     """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
     worst = NOTHING
     for s in samples:
         worst = worst.or_worse(_find_missing_number(s) or NOTHING)
         for at in (s, s.finer(SCANNED)):
             worst = worst.or_worse(_find_worst_defect(s, at, scales, tolerance))
-    return condition_of(
+    return condition_from_violation(
         "dynamics",
         worst,
         tolerance,
@@ -117,7 +117,9 @@ def _find_missing_number(s: PhaseSamples) -> Worst | None:
     return Worst(np.inf, f"{s.place(int(np.argmax(gaps)))}: not finite") if np.any(gaps) else None
 
 
-def limits(solution: Solution, samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
+def check_limits(
+    solution: Solution, samples: list[PhaseSamples], scales: Scales, tolerance: float
+) -> Condition:
     """The applied control, the states, the path constraints and the free parameters stay within their limits."""
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").parameter_interval()
@@ -129,7 +131,7 @@ def limits(solution: Solution, samples: list[PhaseSamples], scales: Scales, tole
             for at in (s, s.finer(SCANNED_PATHS)):
                 worst = worst.or_worse(_path_violation(s, at, scales))
             worst = worst.or_worse(_path_violation_price(s, scales))
-    return condition_of(
+    return condition_from_violation(
         "limits",
         worst,
         tolerance,
@@ -217,14 +219,14 @@ def _path_violation_price(s: PhaseSamples, scales: Scales) -> Worst:
     return Worst(float(price[i]), f"phase {s.leg.name}, {s.leg.path_labels[i]}, effect on the cost")
 
 
-def tables(solution: Solution) -> Condition:
+def check_table_ranges(solution: Solution) -> Condition:
     """The flight stays within the tables of its models."""
     worst, refused = NOTHING, False
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
         worst, refused = worst.or_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
-    result = decided(not worst.value, refused)
+    result = decide_result(not worst.value, refused)
     meaning = (
         "Models must be used where their tables have data (value: how far outside, in shares of the axis). FAIL if the "
         "table refuses values outside."
@@ -232,7 +234,7 @@ def tables(solution: Solution) -> Condition:
     return Condition("tables", result, worst.value, 0.0, worst.where, meaning, sufficient=True)
 
 
-def boundary(
+def check_boundary_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tolerance: float
 ) -> Condition:
     """Initial and final values, times and boundary constraints hold."""
@@ -262,7 +264,7 @@ def boundary(
         nothing = Interval(np.zeros(2), np.zeros(2))
         worst = worst.or_worse(_worst_excess(gaps, nothing, lasts[:2], labels, ("s",) * 2))
     worst = worst.or_worse(_boundary_constraint_violation(solution, ends, scales))
-    return condition_of(
+    return condition_from_violation(
         "boundary conditions",
         worst,
         tolerance,
@@ -309,7 +311,7 @@ def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scale
     return Worst(float(share[i]), f"constraint {solution.constraint_labels[i]} off by {excess[i]:.3g}")
 
 
-def cost(
+def check_cost(
     stored: Solution,
     checked: list[PhaseSamples],
     ends: EndGradients,
@@ -326,12 +328,14 @@ def cost(
         if not leg.integral_labels:
             continue
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        narrow = integrals_of(s.finer(SCANNED))
+        narrow = integrate_samples(s.finer(SCANNED))
         if (
             np.max(np.abs(leg.integral_weights * (narrow - leg.integrals)), initial=0.0)
             > tolerance * yardstick
         ):
-            narrow = integrals_of(s.finer(SCANNED, LAYER_STEPS))  # of layers, the scan itself may be in error
+            narrow = integrate_samples(
+                s.finer(SCANNED, LAYER_STEPS)
+            )  # of layers, the scan itself may be in error
         rows = [
             ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
             ("narrow part of integral", leg.integral_weights * (narrow - leg.integrals)),
@@ -343,7 +347,7 @@ def cost(
             _, i = worst_index(errors)
             place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
             worst = worst.or_worse(Worst(float(errors[0, i]), place))
-    return condition_of(
+    return condition_from_violation(
         "cost",
         worst,
         tolerance,
@@ -352,7 +356,7 @@ def cost(
     )
 
 
-def integrals_of(s: PhaseSamples) -> Array:
+def integrate_samples(s: PhaseSamples) -> Array:
     """Return the integrals (n_integrals,) by the quadrature of the samples."""
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 

@@ -10,7 +10,7 @@ Along arcs of the first order that meet the strengthened generalised Legendre-Cl
 :math:`(y, h)`, and where it is positive a strict minimum follows (Goh, SIAM J. Control 4, 1966; Aronna, Bonnans,
 Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are bang elsewhere; Aronna, Discrete
 Contin. Dyn. Syst. S 11(6), 2018, beside others that H determines). y may jump where a singular arc begins or ends, in
-the place of moving that time. If the end depends on h, the form has to curve in it by itself (`open_end`).
+the place of moving that time. If the end depends on h, the form has to curve in it by itself (`find_gaining_end_control`).
 
 On a mesh, y has a degree less by two than the states, since quadrature sees the wrong curvature of controls that
 alternate faster. Arcs are cut narrow at their ends, so that y can nearly jump.
@@ -27,18 +27,18 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Indices, Mask
-from gnc_opt.planning.optimality.active_set import left_free
+from gnc_opt.planning.optimality.active_set import free_control_directions
 from gnc_opt.planning.optimality.kkt import unit_variations, variation_weights
-from gnc_opt.planning.optimality.switches import inner_switches
+from gnc_opt.planning.optimality.switches import find_inner_switches
 from gnc_opt.planning.problem.functions import end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.quadrature import differentiation_matrix, points, weights
-from gnc_opt.planning.verification.control_conditions import undetermined
+from gnc_opt.planning.verification.control_conditions import find_undetermined
 from gnc_opt.planning.verification.critical_cone import CriticalCone
-from gnc_opt.planning.verification.singular_arcs import COUPLED, CROSS, TOO_LARGE, singular_arcs
+from gnc_opt.planning.verification.singular_arcs import COUPLED, CROSS, TOO_LARGE, analyse_singular_arcs
 from gnc_opt.tolerances import AT_LIMIT, RANK
 
 CUTS = (1e-2, 0.1), (0.9, 0.99)
@@ -53,7 +53,7 @@ OMITTED = 2
 _RADAU = ((points, -1.0), (weights, 1.0))
 
 
-def straight(s: PhaseSamples) -> Mask:
+def find_flat_controls(s: PhaseSamples) -> Mask:
     """Where H does not curve upwards in a control (n_controls, n_samples)."""
     # A control that rests at zero has no size, but what it could do to the flight.
     unit = np.maximum(s.control_scale, s.control_span)
@@ -64,10 +64,10 @@ def straight(s: PhaseSamples) -> Mask:
 def singular_samples(s: PhaseSamples) -> Mask:
     """Where a control is between its bounds, H does not curve in it, and no active constraint determines it (m, n)."""
     lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-    singular = straight(s) & ~(lower | upper | s.idle)
+    singular = find_flat_controls(s) & ~(lower | upper | s.idle)
     if not np.any(singular):
         return singular
-    bases = left_free(s, ~(lower | upper), s.control_span)
+    bases = free_control_directions(s, ~(lower | upper), s.control_span)
     left = np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
     return np.asarray(singular & left)
 
@@ -79,7 +79,7 @@ def singular_segments(s: PhaseSamples) -> Mask:
     return np.stack(rows, axis=1) & s.has_length
 
 
-def cut(mesh: Mesh, singular: Mask) -> Mesh:
+def narrow_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
     """Return a mesh whose runs of singular segments (K,) are narrow at their ends."""
     breaks, degrees, movable = [0.0], [], []
     beside = np.concatenate([[False], singular, [False]])
@@ -93,7 +93,7 @@ def cut(mesh: Mesh, singular: Mask) -> Mesh:
     return Mesh(tuple(breaks), tuple(degrees), tuple(movable))
 
 
-def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with controls varied by their integrals where they are singular and nothing holds them.
 
     The times at which only such an arc begins or ends do not vary.
@@ -133,7 +133,7 @@ def _undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask
 def _segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
     """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little."""
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
-    for arc in singular_arcs(problem, s, *undetermined(s, AT_LIMIT), AT_LIMIT):
+    for arc in analyse_singular_arcs(problem, s, *find_undetermined(s, AT_LIMIT), AT_LIMIT):
         unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -CROSS)
         if arc.order == 0 and arc.why and not unknown:
             for i in arc.channels:
@@ -159,7 +159,7 @@ def _segments_without_held_limits(cone: CriticalCone, part: PhasePart) -> Mask:
 
 def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
     """Variables of the times at which singular arcs begin or end, and no control jumps from bound to bound."""
-    movable, switches = s.leg.mesh.movable, inner_switches(s)[0]
+    movable, switches = s.leg.mesh.movable, find_inner_switches(s)[0]
     beside = np.any(singular, axis=0)
     found = [
         part.times[k]
@@ -169,7 +169,7 @@ def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -
     return np.array(found, dtype=int)
 
 
-def open_end(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
+def find_gaining_end_control(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
     r"""Name a control, singular to the end, whose last moment may gain, and that least curvature in shares of the cost.
 
     Either cost and conditions on the end do not depend on what h moves, or the form curves in h by itself,
@@ -219,14 +219,14 @@ def _end_depends_on_controls(problem: Problem, s: PhaseSamples, channels: Indice
 def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
     """Derivatives of H with respect to controls and states, and those of the integrands alone."""
 
-    def build() -> Any:
+    def build_mixed_function() -> Any:
         slope = s.functions.functions["switching"]
         t, x, u, lam, mu, *numbers = (ca.SX.sym("v", slope.size1_in(i)) for i in range(8))
         none = np.zeros(mu.shape)
         mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
         return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
 
-    return problem.once(("mixed derivatives", s.leg.name), build)
+    return problem.once(("mixed derivatives", s.leg.name), build_mixed_function)
 
 
 def _states_driven_by_control(s: PhaseSamples, control: int) -> Indices:

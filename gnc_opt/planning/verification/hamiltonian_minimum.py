@@ -14,9 +14,9 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.composed_controls import VectorControl
-from gnc_opt.planning.optimality.cost_scale import lasting
+from gnc_opt.planning.optimality.cost_scale import average_over_time
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.critical_cone import lone_vector
+from gnc_opt.planning.verification.critical_cone import find_vector_control
 from gnc_opt.tolerances import EQUAL, RANK, ROUNDING, TINY
 
 POINTS = 2**15
@@ -69,7 +69,7 @@ class Gain:
     share: Array
 
 
-def limits(s: PhaseSamples) -> tuple[Array, Array]:
+def search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     """Bounds of the controls; where there is none, half a turn, or well, beyond the values that occur."""
     bounds, half = s.leg.control_bounds, 0.5 * s.turns
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
@@ -79,7 +79,7 @@ def limits(s: PhaseSamples) -> tuple[Array, Array]:
     return lower, np.where(np.isfinite(bounds.upper), bounds.upper, most)
 
 
-def lattice(n: int, dimensions: int) -> Array:
+def low_discrepancy_points(n: int, dimensions: int) -> Array:
     """Return n points of [0, 1)^d, any stretch of which fills it evenly (dimensions, n).
 
     Multiples of powers of the root of x^(d + 1) = x + 1, the golden ratio for one dimension.
@@ -101,7 +101,7 @@ def coupled_gains(
     gains, searched = [], False
     for group in s.functions.coupled_controls:
         search = _Search(s, group, chosen, deviation, cost / s.span)
-        vector = lone_vector(s, group)
+        vector = find_vector_control(s, group)
         if vector is not None:
             gains.append(search.lasting(search.aligned(vector)))
         elif not search.only_one_minimum:
@@ -118,7 +118,7 @@ def coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
     u = s.u[:, chosen].copy()
     for group in s.functions.coupled_controls:
         search = _Search(s, group, chosen)
-        vector = lone_vector(s, group)
+        vector = find_vector_control(s, group)
         u[group] = search.physical(search.anywhere() if vector is None else search.aligned(vector))
     return s.times[chosen], u
 
@@ -135,7 +135,7 @@ class _Search:
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        lower, upper = (limit[self.group, None] for limit in limits(self.s))
+        lower, upper = (limit[self.group, None] for limit in search_bounds(self.s))
         return lower, upper - lower
 
     @cached_property
@@ -222,7 +222,7 @@ class _Search:
         sizes = np.linalg.eigvalsh(bends)
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
-        move = lattice(every.size, self.group.size) - self._flown
+        move = low_discrepancy_points(every.size, self.group.size) - self._flown
         _, _, u = self._at(self._flown + move, every)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
@@ -245,7 +245,7 @@ class _Search:
         slope = s.functions.switching(times, x, u, s.lam[:, self.chosen])
         strength = np.linalg.norm(slope[direction], axis=0)
         u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
-        least, most = (limit[magnitude, None] for limit in limits(s))
+        least, most = (limit[magnitude, None] for limit in search_bounds(s))
         u[magnitude] = np.where(slope[magnitude] > strength, least, most)
         lower, span = self._box
         away = u[self.group] - lower
@@ -290,7 +290,7 @@ class _Search:
         """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), max(1, POINTS // n))
-        points, flown = lattice(at.size, k), self._flown[:, at]
+        points, flown = low_discrepancy_points(at.size, k), self._flown[:, at]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
         near = np.arange(at.size) % 2 == 1
         side = 2.0 * points - 1.0
@@ -316,7 +316,7 @@ class _Search:
         """What these controls (group, n_times) gain, averaged over what is brief."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
         gain, share = self._gain(better, self.value(better, every), every)
-        return Gain(times, *lasting(times, np.stack([gain, share])))
+        return Gain(times, *average_over_time(times, np.stack([gain, share])))
 
     def _gain(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         """What controls with these values of H gain, and its share."""

@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.feasibility import condition_of, integrals_of
+from gnc_opt.planning.verification.feasibility import condition_from_violation, integrate_samples
 from gnc_opt.tolerances import TINY
 
 _EXACT = (
@@ -37,7 +37,7 @@ _DUAL = (
 """What only a solution with costates has."""
 
 
-def from_problem(solution: Solution) -> Solution:
+def recompute_from_problem(solution: Solution) -> Solution:
     """Return the solution with names, limits, model parameters, integrals and their weights from its problem.
 
     Times, states, controls, costates, multipliers and free parameters are the solution's own. Integrals are
@@ -59,15 +59,15 @@ def from_problem(solution: Solution) -> Solution:
         constraint_labels=problem.constraint_labels(),
     )
     measured = {
-        name: replace(leg, integrals=integrals_of(PhaseSamples.of(leg, checked.functions(name))))
+        name: replace(leg, integrals=integrate_samples(PhaseSamples.of(leg, checked.functions(name))))
         for name, leg in stated.items()
     }
-    weights = ends_of(replace(checked, phases=measured)).integrals
+    weights = evaluate_ends(replace(checked, phases=measured)).integrals
     weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
     return replace(checked, phases=weighed)
 
 
-def ends_of(solution: Solution) -> EndGradients:
+def evaluate_ends(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the trajectory's own ends."""
     problem = solution.need_problem("verify")
     ends: dict[str, list[Any]] = {}
@@ -77,7 +77,7 @@ def ends_of(solution: Solution) -> EndGradients:
     return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
-def missing_number(stored: Solution, told: bool) -> Worst:
+def find_missing_number(stored: Solution, told: bool) -> Worst:
     """Return the first number that is not finite, as an endless violation, or nothing.
 
     Parameters
@@ -91,15 +91,15 @@ def missing_number(stored: Solution, told: bool) -> Worst:
     return worst
 
 
-def stored_numbers(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
+def check_stored_numbers(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
     """What the solution keeps of its problem is the problem's, and no number is missing.
 
     Parameters
     ----------
     stored, checked : Solution
-        As it is, and by `from_problem`.
+        As it is, and by `recompute_from_problem`.
     missing : Worst
-        By `missing_number`, or `costates_kept_twice` where that is worse.
+        By `find_missing_number`, or `costate_inconsistency` where that is worse.
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
@@ -110,7 +110,7 @@ def stored_numbers(stored: Solution, checked: Solution, missing: Worst, toleranc
                 off = float(np.max(_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
-    return condition_of(
+    return condition_from_violation(
         "stored numbers",
         worst,
         tolerance,
@@ -120,7 +120,7 @@ def stored_numbers(stored: Solution, checked: Solution, missing: Worst, toleranc
     )
 
 
-def costates_kept_twice(samples: list[PhaseSamples]) -> Worst:
+def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
     """The worst difference between costates at segment boundaries and points and their polynomials, as of the cost.
 
     Those at the points of other schemes than Gauss's are of lower order than the polynomials, and not compared.

@@ -30,7 +30,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.active_set import with_touches
+from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.cost_scale import state_variations
 from gnc_opt.planning.optimality.kkt import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.planning.optimality.program_point import ProgramPoint
@@ -43,16 +43,16 @@ from gnc_opt.planning.transcription.scaling import scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    held_from_their_start,
-    without_idle_directions,
+    hold_arc_entries,
+    hold_inactive_directions,
 )
 from gnc_opt.planning.verification.goh import (
-    cut,
-    in_gohs_variables,
-    open_end,
+    find_flat_controls,
+    find_gaining_end_control,
+    narrow_arc_ends,
     singular_samples,
     singular_segments,
-    straight,
+    transform_to_goh_variables,
 )
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
@@ -119,7 +119,7 @@ class Curvature:
         return self.value < -steep and self.share < -AT_LIMIT and self.gain >= self.least_gain
 
 
-def critical_cone(
+def build_critical_cone(
     solution: Solution,
     samples: Sequence[PhaseSamples] = (),
     rounding: float = 0.0,
@@ -147,23 +147,25 @@ def critical_cone(
         return found
 
     cone = CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
-    if sizes is not flown_spans:
+    if sizes is not trajectory_spans:
         return cone
-    return held_from_their_start(in_gohs_variables(without_idle_directions(cone, samples), samples), samples)
+    return hold_arc_entries(
+        transform_to_goh_variables(hold_inactive_directions(cone, samples), samples), samples
+    )
 
 
-def flown_spans(s: PhaseSamples) -> tuple[Array, Array]:
+def trajectory_spans(s: PhaseSamples) -> tuple[Array, Array]:
     """Return what states and controls move along a phase."""
     return state_variations(s), s.control_span
 
 
-def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
+def cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:
     """Return the cost below which differences are rounding: the share `COSTATE_MIN_SHARE_OF_COST` of what
     it amounts to."""
     return COSTATE_MIN_SHARE_OF_COST * max((s.cost_magnitude for s in samples), default=0.0)
 
 
-def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
+def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
     """No variation that keeps the active limits lowers the cost to second order."""
     name = "second order"
     meaning = (
@@ -172,37 +174,41 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         "of its middle row); where it curves downwards, a cheaper trajectory is nearby."
     )
 
-    def result_with(
+    def second_order_condition(
         result: ConditionResult, value: float, where: str, tolerance: float = -UPWARDS
     ) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     steep = DOWNWARDS_SINGULAR if any(map(_has_partly_singular_segment, samples)) else DOWNWARDS
-    beyond, least = min((open_end(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf))
+    beyond, least = min(
+        (find_gaining_end_control(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf)
+    )
     if least < -DOWNWARDS:
-        return result_with(ConditionResult.FAIL, -least, beyond)
+        return second_order_condition(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
-    free = least_curvature(cone.point, cone.strong, *rest)
+    free = minimise_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.upwards:
         jumping = "" if solution.structure else _find_jumping_control(samples)
         beyond = jumping or beyond
         result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
-            return result_with(
+            return second_order_condition(
                 result, 0.0, beyond or "no degree of freedom, as many conditions as unknowns", 0.0
             )
-        return result_with(
+        return second_order_condition(
             result, -free.value, beyond or _locate_direction(cone.point, solution, free.direction)
         )
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
-    bound = least_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
+    bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
             place = _locate_direction(cone.point, solution, found.direction)
-            return result_with(ConditionResult.FAIL, -found.value, place + _gain_text(found))
+            return second_order_condition(ConditionResult.FAIL, -found.value, place + _gain_text(found))
     place = _locate_direction(cone.point, solution, free.direction)
-    return result_with(ConditionResult.INCONCLUSIVE, -free.value, place + _flat_curvature_text(free, steep))
+    return second_order_condition(
+        ConditionResult.INCONCLUSIVE, -free.value, place + _flat_curvature_text(free, steep)
+    )
 
 
 def _gain_text(curvature: Curvature) -> str:
@@ -228,16 +234,16 @@ def _enrich_mesh(mesh: Mesh) -> Mesh:
 def _mesh_for_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
     """Return a mesh on which variations along singular arcs may jump, unless arcs are held segment by segment."""
     singular = np.any(singular_segments(s), axis=0)
-    if not np.any(singular) or with_touches(solution).phases[s.leg.name].numbers.arcs is not None:
+    if not np.any(singular) or add_touch_points(solution).phases[s.leg.name].numbers.arcs is not None:
         return mesh
-    return cut(mesh, singular)
+    return narrow_arc_ends(mesh, singular)
 
 
 def _find_jumping_control(samples: list[PhaseSamples]) -> str:
     """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
     for s in samples:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-        open_to_both = straight(s)
+        open_to_both = find_flat_controls(s)
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
             s.times[1:], _variable_breakpoints(s)
         )
@@ -271,7 +277,7 @@ def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array)
     return point.variables.labels[int(np.argmax(size))]
 
 
-def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
+def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
     """Return the least curvature of the Lagrangian where ``held`` (n_variables + n_constraints,) do not vary."""
     space = NullSpace.of(point, held, unit, further)
     hessian = space.in_shares(point.hessian)

@@ -22,7 +22,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.optimality.reach import cells_of, end_response
+from gnc_opt.planning.optimality.reach import cell_edges, end_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients, end_values
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -148,14 +148,14 @@ class ShiftedTrajectory:
         best = int(np.argmax(np.where(falls, coarse, 0.0)))
         moved = np.argsort(-np.abs(directions[:n, best]))[:2]
         named = [
-            f"{self._labels(self.jumps[k])} at t = {self.jumps[k].time:.6g} s by "
+            f"{self._jump_label(self.jumps[k])} at t = {self.jumps[k].time:.6g} s by "
             f"{directions[k, best] * SHIFT_STEP_SHARE * self.jumps[k].shorter_arc:+.2g} s"
             for k in moved
             if abs(directions[k, best]) > 1e-3
         ]
         return Fall(float(coarse[best]) / self.scales.cost, "switch of " + ", ".join(named))
 
-    def _labels(self, jump: Jump) -> str:
+    def _jump_label(self, jump: Jump) -> str:
         leg = self.solution.phases[jump.phase]
         return f"phase {jump.phase}, {leg.controls.labels[jump.channel]}"
 
@@ -260,7 +260,7 @@ class _ShiftedPhase:
         count: int,
     ) -> _ShiftedPhase:
         """Return a phase in which shifts are at most ``steps`` (s); ``count`` is the number of columns."""
-        cells = cells_of(s.leg.breaks)
+        cells = cell_edges(s.leg.breaks)
         windows = [(jump[1] - WINDOW * h, jump[1] + WINDOW * h) for jump, h in zip(jumps, steps, strict=True)]
         inside = np.zeros(cells.size, dtype=bool)
         for first, last in windows:
@@ -283,7 +283,7 @@ class _ShiftedPhase:
         """The applied controls at start, middle and end of the common steps (m, n_common, 3)."""
         first, last = self.nodes[:-1, 0][self.common], self.nodes[1:, 0][self.common]
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
-        values = _applied(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
+        values = _applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
     def controls(self, step: int) -> list[Array]:
@@ -296,7 +296,7 @@ class _ShiftedPhase:
             if self.common[step]:
                 u = np.repeat(self.applied[:, place, [k]], a.size, axis=1)
             else:
-                u = _applied(self.samples.leg, t, middle)
+                u = _applied_controls(self.samples.leg, t, middle)
             for channel, time, before, after, shifted in self.jumps:
                 u[channel, (middle > time) & (middle < shifted)] = before
                 u[channel, (middle < time) & (middle > shifted)] = after
@@ -343,7 +343,7 @@ class _ShiftedPhase:
         for k, (a, b) in enumerate(itertools.pairwise(self.nodes)):
             if np.array_equal(a, b):
                 continue
-            y = _runge_kutta(self.rates, a, b, y, self.controls(k))
+            y = _runge_kutta_step(self.rates, a, b, y, self.controls(k))
             if np.any(b != b[0]):
                 continue
             time, moved = float(b[0]), y[:n] - y[:n, -1:]
@@ -354,7 +354,7 @@ class _ShiftedPhase:
         return y[:n], y[n:-1], terms + y[-1], [row[None] for row in misses]
 
 
-def _runge_kutta(rates: Any, a: Array, b: Array, y: Array, controls: list[Array]) -> Array:
+def _runge_kutta_step(rates: Any, a: Array, b: Array, y: Array, controls: list[Array]) -> Array:
     """Return the states after a step of the classical Runge-Kutta method from times a to b (n_columns,)."""
     h, middle = b - a, 0.5 * (a + b)
     start, inner, end = controls
@@ -373,7 +373,7 @@ def _costate_jumps(leg: PhaseSolution) -> dict[float, Array]:
     return {float(t): jump for t, jump in zip(inner, jumps.T, strict=True) if np.any(jump)}
 
 
-def _applied(leg: Any, t: Array, middle: Array) -> Array:
+def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
     """Return the applied controls (m, n_times) at times of steps with given middles."""
     edge = 1e-9 * (leg.breaks[-1] - leg.breaks[0])
     inside = np.where(t < middle, t + edge, np.where(t > middle, t - edge, t))

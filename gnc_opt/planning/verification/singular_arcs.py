@@ -31,7 +31,7 @@ from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import decided
+from gnc_opt.planning.verification.feasibility import decide_result
 from gnc_opt.tolerances import TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
@@ -80,7 +80,7 @@ class SingularArc:
     samples: tuple[int, int] = field(default=(0, 0), compare=False)
 
 
-def generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) -> Condition:
+def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) -> Condition:
     """Goh's and the strengthened generalised Legendre-Clebsch condition hold along every singular arc."""
     name = "generalised Legendre-Clebsch"
     meaning = (
@@ -92,14 +92,14 @@ def generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) 
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
-    result = decided(not worst.why and worst.least > tolerance, worst.least < -tolerance)
+    result = decide_result(not worst.why and worst.least > tolerance, worst.least < -tolerance)
     what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
     return Condition(
         name, result, -worst.least, -tolerance, f"{worst.place}: {what}", meaning, sufficient=True
     )
 
 
-def of_first_order(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
+def find_first_order_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
     """Where the second derivatives of the switching functions determine controls (m, n_samples), on arcs of a phase."""
     found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
     for arc in arcs:
@@ -109,7 +109,7 @@ def of_first_order(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: floa
     return found
 
 
-def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
+def is_chattering(problem: Problem, s: PhaseSamples, channel: int) -> bool:
     """Whether singular arcs are of second order, hence chatter (McDanell & Powers, SIAM J. Control 9(2), 1971)."""
     key = ("derivatives of switching functions", s.leg.name, (channel,), ())
     alone = np.array([channel]), np.zeros(0, dtype=int)
@@ -118,7 +118,7 @@ def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
     return next(contained, 0) > 2
 
 
-def singular_arcs(
+def analyse_singular_arcs(
     problem: Problem, s: PhaseSamples, singular: Mask, inside: Mask, tolerance: float
 ) -> list[SingularArc]:
     """Check arcs with controls between bounds without curvature of H; bool arrays (m, n_samples)."""

@@ -52,7 +52,7 @@ class Roughness:
     of_states: bool = True
 
 
-def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
+def find_roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
     """Return the first jump that a flight crosses inside a phase, else a kink on which it rests; None without any."""
     rests = None
     for s in samples:
@@ -71,7 +71,7 @@ def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -
     return rests
 
 
-def smoothness(found: Roughness | None, fails: bool, *, falls: bool = False) -> Condition:
+def kink_condition(found: Roughness | None, fails: bool, *, falls: bool = False) -> Condition:
     """The condition; a kink on which the flight rests leaves open what fails, and else only what suffices."""
     if found is None:
         return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
@@ -84,7 +84,7 @@ def smoothness(found: Roughness | None, fails: bool, *, falls: bool = False) -> 
     )
 
 
-def beyond_theorems(condition: Condition, found: Roughness) -> Condition:
+def mark_theorem_inapplicable(condition: Condition, found: Roughness) -> Condition:
     """A failure of what supposes smoothness tells nothing where there is none.
 
     The minimum principle compares values of H: it supposes nothing of how H depends on the controls.
@@ -101,7 +101,7 @@ def beyond_theorems(condition: Condition, found: Roughness) -> Condition:
     )
 
 
-def concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness | None:
+def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness | None:
     """Return a kink at which the cost falls to both sides, or None.
 
     Along ends, times, integrals and parameters, and along the states of phases on one of their kinks: second
@@ -146,14 +146,16 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
     """What dx/dt and integrands jump by where an argument changes its sign between two times."""
     left, right = between
 
-    def at(time: float) -> float:
+    def argument_at(time: float) -> float:
         times = np.array([time])
         return float(_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))[i, 0])
 
-    rising = at(right - _JUMP_OFFSET_SHARE * s.span) > at(left + _JUMP_OFFSET_SHARE * s.span)
+    rising = argument_at(right - _JUMP_OFFSET_SHARE * s.span) > argument_at(
+        left + _JUMP_OFFSET_SHARE * s.span
+    )
     for _ in range(_BISECTIONS):
         middle = 0.5 * (left + right)
-        left, right = (left, middle) if (at(middle) > 0) == rising else (middle, right)
+        left, right = (left, middle) if (argument_at(middle) > 0) == rising else (middle, right)
     sides = np.clip(
         np.array([left - _JUMP_OFFSET_SHARE * s.span, right + _JUMP_OFFSET_SHARE * s.span]),
         *s.leg.breaks[[0, -1]],

@@ -32,7 +32,7 @@ from gnc_opt.planning.optimality.cost_scale import (
     AVERAGING_SHARE_OF_PHASE,
     SMEARED,
     Magnitudes,
-    lasting_longer,
+    holds_for_share,
 )
 from gnc_opt.planning.optimality.switches import GRAZES
 from gnc_opt.planning.problem.constraints import make_constraint
@@ -44,14 +44,14 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.recomputed import ends_of, from_problem
+from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
 from gnc_opt.tolerances import AT_LIMIT, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
 """A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
 
 
-def has_one_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
+def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
     """Whether a problem is convex and has one solution; ``determined`` (m,) are controls common to all solutions."""
     if not is_convex(problem) or problem.parameters.size:
         return False
@@ -104,12 +104,12 @@ def _fixes_start(equal: Array, same: Mask, initial: Indices) -> bool:
     return left.size == 0 or _has_full_column_rank(rows[:, left])
 
 
-def determined_by_slope(s: PhaseSamples) -> Mask:
+def controls_determined_by_slope(s: PhaseSamples) -> Mask:
     """Which controls are on bounds all along, their switching functions zero for a moment at most (m,)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = lasting_longer(s.times, ~(worth > GRAZES), AVERAGING_SHARE_OF_PHASE)
-    between = lasting_longer(s.times, ~(at_lower | at_upper), SMEARED)
+    opens = holds_for_share(s.times, ~(worth > GRAZES), AVERAGING_SHARE_OF_PHASE)
+    between = holds_for_share(s.times, ~(at_lower | at_upper), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 
 
@@ -215,7 +215,7 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     return bool(np.all(values >= -ROUNDING * np.max(np.abs(values), initial=0.0)))
 
 
-def least_cost(problem: Problem) -> float:
+def lower_cost_limit(problem: Problem) -> float:
     """Return what the minimised cost is at least, by interval arithmetic; minus infinity if nothing is known."""
     return float(_least_values(problem, [problem.sense * problem.cost])[0])
 
@@ -235,7 +235,7 @@ def reaches_least_cost(
 ) -> bool:
     """Whether cost and costates are at their least possible value, to ``tolerance`` of the scale ``amount``."""
     problem = solution.need_problem("verify")
-    above = problem.sense * cost - least_cost(problem)
+    above = problem.sense * cost - lower_cost_limit(problem)
     worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
     near = above <= tolerance**2 * amount and max(worths) <= tolerance * amount
     return bool(near and np.all(_excess_over_least(solution) <= tolerance**2))
@@ -269,9 +269,9 @@ def _excess_over_least(solution: Solution) -> Array:
         constraint_values=np.zeros(len(terms)),
         constraint_multipliers=np.zeros(len(terms)),
     )
-    apart = from_problem(apart)
+    apart = recompute_from_problem(apart)
     amounts = Magnitudes.of(apart, list(apart.samples().values())).constraints
-    return np.asarray((ends_of(apart).constraints - _least_values(problem, terms)) / amounts)
+    return np.asarray((evaluate_ends(apart).constraints - _least_values(problem, terms)) / amounts)
 
 
 def _split_sum(expression: Any, factor: float = 1.0) -> Iterator[Any]:

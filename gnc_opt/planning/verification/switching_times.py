@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.bang_bang_second_order import obstacle
+from gnc_opt.planning.verification.bang_bang_second_order import why_not_applicable
 from gnc_opt.planning.verification.shifted_trajectory import Fall, Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, TINY
 
@@ -32,15 +32,15 @@ _MEANING = (
 )
 
 
-def switching_times(
+def check_switching_times(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Condition:
     """No shift of switching times lowers the cost to second order."""
-    jumps = jumps_of(samples) if all(s.has_length for s in samples) else []
+    jumps = find_jumps(samples) if all(s.has_length for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
     if jumps and _are_jumps_unknowns(jumps, samples, scales):
         jumps, place = [], f"{place}: see second order"
-    fall = worst_fall(solution, samples, ends, scales, jumps)
+    fall = largest_decrease(solution, samples, ends, scales, jumps)
     value, place = (0.0, place) if fall is None else (fall.value, fall.where)
     result = ConditionResult.PASS if fall is None else ConditionResult.FAIL
     return Condition("switching times", result, value, 0.0, place, _MEANING, sufficient=True)
@@ -51,7 +51,7 @@ def _are_jumps_unknowns(jumps: list[Jump], samples: list[PhaseSamples], scales: 
     at which one control jumps and no limit of the states acts."""
     if any(jump.beyond for jump in jumps):
         return False
-    if not obstacle(samples):
+    if not why_not_applicable(samples):
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
     limited = any(_is_limited(s, scales) for s in samples)
@@ -72,7 +72,7 @@ def _is_limited(s: PhaseSamples, scales: Scales) -> bool:
     return bool(np.max(pushes, initial=0.0) * s.span > AT_LIMIT * scales.cost)
 
 
-def worst_fall(
+def largest_decrease(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, jumps: list[Jump]
 ) -> Fall | None:
     """Return the direction of switching times in which the Lagrangian falls most, or None."""
@@ -84,7 +84,7 @@ def worst_fall(
     return max(found, key=lambda f: f.value, default=None)
 
 
-def jumps_of(samples: list[PhaseSamples]) -> list[Jump]:
+def find_jumps(samples: list[PhaseSamples]) -> list[Jump]:
     """Return the jumps of the applied controls inside phases and between phases that follow each other."""
     jumps = []
     order = sorted(samples, key=lambda s: s.leg.initial_time)

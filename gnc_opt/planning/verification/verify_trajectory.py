@@ -22,8 +22,8 @@ from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.optimality.multiplier_estimate import estimate
-from gnc_opt.planning.optimality.trajectory_fit import VISIBLE, FittedPhase, Samples, fit
+from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
+from gnc_opt.planning.optimality.trajectory_fit import VISIBLE, FittedPhase, Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
@@ -43,7 +43,7 @@ from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME
 
 
-def restated_samples(
+def reformulate_samples(
     problem: Problem, twin: Problem, samples: Mapping[str, Samples], q: Array
 ) -> dict[str, Samples]:
     """Return samples of a problem as those of ``restated(problem)``, of which q are the first parameters."""
@@ -232,7 +232,7 @@ def _check_reformulated(
 ) -> Verdict:
     """As a default call judges it: along controls without norms and kinks
     (`gnc_opt.planning.problem.reformulation`)."""
-    samples = restated_samples(problem, twin, stated, q)
+    samples = reformulate_samples(problem, twin, stated, q)
     q = _add_kink_parameters(twin, samples, q)
     return _check_samples(twin, _unwrap_angles(twin, samples, q), q, tol)
 
@@ -271,9 +271,11 @@ def _build_solution(
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name in problem.phases:
-        fitted[name] = fit(samples[name], _build_phase_functions(problem, name, q).rates).split(parts)
+        fitted[name] = fit_trajectory(samples[name], _build_phase_functions(problem, name, q).rates).split(
+            parts
+        )
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
-    iterate = estimate(transcription, problem, fitted, q, near)
+    iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
     phases = {name: _with_trajectory(leg, fitted[name]) for name, leg in phases.items()}
     return Solution(

@@ -28,7 +28,7 @@ from gnc_opt.planning.refinement.arcs.split_switches import (
     shared_boundaries,
 )
 from gnc_opt.planning.refinement.arcs.vector_arcs import product_vectors
-from gnc_opt.planning.transcription.arc_constraints import controls_beside
+from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
 
 # What a mesh shows and no control can do, on structures put together by hand.
 
@@ -474,9 +474,9 @@ def test_controls_at_the_end_of_a_segment() -> None:
     """The weights are exact for polynomials of lower degree than there are points."""
     collocation = PhaseCollocation("LG", Mesh((0.0, 0.4, 1.0), (3, 4), ()), 1, 2, 0, 0, 0)
     for tangent, segment, end in ((-1, 0, 1.0), (1, 1, -1.0)):
-        beside = controls_beside(collocation, Junction(0, 1, UP, 1, tangent))
+        beside = controls_at_junction(collocation, Junction(0, 1, UP, 1, tangent))
         tau = collocation.rules[segment].points
         assert (tau**2 - tau) @ beside.weights == pytest.approx(end**2 - end, abs=1e-13)
         first = collocation.mesh.offsets[segment]
         assert np.array_equal(beside.points, collocation.point_controls[:, first : first + tau.size])
-    assert controls_beside(collocation, Junction(0, 1, UP, 1)).points.shape == (2, 0)
+    assert controls_at_junction(collocation, Junction(0, 1, UP, 1)).points.shape == (2, 0)

@@ -16,28 +16,45 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
-from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
-from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, jumps_explained, pushed_beside
+from gnc_opt.planning.optimality.cost_scale import (
+    Magnitudes,
+    average_over_time,
+    integral_spans,
+    parameter_scale,
+)
+from gnc_opt.planning.optimality.costate_jumps import (
+    StateConstraintSides,
+    explain_costate_jumps,
+    integrate_nearby_multipliers,
+)
 from gnc_opt.planning.optimality.kkt import variation_weights
 from gnc_opt.planning.optimality.multiplier_estimate import _adjoint_rows, _quadrature_weights, _variables
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
-from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
+from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
-from gnc_opt.planning.verification.bang_bang_second_order import least_squares
-from gnc_opt.planning.verification.control_conditions import undetermined
-from gnc_opt.planning.verification.costate_conditions import _unexplained
+from gnc_opt.planning.verification.bang_bang_second_order import nearest_multipliers
+from gnc_opt.planning.verification.control_conditions import find_undetermined
+from gnc_opt.planning.verification.costate_conditions import _inadmissible_multipliers
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     _hold_arcs,
     _state_node_variables,
     _variables_by_line,
 )
-from gnc_opt.planning.verification.recomputed import _relative_difference, ends_of, from_problem, has_costates
+from gnc_opt.planning.verification.recomputed import (
+    _relative_difference,
+    evaluate_ends,
+    has_costates,
+    recompute_from_problem,
+)
 from gnc_opt.planning.verification.reduced_hessian import Curvature, _flat_curvature_text, _locate_direction
-from gnc_opt.planning.verification.singular_arcs import generalised_legendre_clebsch, singular_arcs
+from gnc_opt.planning.verification.singular_arcs import (
+    analyse_singular_arcs,
+    check_generalised_legendre_clebsch,
+)
 
 Array = NDArray[np.float64]
 
@@ -83,7 +100,9 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     legs = replace(s.leg, final_time=origin + 2.0 - off, final_time_bounds=by_hand.interval(-np.inf, np.inf))
     solution = by_hand.solution(problem, legs)
     samples = [PhaseSamples.of(legs, s.functions)]
-    condition = feasibility.boundary(solution, samples, ends_of(solution), given_scales(samples), 1e-9)
+    condition = feasibility.check_boundary_conditions(
+        solution, samples, evaluate_ends(solution), given_scales(samples), 1e-9
+    )
     assert (condition.result is ConditionResult.PASS) is excused, condition
     if not excused:
         assert condition.value == pytest.approx((off - 1e-8) / 2.0, rel=1e-3)
@@ -93,8 +112,8 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
 def test_no_singular_arc_asks_for_nothing() -> None:
     problem = plain(np.zeros((2, 2)), lambda t, x, u: u**2)
     s = arc(problem)
-    arcs = singular_arcs(problem, s, *undetermined(s, 1e-5), 1e-5)
-    condition = generalised_legendre_clebsch(arcs, 1e-5)
+    arcs = analyse_singular_arcs(problem, s, *find_undetermined(s, 1e-5), 1e-5)
+    condition = check_generalised_legendre_clebsch(arcs, 1e-5)
     assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
 
 
@@ -105,8 +124,8 @@ def test_multipliers_that_bounds_cannot_exert() -> None:
     """At the lower limit -1 is right and 1 is not, at the upper one conversely; a given value takes both."""
     box = by_hand.interval([0.0, 0.0, 0.0, 5.0], [1.0, 1.0, 1.0, 5.0])
     values, scale = np.array([0.9e-4, 1 - 0.9e-4, 0.5, 7.0]), np.full(4, 100.0)
-    np.testing.assert_allclose(_unexplained(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
-    np.testing.assert_allclose(_unexplained(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
+    np.testing.assert_allclose(_inadmissible_multipliers(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
+    np.testing.assert_allclose(_inadmissible_multipliers(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
 
 
 def test_difference_in_shares_of_the_larger() -> None:
@@ -155,7 +174,7 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
         lambda t, k: np.array([-2 * t]),
         lambda t, k: np.array([3 - t, 1 + 2 * t]),
     )
-    solution = from_problem(
+    solution = recompute_from_problem(
         by_hand.solution(
             problem, by_hand.phase(problem, *signals, breaks=(0.0, 0.5, 2.0)), parameter_values=np.array([3.0]),
             parameter_multipliers=np.zeros(1), constraint_multipliers=np.zeros(3),
@@ -200,7 +219,7 @@ def test_jumps_that_active_limits_explain(jump: tuple[float, float], left: tuple
         lambda t, k: np.array([3 - t, 1 + t]) - k * np.array(jump)[:, None],
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
-    np.testing.assert_allclose(jumps_explained(s)[0][:, 0], left, atol=1e-9)
+    np.testing.assert_allclose(explain_costate_jumps(s)[0][:, 0], left, atol=1e-9)
 
 
 @pytest.mark.parametrize(("jump", "left"), [(-1.5, 0.0), (-3.0, -1.0), (1.0, 0.0)])
@@ -212,7 +231,7 @@ def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float,
         lambda t, k: np.array([3 - t - k * jump, 1 + t]), states=lambda t, k: np.array([200.0 + 0 * t, 0 * t]),
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
-    np.testing.assert_allclose(jumps_explained(s)[0][:, 0], [left, 0.0], atol=1e-9)
+    np.testing.assert_allclose(explain_costate_jumps(s)[0][:, 0], [left, 0.0], atol=1e-9)
 
 
 # --- the induced problem ----------------------------------------------------------------------------------
@@ -243,8 +262,8 @@ def test_induced_problem_in_closed_form() -> None:
         problem, by_hand.phase(problem, *signals, breaks=(0.2, 1.0, 2.0)), parameter_values=np.array([1.5]),
         parameter_multipliers=np.zeros(1), constraint_multipliers=np.array([0.3]), constraint_labels=("both",),
     )  # fmt: skip
-    solution = from_problem(base)
-    samples, ends = list(solution.samples().values()), ends_of(solution)
+    solution = recompute_from_problem(base)
+    samples, ends = list(solution.samples().values()), evaluate_ends(solution)
     switches = {"leg": Switches.of(samples[0])}
     unknowns = Unknowns.of(solution, samples, switches)
     found = InducedProblem.of(solution, samples, ends, unknowns, {"leg": switches["leg"].pieces((0,))}, 4)
@@ -295,7 +314,7 @@ def test_multipliers_nearest_to_the_solutions_own() -> None:
         unknowns=SimpleNamespace(free=np.array([True, True, False])),
         conditions=SimpleNamespace(active=(at_lower, at_upper), multipliers=np.array([1.0, 5.0, 5.0, 0.5])),
     )
-    active, rows, norms, multipliers = least_squares(np.array([-9.0, -12.0, 4.0]), jacobian, induced)
+    active, rows, norms, multipliers = nearest_multipliers(np.array([-9.0, -12.0, 4.0]), jacobian, induced)
     np.testing.assert_array_equal(active, [0, 3])
     np.testing.assert_allclose(rows, [[0.6, 0.8], [0.6, 0.8]])
     np.testing.assert_allclose(norms, [5.0, 10.0])
@@ -320,7 +339,7 @@ def free_cart() -> go.Problem:
 def test_variables_of_the_program_at_a_trajectory() -> None:
     """q = t^3, v = 3 t^2, a = 6 t from 0.5 s to 2.5 s, the integral of q, and k = 3."""
     problem, t = free_cart(), np.linspace(0.5, 2.5, 6)
-    fitted = fit(
+    fitted = fit_trajectory(
         Samples(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
     transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
@@ -403,7 +422,7 @@ def test_what_is_brief_counts_by_its_mean() -> None:
     """Over a hundredth of 2 s: a step of 1 at 0.5 s is a ramp of that width, and what is constant stays so."""
     s = arc(plain(np.zeros((2, 2))))
     step = (s.segments == 1).astype(float)
-    means = lasting(s.times, np.array([step, 3.0 + 0 * step]))
+    means = average_over_time(s.times, np.array([step, 3.0 + 0 * step]))
     expected = np.clip((s.times - 0.5) / 0.02 + 0.5, 0.0, 1.0)
     np.testing.assert_allclose(means[0], expected, atol=1e-9)
     np.testing.assert_allclose(means[1], 3.0)
@@ -413,10 +432,14 @@ def test_what_multipliers_push_beside_a_boundary() -> None:
     """Densities 2 before and 3 after it, over half a hundredth of 2 s; of two signs the larger one."""
     s = arc(plain(np.zeros((2, 2))), degree=4)
     before = np.repeat([True, False], 4)
-    found = pushed_beside(s, np.array([np.where(before, 2.0, 3.0), np.where(before, -5.0, 4.0)]))
+    found = integrate_nearby_multipliers(
+        s, np.array([np.where(before, 2.0, 3.0), np.where(before, -5.0, 4.0)])
+    )
     np.testing.assert_allclose(found, [[0.03], [-0.05]])
     short = arc(plain(np.zeros((2, 2))), degree=4, breaks=(0.0, 0.004, 2.0))
-    np.testing.assert_allclose(pushed_beside(short, np.where(before, 5.0, 1.0)[None]), [[0.02]])
+    np.testing.assert_allclose(
+        integrate_nearby_multipliers(short, np.where(before, 5.0, 1.0)[None]), [[0.02]]
+    )
 
 
 def test_steps_of_free_parameters() -> None:
@@ -460,7 +483,7 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
         lambda t, k: np.array([costates + 0 * t, 0 * t]),
         breaks=(0.0, 0.5, 2.0),
     )
-    ends = ends_of(by_hand.solution(problem, base.leg))
+    ends = evaluate_ends(by_hand.solution(problem, base.leg))
     s = PhaseSamples.of(replace(leg, integral_weights=np.array([weight])), base.functions)
     assert has_costates([s], ends, amount) is told
 

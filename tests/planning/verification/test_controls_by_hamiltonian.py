@@ -21,11 +21,11 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    aimed_gradient,
-    lone_vector,
-    without_idle_directions,
+    direction_optimal_gradient,
+    find_vector_control,
+    hold_inactive_directions,
 )
-from gnc_opt.planning.verification.hamiltonian_minimum import _Search, limits
+from gnc_opt.planning.verification.hamiltonian_minimum import _Search, search_bounds
 from gnc_opt.planning.verification.reduced_hessian import lanczos
 
 # The least Hamiltonian: in closed form for controls that enter it affinely, by a search for the others.
@@ -212,10 +212,10 @@ def test_nothing_in_the_annulus_has_a_lower_hamiltonian(least: float, angle: flo
     s = samples(flight(least), angle)
     every = np.arange(s.times.size)
     (group,) = s.functions.coupled_controls
-    vector = lone_vector(s, group)
+    vector = find_vector_control(s, group)
     assert vector is not None
     search = _Search(s, group, every)
-    lower, upper = limits(s)
+    lower, upper = search_bounds(s)
     best = lower[:, None] + (upper - lower)[:, None] * search.aligned(vector)
     assert np.all(np.isclose(best[MAGNITUDE], least) | np.isclose(best[MAGNITUDE], 2.0))
     np.testing.assert_allclose(np.linalg.norm(best[DIRECTION], axis=0), 1.0, rtol=1e-12)
@@ -242,7 +242,7 @@ def test_closed_form_is_for_affine_hamiltonians_without_other_limits(curve: str)
         leg.path("forwards", a[0] - 0.1 * norm, lower=0.0)
     problem.minimize(leg.integral(norm**2 if curve == "cost" else norm))
     s = samples(go.solve(problem, mesh="2x3", tol=None))
-    assert lone_vector(s, s.functions.coupled_controls[0]) is None
+    assert find_vector_control(s, s.functions.coupled_controls[0]) is None
 
 
 def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> None:
@@ -290,7 +290,7 @@ def test_a_push_would_begin_along_the_primer_vector(angle: float) -> None:
     s = samples(flight(0.0), angle)
     coasts = s.u[MAGNITUDE] < 1e-9
     assert np.sum(coasts) > 20
-    found = aimed_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
+    found = direction_optimal_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
     primer = np.linalg.norm(s.lam[2:], axis=0)
     np.testing.assert_allclose(found[MAGNITUDE, coasts], 1 - primer[coasts], atol=1e-12)
     np.testing.assert_array_equal(found[:, ~coasts], s.control_gradient[:, ~coasts])
@@ -322,7 +322,7 @@ def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
     length = cone.point.x.size + collocation.path_rows[0]
     strong = cone.strong.copy()
     strong[length] = True  # as if it were 1 along the coast, too
-    held = without_idle_directions(replace(cone, strong=strong), [s])
+    held = hold_inactive_directions(replace(cone, strong=strong), [s])
     coasts = cone.point.x[magnitude] < 1e-9
     assert 0 < np.sum(coasts) < coasts.size
     assert np.all(cone.strong[magnitude[coasts]]) and not np.any(cone.strong[direction[:, coasts]])
@@ -330,7 +330,7 @@ def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
     np.testing.assert_array_equal(held.strong[length], ~coasts)  # of what is held already no row is left
     freed = cone.strong.copy()
     freed[magnitude] = False  # a magnitude that nothing pushes to zero may grow, in any direction
-    assert not np.any(without_idle_directions(replace(cone, strong=freed), [s]).strong[direction])
+    assert not np.any(hold_inactive_directions(replace(cone, strong=freed), [s]).strong[direction])
 
 
 # Second order of smooth problems: minima pass, saddles and maxima that satisfy every first-order condition

@@ -17,8 +17,13 @@ import gnc_opt as go
 from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
 from gnc_opt.planning.study.relaxation import relaxations
-from gnc_opt.planning.verification.engine import _of_convex
-from gnc_opt.planning.verification.sufficiency import _split_sum, has_one_solution, is_convex, least_cost
+from gnc_opt.planning.verification.engine import _pass_by_convexity
+from gnc_opt.planning.verification.sufficiency import (
+    _split_sum,
+    has_unique_solution,
+    is_convex,
+    lower_cost_limit,
+)
 from gnc_opt.report import summary_dict
 
 # Convex problems: where the first order suffices, nothing may be told to curve downwards.
@@ -99,13 +104,13 @@ def test_a_curvature_that_fails_or_cannot_be_told_says_that_the_problem_is_conve
     made = go.Condition(
         "second order", go.ConditionResult.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True
     )
-    assert _of_convex(made).result is go.ConditionResult.INCONCLUSIVE
-    assert "there; the problem is convex" in _of_convex(made).where
-    open_ = _of_convex(replace(made, result=go.ConditionResult.INCONCLUSIVE))
+    assert _pass_by_convexity(made).result is go.ConditionResult.INCONCLUSIVE
+    assert "there; the problem is convex" in _pass_by_convexity(made).where
+    open_ = _pass_by_convexity(replace(made, result=go.ConditionResult.INCONCLUSIVE))
     assert open_.result is go.ConditionResult.INCONCLUSIVE and "the problem is convex" in open_.where
     passed, first = replace(made, result=go.ConditionResult.PASS), replace(made, sufficient=False)
-    assert _of_convex(passed) is passed
-    assert _of_convex(first) is first
+    assert _pass_by_convexity(passed) is passed
+    assert _pass_by_convexity(first) is first
 
 
 @pytest.mark.parametrize("push", [1.0, 0.8])
@@ -156,7 +161,7 @@ def test_the_least_peak_of_a_state_is_an_answer_and_a_higher_one_is_none(push: f
     ],
 )
 def test_what_has_one_solution(one: dict[str, Any]) -> None:
-    assert has_one_solution(stated(**one))
+    assert has_unique_solution(stated(**one))
 
 
 def started_by(problem: go.Problem, leg: Any, amount: Any) -> None:
@@ -179,7 +184,7 @@ def started_by(problem: go.Problem, leg: Any, amount: Any) -> None:
     ],
 )
 def test_what_may_have_many(other: dict[str, Any]) -> None:
-    assert not has_one_solution(stated(**other))
+    assert not has_unique_solution(stated(**other))
 
 
 def pushed_by_two(cost: Any) -> go.Problem:
@@ -192,9 +197,9 @@ def pushed_by_two(cost: Any) -> go.Problem:
 
 
 def test_which_of_two_engines_pushes_is_told_only_by_a_cost_of_their_difference() -> None:
-    assert not has_one_solution(pushed_by_two(lambda x, u: x**2))
-    assert has_one_solution(pushed_by_two(lambda x, u: x**2 + (u[0] - u[1]) ** 2))
-    assert not has_one_solution(pushed_by_two(lambda x, u: (u[0] - u[1]) ** 2))
+    assert not has_unique_solution(pushed_by_two(lambda x, u: x**2))
+    assert has_unique_solution(pushed_by_two(lambda x, u: x**2 + (u[0] - u[1]) ** 2))
+    assert not has_unique_solution(pushed_by_two(lambda x, u: (u[0] - u[1]) ** 2))
 
 
 @pytest.mark.parametrize(("joined", "one"), [(("x", "v"), True), (("x",), False), ((), False)])
@@ -208,7 +213,7 @@ def test_a_later_phase_starts_where_end_conditions_put_it(joined: tuple[str, ...
             problem.constrain(name, 2 * leg.final_state(name) - later.initial_state(name), equals=0.5)
         problem.minimize(leg.integral(u**2) + later.integral(u**2))
 
-    assert has_one_solution(stated(cost=cost)) is one
+    assert has_unique_solution(stated(cost=cost)) is one
 
 
 def test_a_singular_minimum_that_no_curvature_tells_is_the_only_one() -> None:
@@ -641,12 +646,12 @@ def two_phases(cost: Any) -> go.Problem:
     ],
 )
 def test_least_costs(cost: Any, least: float) -> None:
-    assert least_cost(two_phases(cost)) == pytest.approx(least)
+    assert lower_cost_limit(two_phases(cost)) == pytest.approx(least)
 
 
 def test_what_is_maximised_is_bounded_from_above() -> None:
-    assert least_cost(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
-    assert least_cost(tracking(2.0)) == pytest.approx(7.0)
+    assert lower_cost_limit(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
+    assert lower_cost_limit(tracking(2.0)) == pytest.approx(7.0)
 
 
 def test_a_range_of_free_parameters_counts() -> None:
@@ -659,4 +664,4 @@ def test_a_range_of_free_parameters_counts() -> None:
     leg.time(0.0, 1.0)
     leg.initial(q=0.0)
     problem.minimize(leg.integral(w) + leg.final_state("q") ** 2)
-    assert least_cost(problem) == -2.0
+    assert lower_cost_limit(problem) == -2.0

@@ -17,21 +17,21 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.optimality.active_set import left_free
+from gnc_opt.planning.optimality.active_set import free_control_directions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.costate_conditions import (
-    _impulses,
-    _time_transversality,
-    adjoint,
-    complementarity,
-    parameters,
-    transversality,
+    _check_bound_impulses,
+    _check_time_transversality,
+    check_adjoint_equation,
+    check_complementarity,
+    check_parameter_stationarity,
+    check_transversality,
 )
-from gnc_opt.planning.verification.recomputed import ends_of, from_problem
-from gnc_opt.planning.verification.singular_arcs import SingularArc, singular_arcs
+from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its
@@ -83,7 +83,7 @@ def arcs(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     monkeypatch.setattr(singular, "_analyse_singular_arc", judge)
     none: Any = None
-    return lambda s: singular_arcs(none, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
+    return lambda s: analyse_singular_arcs(none, s, *controls.find_undetermined(s, TOLERANCE), TOLERANCE)
 
 
 LATE = [([0], [1], 0.5, 2.0)]
@@ -186,7 +186,7 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    (arc,) = singular_arcs(problem, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
+    (arc,) = analyse_singular_arcs(problem, s, *controls.find_undetermined(s, TOLERANCE), TOLERANCE)
     expected = sign * 2.0 * 4.0 * 1.5**2 / s.hamiltonian_scale
     assert arc == SingularArc("phase leg, u from 0.5 s to 2 s", 1, pytest.approx(expected), why)
 
@@ -205,7 +205,7 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
         breaks=(0.0, 2.0),
         control_bounds=BOX,
     )
-    (arc,) = singular_arcs(problem, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
+    (arc,) = analyse_singular_arcs(problem, s, *controls.find_undetermined(s, TOLERANCE), TOLERANCE)
     assert arc == SingularArc("phase leg, u, w from 0 s to 2 s", 0, 0.0, singular.NOT_AFFINE)
 
 
@@ -227,7 +227,7 @@ def test_directions_that_constraints_take_are_measured_in_the_controls_units() -
         breaks=(0.0, 0.5, 2.0),
     )
     every = np.ones((2, s.times.size), dtype=bool)
-    for j, basis in enumerate(left_free(s, every, np.array([2.0, 0.5]))):
+    for j, basis in enumerate(free_control_directions(s, every, np.array([2.0, 0.5]))):
         if s.segments[j] == 0:  # the limit is half away
             np.testing.assert_allclose(basis, np.eye(2))
         else:
@@ -236,7 +236,9 @@ def test_directions_that_constraints_take_are_measured_in_the_controls_units() -
             assert np.linalg.norm(basis) == pytest.approx(1.0) and abs(row @ basis[:, 0]) < 1e-12
     alone = every.copy()
     alone[0] = False
-    assert [b.shape for b in left_free(s, alone, np.ones(2))] == [(2, 1 - k) for k in s.segments]
+    assert [b.shape for b in free_control_directions(s, alone, np.ones(2))] == [
+        (2, 1 - k) for k in s.segments
+    ]
 
 
 @pytest.mark.parametrize(("row", "channel"), [(0, 0), (1, 1)])
@@ -282,13 +284,13 @@ def test_a_state_limit_takes_its_control_where_it_pushes_for_a_while(
         (1.1 * least, 1.1 * moved, False),
     ):
         s = samples(push, off)
-        for j, basis in enumerate(left_free(s, every, np.ones(2))):
+        for j, basis in enumerate(free_control_directions(s, every, np.ones(2))):
             if told and s.segments[j] == 1:
                 assert basis.shape == (2, 1) and abs(basis[channel, 0]) < 1e-12
             else:
                 np.testing.assert_allclose(basis, np.eye(2))
     touched = samples(5.0, 0.0, segment=0)  # it pushes at the end of the first segment only, where it touches
-    assert all(b.shape == (2, 2) for b in left_free(touched, every, np.ones(2)))
+    assert all(b.shape == (2, 2) for b in free_control_directions(touched, every, np.ones(2)))
 
 
 # --- what the controls miss -------------------------------------------------------------------------------
@@ -298,7 +300,7 @@ def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
     box = by_hand.interval([1.0, 2.0], [1.0, 2.0])
     s = flown(u=(1.0, 1.0), control_bounds=by_hand.interval([-1.0, -9.0], [1.0, 9.0]))
     s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
-    condition = controls.legendre_clebsch([s], TOLERANCE, [controls.undetermined(s, TOLERANCE)[0]])
+    condition = controls.check_legendre_clebsch([s], TOLERANCE, [controls.find_undetermined(s, TOLERANCE)[0]])
     assert condition.result is ConditionResult.PASS and condition.sufficient
     assert (condition.value, condition.tolerance, condition.where) == (
         0.0,
@@ -321,7 +323,7 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
     for t in s.times:
         hessian = np.array([[bend, np.exp(-t) / 2], [np.exp(-t) / 2, 1.0]]) * np.outer(unit, unit)
         least.append(np.linalg.eigvalsh(hessian)[0])
-    condition = controls.legendre_clebsch([s], TOLERANCE, [controls.undetermined(s, TOLERANCE)[0]])
+    condition = controls.check_legendre_clebsch([s], TOLERANCE, [controls.find_undetermined(s, TOLERANCE)[0]])
     assert condition.value == pytest.approx(-min(least), rel=1e-9) and condition.tolerance == -TOLERANCE
     assert (
         condition.result is (ConditionResult.PASS if min(least) > 0 else ConditionResult.FAIL)
@@ -342,10 +344,10 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=BOX,
     )
-    miss = controls._miss(s, given_scales([s], deviation=2.0))
+    miss = controls._distance_to_minimum(s, given_scales([s], deviation=2.0))
     assert np.all(np.isinf(miss[0]))
     np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / 2.0, 0.0), atol=1e-12)
-    curvature = controls._curvature(s)
+    curvature = controls._hamiltonian_curvature(s)
     np.testing.assert_allclose(curvature[1], s.control_span[1] ** 2 / s.control_worth[1])
     np.testing.assert_allclose(curvature[0], 0.0)
 
@@ -364,7 +366,7 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span."""
     s = flown(u=(value, value), lam=(slope, slope))
-    loss, on_bound = controls._losses(s, s.control_span[:, None], s.control_scale)
+    loss, on_bound = controls._first_order_gains(s, s.control_span[:, None], s.control_scale)
     np.testing.assert_allclose(loss[0], 2.0 * min(room, s.control_span[0]), atol=1e-9)
     assert np.all(on_bound[0] == (abs(value) == 1.0)) and not np.any(on_bound[1])
 
@@ -480,7 +482,7 @@ def solution_in(units: Units, smooth: bool) -> go.Solution:
         constraint_labels=problem.constraint_labels(), constraint_values=np.zeros(4),
         constraint_multipliers=units.unit[COST] * constraints,
     )  # fmt: skip
-    return from_problem(bare)
+    return recompute_from_problem(bare)
 
 
 def leg_in(units: Units, problem: go.Problem, name: str, smooth: bool) -> Any:
@@ -584,8 +586,8 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
     # Of H = lam_0 + lam_1 u the initial value is 3 + 0, which a lower limit of the initial time cannot explain.
     sign = -1.0 if end == "initial" else 1.0
     s = drift(drifting(), begin, **changes, lam=lambda t, k: sign * np.array([3 - t, 1 + 2 * t]))
-    ends = ends_of(by_hand.solution(drifting(), s.leg))
-    found = _time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
+    ends = evaluate_ends(by_hand.solution(drifting(), s.leg))
+    found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     level = 3.0 if end == "initial" else abs(1.0 - 5.0 * 4.0)
     if off > 1:
         assert found.value == pytest.approx(level * 2.0 / 4.0, rel=1e-9)  # over the 2 s, of a cost of 4
@@ -623,7 +625,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
     }
     s = drift(drifting(), **changes)
     scales = given_scales([s], cost=4.0, radius=3.0)
-    condition = transversality([s], ends_of(by_hand.solution(drifting(), s.leg)), scales)
+    condition = check_transversality([s], evaluate_ends(by_hand.solution(drifting(), s.leg)), scales)
     assert condition.value == pytest.approx(abs(gap) * 3.0 / 4.0, rel=1e-9)
     if gap:
         assert condition.where == f"phase leg, {'start' if end == 'initial' else 'end'}, costate of x[{row}]"
@@ -633,8 +635,8 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
         if end == "initial":
             along.lower[row], along.upper[row] = given[row], 99.0
         held = PhaseSamples.of(replace(s.leg, state_bounds=along), s.functions)
-        ends = ends_of(by_hand.solution(drifting(), held.leg))
-        assert transversality([held], ends, scales).value == 0.0
+        ends = evaluate_ends(by_hand.solution(drifting(), held.leg))
+        assert check_transversality([held], ends, scales).value == 0.0
 
 
 @pytest.mark.parametrize(
@@ -658,7 +660,7 @@ def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: f
         states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
         state_bounds=by_hand.interval([-99.0, 1.75 - 9.0], [99.0, 1.75 + 9.0]),
     )
-    found = _impulses(s, given_scales([s], cost=4.0, radius=3.0))
+    found = _check_bound_impulses(s, given_scales([s], cost=4.0, radius=3.0))
     assert found.value == pytest.approx(left * 3.0 / 4.0, abs=1e-12)
     assert not left or found.where == "phase leg, t = 0.5 s, impulse on x[1]"
 
@@ -670,9 +672,11 @@ def test_impulses_need_the_limit_that_exerts_them() -> None:
         impulses[0, [0, 1, 2]] = 7.0, impulse, 7.0  # those at the ends are for transversality
         limits = by_hand.interval([1.25, -99.0], [1.5, 99.0])
         s = drift(drifting(), state_impulses=impulses, state_bounds=limits)
-        assert _impulses(s, given_scales([s], 4.0)).value == pytest.approx(2.0 * room / 4.0, abs=1e-12)
+        assert _check_bound_impulses(s, given_scales([s], 4.0)).value == pytest.approx(
+            2.0 * room / 4.0, abs=1e-12
+        )
     lone = drift(drifting(), breaks=(0.0, 2.0), state_impulses=np.full((2, 2), 5.0))
-    assert _impulses(lone, given_scales([lone])).value == 0.0
+    assert _check_bound_impulses(lone, given_scales([lone])).value == 0.0
 
 
 @pytest.mark.parametrize("name", ["mixed", "pure", "u", "x[0]"])
@@ -693,7 +697,7 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     )
     s = PhaseSamples.of(leg, base.functions)
     solution = by_hand.solution(problem, leg)
-    condition = complementarity(solution, [s], ends_of(solution), given_scales([s], cost=4.0))
+    condition = check_complementarity(solution, [s], evaluate_ends(solution), given_scales([s], cost=4.0))
     lasts = leg.rules[1].weights[j - 4] / 2 * 1.5
     room = 0.1 if sign > 0 else 0.2
     assert condition.value == pytest.approx(5.0 * room * lasts / 4.0, rel=1e-9)
@@ -713,7 +717,7 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
         )
         rows = ([amount, 1.0], [0.0, 0.0], [1.0, 1.0])
         scales = given_scales([s], cost=4.0, constraints=rows)
-        found = complementarity(solution, [s], ends_of(solution), scales)
+        found = check_complementarity(solution, [s], evaluate_ends(solution), scales)
         assert found.value == pytest.approx(expected / 4.0, rel=1e-9)
         assert found.where == "multiplier of constraint a"
 
@@ -722,7 +726,7 @@ def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
     """lam_0' = lam_1' = 0 is right: costates (3 - a t, 1) leave a times the segment, and jump by b."""
     for slope, jump in ((0.5, 0.0), (0.0, 0.25), (0.0, -0.25)):
         s = drift(drifting(), lam=lambda t, k, a=slope, b=jump: np.array([3 - a * t, 1.0 + b * k + 0 * t]))
-        condition = adjoint([s], given_scales([s], cost=4.0, radius=3.0), 1e-6)
+        condition = check_adjoint_equation([s], given_scales([s], cost=4.0, radius=3.0), 1e-6)
         violation = slope * 1.5 if slope else abs(jump)
         assert condition.value == pytest.approx(violation * 3.0 / 4.0, rel=1e-9)
         where = (
@@ -732,7 +736,7 @@ def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
         )
         assert condition.where == f"phase leg, {where}"
     right = drift(drifting(), breaks=(0.0, 2.0), lam=lambda t, k: np.array([3.0 + 0 * t, 1.0 + 0 * t]))
-    assert adjoint([right], given_scales([right]), 1e-6).value == pytest.approx(0.0, abs=1e-12)
+    assert check_adjoint_equation([right], given_scales([right]), 1e-6).value == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -759,5 +763,7 @@ def test_a_parameter_is_stationary_or_pushes_at_its_limit(
     problem.minimize(leg.final_state("x") + slope * k)
     one = (lambda t, k: np.array([t]),) * 3
     solution = by_hand.solution(problem, by_hand.phase(problem, *one), parameter_values=np.array([value]))
-    found = parameters(solution, [], ends_of(solution), given_scales([], cost=amount, parameters=[1.0]))
+    found = check_parameter_stationarity(
+        solution, [], evaluate_ends(solution), given_scales([], cost=amount, parameters=[1.0])
+    )
     assert found.value == pytest.approx(left) and found.where == "parameter k"

@@ -46,7 +46,7 @@ def test_which_singular_arc_counts(
 ) -> None:
     """One that fails before one of which nothing is told, before the least; whatever their order."""
     for given in (arcs, arcs[::-1]):
-        condition = singular.generalised_legendre_clebsch(given, 1e-5)
+        condition = singular.check_generalised_legendre_clebsch(given, 1e-5)
         assert (condition.result, condition.where, condition.tolerance) == (result, where, -1e-5)
         assert condition.value == pytest.approx(value) and condition.sufficient
 
@@ -107,23 +107,23 @@ def test_curvature_on_the_mesh(
         assert held[0] and (bound is not None or not held[1])
         return free if not held[1] or bound is None else bound
 
-    monkeypatch.setattr(reduced_hessian, "least_curvature", least)
+    monkeypatch.setattr(reduced_hessian, "minimise_curvature", least)
     monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
     monkeypatch.setattr(reduced_hessian, "_find_jumping_control", lambda samples: jumps)
     solution: Any = SimpleNamespace(structure=())
-    condition = reduced_hessian.reduced_hessian(solution, [], cone)
+    condition = reduced_hessian.check_reduced_hessian(solution, [], cone)
     assert condition.result is result and condition.sufficient and condition.name == "second order"
     assert condition.value == pytest.approx(value) and words in condition.where
     assert condition.tolerance == (0.0 if free is NOTHING else -1e-6)
     if jumps:  # switch times that are variables of the mesh do vary
         solution.structure = ("arcs",)
-        told = reduced_hessian.reduced_hessian(solution, [], cone)
+        told = reduced_hessian.check_reduced_hessian(solution, [], cone)
         assert told.result is (FAIL if result is FAIL else PASS) and "jumps" not in told.where
 
 
 def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of several phases with such a control is enough."""
-    monkeypatch.setattr(reduced_hessian, "least_curvature", lambda *given: curved(-5e-3))
+    monkeypatch.setattr(reduced_hessian, "minimise_curvature", lambda *given: curved(-5e-3))
     monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
     monkeypatch.setattr(reduced_hessian, "_find_jumping_control", lambda samples: "")
     cone: Any = SimpleNamespace(
@@ -133,8 +133,8 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     samples: Any = [False, True]
     monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s)
     monkeypatch.setattr(reduced_hessian, "open_end", lambda cone, s: ("", np.inf))
-    assert reduced_hessian.reduced_hessian(solution, samples, cone).result is UNTOLD
-    assert reduced_hessian.reduced_hessian(solution, samples[:1], cone).result is FAIL
+    assert reduced_hessian.check_reduced_hessian(solution, samples, cone).result is UNTOLD
+    assert reduced_hessian.check_reduced_hessian(solution, samples[:1], cone).result is FAIL
 
 
 # --- the verdict ------------------------------------------------------------------------------------------

@@ -18,9 +18,9 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt as null_space
-from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting
+from gnc_opt.planning.optimality.cost_scale import Magnitudes, average_over_time, integral_spans
 from gnc_opt.planning.optimality.kkt import FOUND, LANCZOS_RESIDUAL_TOLERANCE, NullSpace, _settled, lanczos
-from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate
+from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
 from gnc_opt.planning.optimality.switches import GRAZES, Switches, _controls_with_vanishing_switching
 from gnc_opt.planning.optimality.switching_problem import Unknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     _find_control_kinks,
     _Jump,
     _place_jumps,
-    fit,
+    fit_trajectory,
 )
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -40,11 +40,16 @@ from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _controls_on_bound,
     _find_worst_crossing,
-    least_squares,
+    nearest_multipliers,
 )
 from gnc_opt.planning.verification.feasibility import _worst_excess
-from gnc_opt.planning.verification.goh import straight
-from gnc_opt.planning.verification.recomputed import ends_of, from_problem, has_costates, missing_number
+from gnc_opt.planning.verification.goh import find_flat_controls
+from gnc_opt.planning.verification.recomputed import (
+    evaluate_ends,
+    find_missing_number,
+    has_costates,
+    recompute_from_problem,
+)
 from gnc_opt.planning.verification.reduced_hessian import _least_direction
 from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_shape
 
@@ -58,7 +63,7 @@ Array = NDArray[np.float64]
 def test_what_is_brief_is_a_share_of_the_duration(begin: float) -> None:
     """A step in the middle of 2 s, averaged over 0.02 s."""
     times = begin + np.unique(np.append(np.linspace(0.0, 2.0, 401), 1.0))
-    means = lasting(times, (times >= begin + 1.0).astype(float)[None])[0]
+    means = average_over_time(times, (times >= begin + 1.0).astype(float)[None])[0]
     at = (times - begin - 1.0) / 0.02
     np.testing.assert_allclose(means[np.abs(at) > 0.8], np.clip(at + 0.5, 0, 1)[np.abs(at) > 0.8], atol=1e-9)
     assert means[np.argmin(np.abs(at))] == pytest.approx(0.5, abs=0.15)
@@ -163,7 +168,7 @@ def test_rows_that_say_the_same_to_rounding_share_their_multiplier() -> None:
             active=(np.array([True, True]), np.array([True, True])), multipliers=np.zeros(2)
         ),
     )
-    multipliers = least_squares(np.array([4.0, 1.0]), rows, induced)[3]
+    multipliers = nearest_multipliers(np.array([4.0, 1.0]), rows, induced)[3]
     np.testing.assert_allclose(multipliers, [-2.0, -2.0], rtol=1e-6)
 
 
@@ -194,7 +199,7 @@ def test_unknowns_of_two_phases() -> None:
                 breaks=edges,
             )
         )
-    solution = from_problem(
+    solution = recompute_from_problem(
         by_hand.solution(
             problem, *phases, parameter_values=np.array([3.0, 2.0]), parameter_multipliers=np.zeros(2)
         )
@@ -260,13 +265,15 @@ def test_two_jumps_are_movable_in_their_order() -> None:
     t = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 4.5, 5.0, 5.5])
     u = np.select([np.arange(14) < 3, np.arange(14) < 11], [1.0, -2.0], 3.0)
     x = np.select([t <= 1.0, t <= 4.5], [t, 1.0 - 2 * (t - 1.0)], -6.0 + 3 * (t - 4.5))
-    fitted = fit(Samples(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory(Samples(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
     assert fitted.mesh.movable == (2, 9)
     np.testing.assert_allclose(fitted.u(np.array([0.9, 1.1, 4.4, 4.6]))[0], [1.0, -2.0, -2.0, 3.0])
     later = np.concatenate([t, [6.0, 6.0, 6.5, 7.0]])
     levels = np.concatenate([u, [3.0, -1.0, -1.0, -1.0]])
     ways = np.concatenate([x, [-1.5, -1.5, -2.0, -2.5]])
-    assert fit(Samples(later, ways[None], levels[None]), lambda t, x, u: u + 0 * x).mesh.movable == (2, 9, 12)
+    assert fit_trajectory(
+        Samples(later, ways[None], levels[None]), lambda t, x, u: u + 0 * x
+    ).mesh.movable == (2, 9, 12)
 
 
 def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
@@ -308,17 +315,17 @@ def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
     """`by_hand.cart` with its cost of 6, in some unit, and what the flight changes it by."""
     problem = by_hand.cart()
     leg = replace(by_hand.phase(problem), integrals=np.array([12.0]), integral_weights=np.array([0.5]))
-    solution = from_problem(by_hand.solution(problem, leg))
+    solution = recompute_from_problem(by_hand.solution(problem, leg))
     return solution, [replace(s, cost_magnitude=amount) for s in solution.samples().values()]
 
 
 @pytest.mark.parametrize("amount", [0.5, 1.0, 30.0])
 def test_the_objective_is_off_in_shares_of_what_the_flight_changes_it(amount: float) -> None:
     solution, samples = energetic(amount)
-    ends = ends_of(solution)
+    ends = evaluate_ends(solution)
     assert ends.cost == pytest.approx(6.0)
     for stored in (5.75, 6.25):
-        off = feasibility.cost(
+        off = feasibility.check_cost(
             replace(solution, objective=stored), samples, ends, True, given_scales(samples, cost=amount), 1e-6
         )
         assert off.value == pytest.approx(0.25 / amount, rel=1e-6)
@@ -337,13 +344,17 @@ def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> No
         "integral": {"integrals": np.array([12.3])},
     }
     wrong = replace(solution, phases={"leg": replace(leg, **changes[what])})
-    found = feasibility.cost(wrong, samples, ends_of(solution), told, given_scales(samples, cost=2.0), 1e-6)
+    found = feasibility.check_cost(
+        wrong, samples, evaluate_ends(solution), told, given_scales(samples, cost=2.0), 1e-6
+    )
     assert found.value == pytest.approx(0.6 if "weight" in what else 0.075, rel=1e-6)
     assert found.where.startswith(f"phase leg, {what} ")
     if what == "integral" and not told:
         lost = replace(solution, phases={"leg": replace(leg, integral_weights=np.array([np.nan]))})
         assert (
-            feasibility.cost(lost, samples, ends_of(solution), False, given_scales(samples), 1e-6).value
+            feasibility.check_cost(
+                lost, samples, evaluate_ends(solution), False, given_scales(samples), 1e-6
+            ).value
             < 1e-9
         )
 
@@ -362,11 +373,11 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    condition = controls.singular_arcs([s], 1e-5, [controls.undetermined(s, 1e-5)[0]])
+    condition = controls.check_singular_arcs([s], 1e-5, [controls.find_undetermined(s, 1e-5)[0]])
     assert condition.result is ConditionResult.INCONCLUSIVE and condition.sufficient
     assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
     assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
-    none = controls.singular_arcs([], 1e-5, [])
+    none = controls.check_singular_arcs([], 1e-5, [])
     assert none.result is ConditionResult.PASS and none.where == "nowhere" and none.sufficient
 
 
@@ -376,7 +387,7 @@ def test_a_missing_costate_among_zeros_is_none() -> None:
     zero = by_hand.phase(problem, lam=lambda t, k: np.zeros((2, t.size)))
     gone = by_hand.phase(problem, lam=lambda t, k: np.full((2, t.size), np.nan))
     solution = by_hand.solution(problem, zero)
-    ends = ends_of(solution)
+    ends = evaluate_ends(solution)
     samples = {
         name: PhaseSamples.of(leg, by_hand.functions(problem)) for name, leg in (("z", zero), ("g", gone))
     }
@@ -388,19 +399,19 @@ def test_a_missing_costate_among_zeros_is_none() -> None:
 def test_the_first_missing_number_has_its_place() -> None:
     problem = by_hand.cart()
     base = by_hand.phase(problem)
-    assert missing_number(by_hand.solution(problem, base), True).value == 0.0
+    assert find_missing_number(by_hand.solution(problem, base), True).value == 0.0
 
     def hole(t: Array, k: int) -> Array:
         return by_hand.rest(t, k) * (np.nan if k == 1 else 1.0)
 
     gone = by_hand.solution(problem, by_hand.phase(problem, hole))
-    worst = missing_number(gone, False)
+    worst = find_missing_number(gone, False)
     assert worst.value == np.inf and worst.where == "phase leg, segment 2 (0.5 to 1 s), x is not finite"
     dual = by_hand.solution(problem, replace(base, lam_start=np.full_like(base.lam_start, np.nan)))
-    assert missing_number(dual, False).value == 0.0
-    assert missing_number(dual, True).where == "phase leg, lam_start is not finite"
+    assert find_missing_number(dual, False).value == 0.0
+    assert find_missing_number(dual, True).where == "phase leg, lam_start is not finite"
     cost = by_hand.solution(problem, base, objective=float("nan"))
-    assert missing_number(cost, False).where == "objective is not finite"
+    assert find_missing_number(cost, False).where == "objective is not finite"
 
 
 def test_integrals_without_integrands_have_no_span() -> None:
@@ -472,9 +483,11 @@ def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> Non
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(-sign * leg.final_state("x"))
     t = np.linspace(0.0, 1.0, 5)
-    fitted = {"leg": fit(Samples(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x)}
+    fitted = {
+        "leg": fit_trajectory(Samples(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x)
+    }
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
-    found = estimate(transcription, problem, fitted, np.zeros(0))
+    found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     part = transcription.parts["leg"].collocation
     np.testing.assert_allclose(found.lam_x[part.point_controls[0]] / part.quadrature, sign, rtol=1e-6)
     assert found.lam_x[part.boundary_states[0, 0]] == pytest.approx(sign, rel=1e-6)
@@ -499,7 +512,7 @@ def test_given_times_do_not_change_the_cost() -> None:
         problem, lambda t, k: np.array([0.1 * t]), lambda t, k: np.array([0.1 + 0 * t]), lambda t, k: np.array([t]),
         breaks=(0.0, 0.5, 2.0),
     )  # fmt: skip
-    solution = from_problem(by_hand.solution(problem, base))
+    solution = recompute_from_problem(by_hand.solution(problem, base))
     found = Magnitudes.of(solution, list(solution.samples().values()))
     assert found.cost == pytest.approx(6.0)
 
@@ -513,7 +526,7 @@ def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.Monkey
         weights=(1.0,), breaks=(0.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
     )  # fmt: skip
     monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
-    (arc,) = singular.singular_arcs(problem, s, *controls.undetermined(s, 1e-5), 1e-5)
+    (arc,) = singular.analyse_singular_arcs(problem, s, *controls.find_undetermined(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
     assert arc.why == "the switching function has too large a derivative of order 0"
 
@@ -569,4 +582,4 @@ def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) 
                 control_bounds=by_hand.interval(-1.0, 4.0),
             )  # fmt: skip
             bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
-        assert bool(np.all(straight(s))) is told
+        assert bool(np.all(find_flat_controls(s))) is told

@@ -17,15 +17,15 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import bang_bang, double_integrator, energy, moved, scaled, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.active_set import left_free
+from gnc_opt.planning.optimality.active_set import free_control_directions
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE
-from gnc_opt.planning.verification.feasibility import limits
-from gnc_opt.planning.verification.recomputed import from_problem
-from gnc_opt.planning.verification.verify_trajectory import restated_samples
+from gnc_opt.planning.verification.feasibility import check_limits
+from gnc_opt.planning.verification.recomputed import recompute_from_problem
+from gnc_opt.planning.verification.verify_trajectory import reformulate_samples
 
 # Limits are judged by what they allow: a distance, found between the samples, however the constraint is
 # written.
@@ -75,9 +75,9 @@ def flown_by(
         path_bounds=Interval(np.array([limit]), np.array([np.inf])),
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
     )
-    judged = from_problem(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
+    judged = recompute_from_problem(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
     samples = list(judged.samples().values())
-    return limits(judged, samples, Scales.of(judged, samples), CONDITION_TOLERANCE)
+    return check_limits(judged, samples, Scales.of(judged, samples), CONDITION_TOLERANCE)
 
 
 FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {
@@ -263,9 +263,9 @@ def test_order_of_a_state_constraint_is_found(order: int, by_path: bool) -> None
     solution = scaled(scaled(solution, "x", 0.0), "u", 0.0)
     s = PhaseSamples.of(with_pushes(solution, by_path, 1.0).phase(), solution.functions("leg"))
     inside = np.ones((1, s.times.size), dtype=bool)
-    assert all(basis.shape == (1, 0) for basis in left_free(s, inside, np.ones(1)))
+    assert all(basis.shape == (1, 0) for basis in free_control_directions(s, inside, np.ones(1)))
     idle = PhaseSamples.of(with_pushes(solution, by_path, 0.0).phase(), solution.functions("leg"))
-    assert all(basis.shape == (1, 1) for basis in left_free(idle, inside, np.ones(1)))
+    assert all(basis.shape == (1, 1) for basis in free_control_directions(idle, inside, np.ones(1)))
 
 
 def with_pushes(solution: go.Solution, by_path: bool, size: float) -> go.Solution:
@@ -460,7 +460,9 @@ def test_samples_in_other_controls_are_those_that_were_stated(cost: str) -> None
     u = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 9))
     u[:, 4:6] = 0.0
     t = np.linspace(0.0, 1.0, 9)
-    (own,) = restated_samples(problem, twin, {"leg": Samples(t, np.zeros((4, 9)), u)}, np.zeros(0)).values()
+    (own,) = reformulate_samples(
+        problem, twin, {"leg": Samples(t, np.zeros((4, 9)), u)}, np.zeros(0)
+    ).values()
     restatement = twin.phases["leg"].restatement
     assert restatement is not None
     controls = twin.phases["leg"].model.symbols("control")

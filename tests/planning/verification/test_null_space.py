@@ -22,7 +22,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     _extrapolate_richardson,
 )
 from gnc_opt.planning.verification.critical_cone import CriticalCone
-from gnc_opt.planning.verification.reduced_hessian import least_curvature
+from gnc_opt.planning.verification.reduced_hessian import minimise_curvature
 
 Array = NDArray[np.float64]
 RANDOM = np.random.default_rng(5)
@@ -236,7 +236,7 @@ def test_least_curvature_is_an_eigenvalue_of_the_reduced_hessian(metric: Array) 
     hessian = np.diag([4.0, 3.0, 2.0, -4.0, 5.0]) + 0.5
     point = program(jacobian, hessian, -free_box, free_box, np.zeros(5))
     held = np.array([False, False, True, False, False, True])
-    found = least_curvature(point, held)
+    found = minimise_curvature(point, held)
     free = ~held[:5]
     root = 1 / np.sqrt(metric[free])
     scaled = hessian[np.ix_(free, free)] * np.outer(root, root)
@@ -256,19 +256,19 @@ def test_least_curvature_is_an_eigenvalue_of_the_reduced_hessian(metric: Array) 
 def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) -> None:
     jacobian, wide = np.array([[1.0, 2.0, 0.0, -1.0, 3.0]]), np.full(5, 9.0)
     point = program(jacobian, np.diag(metric * [3.0, 5.0, 2.0, 7.0, 1.0]), -wide, wide, np.zeros(5))
-    loose = least_curvature(point, np.array([False] * 5 + [False]))
+    loose = minimise_curvature(point, np.array([False] * 5 + [False]))
     assert loose.value == pytest.approx(1.0 / 3.0, rel=1e-4)  # the rows are 1, 2, 3, 5 and 7
     assert np.argmax(np.abs(loose.direction)) == 4
     point.rounding = 6.0  # rows of less than that are none
-    assert least_curvature(point, np.array([False] * 6)).value == pytest.approx(1.0 / 6.0, rel=1e-4)
+    assert minimise_curvature(point, np.array([False] * 6)).value == pytest.approx(1.0 / 6.0, rel=1e-4)
     point.rounding = 0.0
     assert loose.upwards and loose.gain < 0
-    assert np.isnan(least_curvature(point, np.array([True] * 5 + [False])).value)
-    one = least_curvature(
+    assert np.isnan(minimise_curvature(point, np.array([True] * 5 + [False])).value)
+    one = minimise_curvature(
         point, np.array([True, True, False, True, True, True])
     )  # the row says nothing of z2
     assert one.value == pytest.approx(1.0)
-    assert np.isnan(least_curvature(point, np.array([False, True, True, True, True, True])).value)
+    assert np.isnan(minimise_curvature(point, np.array([False, True, True, True, True, True])).value)
 
 
 @pytest.mark.parametrize(("amount", "told"), [(4.9e4, True), (5.1e4, False)])
@@ -279,7 +279,7 @@ def test_a_step_that_gains_only_rounding_is_not_told_to_curve_downwards(
     wide = np.full(5, 9.0)
     point = program(np.ones((1, 5)), np.diag(metric * [3.0, 5.0, 2.0, -1.0, 1.0]), -wide, wide, np.zeros(5))
     point.rounding = 1e-4 * amount
-    found = least_curvature(point, np.zeros(6, dtype=bool))
+    found = minimise_curvature(point, np.zeros(6, dtype=bool))
     assert found.gain == pytest.approx(0.005 / 0.25, rel=1e-6)
     assert found.value == pytest.approx(-1 / point.rounding, rel=1e-4)
     assert found.downwards(1e-4) is told

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
-from testing.internals import Interval, Samples, StateConstraintSides, estimate, fit, transcribe
+from testing.internals import (
+    Interval,
+    Samples,
+    StateConstraintSides,
+    estimate_multipliers,
+    fit_trajectory,
+    transcribe,
+)
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -83,9 +90,9 @@ def test_multipliers_that_explain_a_trajectory(unit: float, off: float, pushes_b
     problem, t = cart(unit), np.linspace(0.0, 1.0, 7)
     way = 1 + off
     samples = Samples(t, way * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), way * (6 - 12 * t)[None])
-    fitted = {"leg": fit(samples, lambda t, x, u: np.array([x[1], u[0]]))}
+    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
-    found = estimate(transcription, problem, fitted, np.zeros(0))
+    found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     (nu,) = found.lam_g[transcription.constraint_rows]
     # Where it does not push, nothing holds the end, and least squares leave what they cannot explain.
     assert nu == (pytest.approx(12 * way / unit, rel=1e-6) if pushes_back else 0.0)
@@ -106,9 +113,9 @@ def test_the_side_of_a_limit_is_that_on_which_the_trajectory_is() -> None:
     problem, t = cart(1.0), np.linspace(0.0, 1.0, 7)
     # 1 % farther than asked for: nothing is active, and the end's costate of q has no explanation.
     samples = Samples(t, 1.01 * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), 1.01 * (6 - 12 * t)[None])
-    fitted = {"leg": fit(samples, lambda t, x, u: np.array([x[1], u[0]]))}
+    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
-    found = estimate(transcription, problem, fitted, np.zeros(0))
+    found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     assert found.lam_g[transcription.constraint_rows] == [0.0]
 
 
@@ -123,10 +130,10 @@ def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:
     leg.final(q=1.0, v=0.0)
     other.minimize(0.5 * leg.integral(model.symbol("a") ** 2) + (k - 2) ** 2)
     samples = Samples(t, np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), (6 - 12 * t)[None])
-    fitted = {"leg": fit(samples, lambda t, x, u: np.array([x[1], u[0]]))}
+    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(other, {"leg": fitted["leg"].mesh}, "LG")
-    found = estimate(transcription, other, fitted, np.array([2.5]))
+    found = estimate_multipliers(transcription, other, fitted, np.array([2.5]))
     assert found.lam_x[transcription.parameter_places] == [0.0]
     assert found.x[transcription.parameter_places] == [2.5]
-    held = estimate(transcription, other, fitted, np.array([5.0]))
+    held = estimate_multipliers(transcription, other, fitted, np.array([5.0]))
     assert held.lam_x[transcription.parameter_places] == pytest.approx([-6.0])

@@ -21,13 +21,13 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import added, double_integrator, failed, free_time, scaled, shifted, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.kkt import DENSE, factorised
+from gnc_opt.planning.optimality.kkt import DENSE, factorise_symmetric
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import Samples
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.recomputed import from_problem
+from gnc_opt.planning.verification.recomputed import recompute_from_problem
 from gnc_opt.planning.verification.verify_trajectory import _build_solution
 
 # Reference magnitudes do not depend on how a problem is written.
@@ -161,7 +161,7 @@ def measured(
         frame.cost[0] * leg.integral(system.integrand(split, applied) / frame.time) + frame.cost[1]
     )
     given = Samples(frame.time * TIMES, moved, frame.control[0] * u + frame.control[1])
-    solution = from_problem(_build_solution(problem, {"leg": given}, np.zeros(0)))
+    solution = recompute_from_problem(_build_solution(problem, {"leg": given}, np.zeros(0)))
     leg_solution = solution.phases["leg"]
     values = [
         frame.cost[0] * inverse.T @ costates((0.5 * (a + b) + 0.5 * (b - a) * nodes) / frame.time, n)
@@ -558,7 +558,7 @@ def restated(units: Units) -> go.Solution:
         duration_multiplier=leg.duration_multiplier * cost / time,
         integrals=leg.integrals * cost,
     )
-    return from_problem(
+    return recompute_from_problem(
         replace(
             solution,
             problem=problem,
@@ -798,7 +798,9 @@ def saddle(dense: int, order: np.ndarray) -> scipy.sparse.csc_array:
 def test_solutions_are_those_of_the_matrix_itself(dense: int) -> None:
     order = np.random.default_rng(4).permutation(N + dense)
     matrix, right = saddle(dense, order), np.random.default_rng(5).standard_normal(N + dense)
-    np.testing.assert_allclose(factorised(matrix)(right), np.linalg.solve(matrix.toarray(), right), rtol=1e-7)
+    np.testing.assert_allclose(
+        factorise_symmetric(matrix)(right), np.linalg.solve(matrix.toarray(), right), rtol=1e-7
+    )
 
 
 def test_no_row_of_the_stretched_matrix_is_dense(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -813,7 +815,7 @@ def test_no_row_of_the_stretched_matrix_is_dense(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(scipy.sparse.linalg, "splu", noted)
     matrix = saddle(2, np.arange(N + 2))
     assert np.max(np.diff(matrix.indptr)) > N
-    factorised(matrix)
+    factorise_symmetric(matrix)
     (stretched,) = seen
     assert np.max(np.diff(stretched.indptr)) < DENSE
     assert abs(stretched - stretched.T).max() == 0.0
@@ -833,7 +835,7 @@ def test_free_parameters_alone_have_a_cost_scale(unit: float) -> None:
     leg.final(q=unit)
     problem.constrain("impulse", leg.initial_state("v") / unit - speed, equals=0.0)
     problem.minimize(1e6 * speed**2)
-    solution = from_problem(go.solve(problem, mesh="3x4", tol=None))
+    solution = recompute_from_problem(go.solve(problem, mesh="3x4", tol=None))
     scales = Scales.of(solution, list(solution.samples().values()))
     assert 0.5e6 <= scales.cost <= 2e6
 

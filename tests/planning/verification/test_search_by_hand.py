@@ -14,7 +14,13 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
-from gnc_opt.planning.verification.hamiltonian_minimum import POINTS, _Search, coupled_gains, lattice, limits
+from gnc_opt.planning.verification.hamiltonian_minimum import (
+    POINTS,
+    _Search,
+    coupled_gains,
+    low_discrepancy_points,
+    search_bounds,
+)
 from gnc_opt.tolerances import EQUAL
 
 Array = NDArray[np.float64]
@@ -61,7 +67,7 @@ def hamiltonian(u: Any, w: Any, t: Any) -> Any:
 def test_limits_of_controls_and_well_beyond_what_occurs() -> None:
     """Twice the largest value, or the scale of one that is unbounded."""
     s = flown(coupled(bowl), u=-7.0, control_bounds=by_hand.interval([-np.inf, -1.0], [np.inf, np.inf]))
-    lower, upper = limits(s)
+    lower, upper = search_bounds(s)
     np.testing.assert_allclose(lower, [-14.0, -1.0])
     np.testing.assert_allclose(upper, [14.0, 2.0])
 
@@ -69,7 +75,7 @@ def test_limits_of_controls_and_well_beyond_what_occurs() -> None:
 @pytest.mark.parametrize("dimensions", [1, 2, 3])
 def test_lattice_is_of_powers_of_the_root(dimensions: int) -> None:
     """x^(d + 1) = x + 1; stretches of it fill the cube evenly."""
-    points = lattice(200, dimensions)
+    points = low_discrepancy_points(200, dimensions)
     assert points.shape == (dimensions, 200) and np.all((points >= 0) & (points < 1))
     root = max(np.roots([1.0, *np.zeros(dimensions - 1), -1.0, -1.0]).real)
     shares = root ** -(1.0 + np.arange(dimensions))

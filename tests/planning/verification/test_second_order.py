@@ -18,8 +18,11 @@ from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknow
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.bang_bang_second_order import second_order, strict_switches
-from gnc_opt.planning.verification.recomputed import ends_of, from_problem
+from gnc_opt.planning.verification.bang_bang_second_order import (
+    check_bang_bang_second_order,
+    check_strict_switches,
+)
+from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -61,13 +64,13 @@ def test_verdict_includes_second_order(refined: go.Solution) -> None:
 
 def induced_problem(solution: go.Solution, refinement: int = 4) -> InducedProblem:
     """The induced problem of a solution with one phase and no simultaneous switches."""
-    solution = from_problem(solution)
+    solution = recompute_from_problem(solution)
     samples = list(solution.samples().values())
     name = samples[0].leg.name
     switches = {name: Switches.of(samples[0])}
     pieces = {name: switches[name].pieces(next(switches[name].orders()))}
     unknowns = Unknowns.of(solution, samples, switches)
-    return InducedProblem.of(solution, samples, ends_of(solution), unknowns, pieces, refinement)
+    return InducedProblem.of(solution, samples, evaluate_ends(solution), unknowns, pieces, refinement)
 
 
 def test_induced_jacobian_is_that_of_the_flow_in_closed_form(refined: go.Solution) -> None:
@@ -164,10 +167,10 @@ def test_a_slope_that_is_no_number_is_not_strict(
     refined: go.Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     samples = PhaseSamples.of(refined.phase(), refined.functions("leg"))
-    assert strict_switches([samples]).result is ConditionResult.PASS
+    assert check_strict_switches([samples]).result is ConditionResult.PASS
     unknown = lambda self, t, x, u, lam, mu: np.full(np.shape(u), np.nan)  # noqa: E731
     monkeypatch.setattr(PhaseFunctions, "control_gradient", unknown)
-    assert strict_switches([samples]).result is ConditionResult.FAIL
+    assert check_strict_switches([samples]).result is ConditionResult.FAIL
 
 
 def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None:
@@ -189,8 +192,8 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
 
 
 def of_switch_times(solution: go.Solution) -> go.Condition:
-    judged = from_problem(solution)
-    return second_order(judged, list(judged.samples().values()), ends_of(judged))
+    judged = recompute_from_problem(solution)
+    return check_bang_bang_second_order(judged, list(judged.samples().values()), evaluate_ends(judged))
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from testing import constructed_solutions as by_hand
-from testing.internals import PhaseSamples, obstacle, strict_switches
+from testing.internals import PhaseSamples, check_strict_switches, why_not_applicable
 from testing.models import dynamics, one_phase
 from testing.second_order import of_samples, second_order_of
 from testing.wrong_solutions import singular_problem
@@ -20,17 +20,27 @@ from testing.wrong_solutions import singular_problem
 import gnc_opt as go
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning import ArcKind, ConditionResult
-from gnc_opt.planning.optimality.bang_bang_flow import ORDER, BangBangFlow, PiecewiseControl, bang_bang_flow
-from gnc_opt.planning.optimality.cost_scale import least_for_long, without_switches
+from gnc_opt.planning.optimality.bang_bang_flow import (
+    ORDER,
+    BangBangFlow,
+    PiecewiseControl,
+    integrate_bang_bang,
+)
+from gnc_opt.planning.optimality.cost_scale import exclude_switches, lasting_minimum_index
 from gnc_opt.planning.optimality.switches import GRAZES, Switches, _merge_equal_times
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
-from gnc_opt.planning.verification.goh import CUTS, SINGULAR_SEGMENT_MIN_POINTS, cut, singular_segments
+from gnc_opt.planning.verification.goh import (
+    CUTS,
+    SINGULAR_SEGMENT_MIN_POINTS,
+    narrow_arc_ends,
+    singular_segments,
+)
 from gnc_opt.planning.verification.reduced_hessian import (
     _enrich_mesh,
     _find_jumping_control,
     _has_partly_singular_segment,
 )
-from gnc_opt.planning.verification.singular_arcs import chatters
+from gnc_opt.planning.verification.singular_arcs import is_chattering
 from gnc_opt.planning.verification.verify_trajectory import _find_bound_arcs
 from problems import rendezvous
 
@@ -107,7 +117,7 @@ def test_least_slope_on_either_side_of_a_switch(
     """Over 2 s and the range 2 of u, in shares of H."""
     before, between, after = slopes
     s = flight((line(before, 0.8), arch(between), line(-after, 1.4)), FALLS)
-    condition = strict_switches([s])
+    condition = check_strict_switches([s])
     assert condition.result is ConditionResult.PASS and condition.sufficient
     assert condition.value == pytest.approx(-least * 2.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.tolerance == -GRAZES
@@ -117,7 +127,7 @@ def test_least_slope_on_either_side_of_a_switch(
 def test_slope_of_the_wrong_sign() -> None:
     """All are; that of w over its range of 5 is the steepest."""
     s = flight((line(-5.0, 0.8), arch(-10.0), line(2.0, 1.4)), (line(7.0, 1.4),) * 3)
-    condition = strict_switches([s])
+    condition = check_strict_switches([s])
     assert condition.result is ConditionResult.FAIL
     assert condition.value == pytest.approx(7.0 * 5.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.where == "phase leg, t = 1.4 s, w"
@@ -128,14 +138,14 @@ def test_the_worst_of_several_phases_counts() -> None:
     good = flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), FALLS)
     bad = flight((line(-5.0, 0.8), arch(-10.0), line(2.0, 1.4)), FALLS)
     for pair in ([good, bad], [bad, good]):
-        assert strict_switches(pair).result is ConditionResult.FAIL
-    assert strict_switches([good, good]).result is ConditionResult.PASS
+        assert check_strict_switches(pair).result is ConditionResult.FAIL
+    assert check_strict_switches([good, good]).result is ConditionResult.PASS
 
 
 def test_a_slope_of_zero_is_not_told() -> None:
     """A cubic zero has the right sign on both sides, and no slope."""
     flat = flight((lambda t: 5 * (t - 0.8) ** 3, arch(10.0), line(-5.0, 1.4)), FALLS)
-    condition = strict_switches([flat])
+    condition = check_strict_switches([flat])
     assert condition.result is ConditionResult.INCONCLUSIVE and condition.where == "phase leg, t = 0.8 s, u"
 
 
@@ -147,7 +157,7 @@ def test_a_slope_of_the_wrong_sign_that_is_worth_nothing_is_not_told(
 ) -> None:
     """The first one makes 2e-6 of H per phase and 8e-7 of H up to the switch: zero within the errors of costates."""
     s = flight((line(-slope, 0.8), arch(-slope), line(-5.0, 1.4)), FALLS)
-    condition = strict_switches([s])
+    condition = check_strict_switches([s])
     assert condition.result is result
     assert condition.value == pytest.approx(slope * 2.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.where.startswith("phase leg, t = 0.8 s, u")
@@ -159,7 +169,7 @@ def touching(t: Any) -> Any:
 
 def test_zero_that_is_touched_between_switches() -> None:
     s = flight((line(5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)
-    condition = strict_switches([s])
+    condition = check_strict_switches([s])
     assert (condition.result, condition.value, condition.tolerance) == (
         ConditionResult.INCONCLUSIVE,
         0.0,
@@ -170,7 +180,7 @@ def test_zero_that_is_touched_between_switches() -> None:
     )
     # A slope of the wrong sign weighs more.
     assert (
-        strict_switches([flight((line(-5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)]).result
+        check_strict_switches([flight((line(-5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)]).result
         is ConditionResult.FAIL
     )
 
@@ -179,9 +189,9 @@ def test_zero_that_is_touched_between_switches() -> None:
 def test_slopes_and_touches_do_not_depend_on_units(second: float, cost: float) -> None:
     units = {"second": second, "cost": cost}
     touch, slopes = (line(5.0, 0.8), touching, line(-5.0, 1.4)), (line(5.0, 0.8), arch(10.0), line(-2.0, 1.4))
-    assert strict_switches([flight(touch, FALLS, **units)]).result is ConditionResult.INCONCLUSIVE
-    assert strict_switches([flight(slopes, FALLS, **units)]).value == pytest.approx(
-        strict_switches([flight(slopes, FALLS)]).value, rel=1e-6
+    assert check_strict_switches([flight(touch, FALLS, **units)]).result is ConditionResult.INCONCLUSIVE
+    assert check_strict_switches([flight(slopes, FALLS, **units)]).value == pytest.approx(
+        check_strict_switches([flight(slopes, FALLS)]).value, rel=1e-6
     )
 
 
@@ -197,14 +207,14 @@ def test_a_zero_right_beside_its_own_switch_is_judged_by_its_slope() -> None:
         weights=(), breaks=ends, control_bounds=s.leg.control_bounds,
     )  # fmt: skip
     assert np.min(np.diff(beside.times[beside.segments == 1])) < 1e-4 * 2.0
-    assert "touches" not in strict_switches([beside]).where
+    assert "touches" not in check_strict_switches([beside]).where
 
 
 def test_zero_that_is_touched_where_another_control_switches() -> None:
     """u stays at -1 while w switches at 1.4 s."""
     once = ((1.0, -1.0, -1.0), (-2.0, -2.0, 3.0))
     touch = (line(5.0, 0.8), lambda t: 5 * (t - 0.8) * (1.4 - t) ** 2, lambda t: 5 * (t - 1.4) ** 2)
-    condition = strict_switches([flight(touch, FALLS, once)])
+    condition = check_strict_switches([flight(touch, FALLS, once)])
     assert condition.result is ConditionResult.INCONCLUSIVE
     assert condition.where == "phase leg, t = 1.4 s, u: touches zero between switches"
 
@@ -212,8 +222,8 @@ def test_zero_that_is_touched_where_another_control_switches() -> None:
 def test_touched_without_any_switch() -> None:
     still = ((-1.0,) * 3, (-2.0,) * 3)
     away, touch = (lambda t: 1.0 + 0 * t,) * 3, (lambda t: (t - 1.1) ** 2,) * 3
-    assert strict_switches([flight(touch, away, still)]).result is ConditionResult.INCONCLUSIVE
-    condition = strict_switches([flight(away, away, still)])
+    assert check_strict_switches([flight(touch, away, still)]).result is ConditionResult.INCONCLUSIVE
+    condition = check_strict_switches([flight(away, away, still)])
     assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
     assert condition.where == "no switch" and condition.sufficient
 
@@ -221,10 +231,12 @@ def test_touched_without_any_switch() -> None:
 def test_what_touches_zero_matters_only_for_a_control_with_a_range_and_on_it() -> None:
     """v has no range and a switching function of zero; u is between its bounds in a segment."""
     crossing = (line(5.0, 0.8), arch(10.0), line(-5.0, 1.4))
-    assert strict_switches([flight(crossing, FALLS, upper=0.0, level=0.0)]).result is ConditionResult.PASS
+    assert (
+        check_strict_switches([flight(crossing, FALLS, upper=0.0, level=0.0)]).result is ConditionResult.PASS
+    )
     between = ((1.0, 0.5, 1.0), (-2.0, -2.0, 3.0))
     away = (lambda t: t, lambda t: (t - 1.1) ** 2, lambda t: t)
-    assert strict_switches([flight(away, FALLS, between)]).result is ConditionResult.PASS
+    assert check_strict_switches([flight(away, FALLS, between)]).result is ConditionResult.PASS
 
 
 def test_switches_and_those_that_may_come_in_from_the_ends() -> None:
@@ -333,12 +345,12 @@ def test_arcs_of_a_trajectory_between_its_jumps() -> None:
 
 def test_obstacles_are_told_by_their_phase() -> None:
     s = flight(STRAIGHT, FALLS)
-    assert obstacle([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
+    assert why_not_applicable([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
     between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
-    assert obstacle([s, between]) == "phase leg, t = 0.8 s, u: a control between its bounds"
+    assert why_not_applicable([s, between]) == "phase leg, t = 0.8 s, u: a control between its bounds"
     assert not is_bang_bang([s, between])
     short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
-    assert obstacle([PhaseSamples.of(short, s.functions)]) == "phase leg has no length"
+    assert why_not_applicable([PhaseSamples.of(short, s.functions)]) == "phase leg has no length"
 
 
 # First and second derivatives of bang-bang flows in switch times and start values.
@@ -369,7 +381,7 @@ class Case:
     def flow(self, refinement: int = 4) -> BangBangFlow:
         assert self.solution.problem is not None
         pieces = PiecewiseControl(self.times, self.controls, np.arange(self.times.size))
-        return bang_bang_flow(self.solution.problem, self.samples, pieces, self.free_start, refinement)
+        return integrate_bang_bang(self.solution.problem, self.samples, pieces, self.free_start, refinement)
 
     def flown_end(self, unknowns: Array) -> Array:
         """States, integrals and time at the end by DOP853."""
@@ -529,7 +541,7 @@ def test_an_order_beyond_those_looked_for_is_not_told() -> None:
 def test_arcs_of_second_order_are_met_by_chattering(order: int, told: bool) -> None:
     problem = chain(order, 1.0)
     samples = go.solve(problem, mesh="3x3", tol=None).samples()["leg"]
-    assert chatters(problem, samples, 0) is told
+    assert is_chattering(problem, samples, 0) is told
 
 
 def plane(gyration: float, weights: tuple[float, float] = (1.0, 1.0)) -> go.Problem:
@@ -694,8 +706,8 @@ def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() ->
 def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
     times = np.linspace(0.0, 1.0, 100001)
     inside = np.array([(times > 0.3) & (times < 0.30005), (times > 0.3) & (times < 0.301)])
-    assert not np.any(without_switches(times, inside)[0])
-    np.testing.assert_array_equal(without_switches(times, inside)[1], inside[1])
+    assert not np.any(exclude_switches(times, inside)[0])
+    np.testing.assert_array_equal(exclude_switches(times, inside)[1], inside[1])
 
 
 def test_a_dip_counts_if_it_lasts() -> None:
@@ -704,13 +716,13 @@ def test_a_dip_counts_if_it_lasts() -> None:
     values[(times > 0.3) & (times < 0.30005)] = -2.0
     lasting = np.abs(times - 0.7) < 1e-3
     values[lasting] = -1.0 + 100.0 * np.abs(times[lasting] - 0.7)
-    k = least_for_long(times, values)
+    k = lasting_minimum_index(times, values)
     # Half of 1e-4 to either side of the trough it has risen by 0.005.
     assert values[k] == pytest.approx(-0.995, abs=1e-3) and times[k] == pytest.approx(0.7, abs=1e-4)
     coarse = np.linspace(0.0, 1.0, 11)
-    assert least_for_long(coarse, np.cos(2 * np.pi * coarse)) == 5
-    assert times[least_for_long(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
-    assert times[least_for_long(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
+    assert lasting_minimum_index(coarse, np.cos(2 * np.pi * coarse)) == 5
+    assert times[lasting_minimum_index(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
+    assert times[lasting_minimum_index(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
 
 
 # Second order along singular arcs: conjugate times, ends and alternating controls in closed form.
@@ -871,19 +883,22 @@ def test_a_control_that_a_state_limit_determines_is_not_singular(
 
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     mesh = go.Mesh((0.0, 0.2, 0.5, 1.0), (3, 8, 4), (1, 2))
-    finer = cut(mesh, np.array([False, True, False]))
+    finer = narrow_arc_ends(mesh, np.array([False, True, False]))
     first, last = CUTS
     n = len(first + last) + 1
     assert finer.degrees == (3, *[8] * n, 4) and finer.movable == (1, 1 + n)
     np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(first + last)), 0.5])
-    assert cut(mesh, np.array([True, False, False])).degrees[:n] == (SINGULAR_SEGMENT_MIN_POINTS,) * n
+    assert (
+        narrow_arc_ends(mesh, np.array([True, False, False])).degrees[:n]
+        == (SINGULAR_SEGMENT_MIN_POINTS,) * n
+    )
     # an arc of several segments is narrow at its ends, not wherever the mesh has a boundary
-    arc = cut(mesh, np.array([False, True, True]))
+    arc = narrow_arc_ends(mesh, np.array([False, True, True]))
     np.testing.assert_allclose(
         arc.breaks, [0.0, 0.2, *(0.2 + 0.3 * np.array(first)), 0.5, *(0.5 + 0.5 * np.array(last)), 1.0]
     )
     assert arc.degrees == (3, 8, 8, 8, *[SINGULAR_SEGMENT_MIN_POINTS] * 3) and arc.movable == (1, 4)
-    assert cut(mesh, np.zeros(3, dtype=bool)) == mesh
+    assert narrow_arc_ends(mesh, np.zeros(3, dtype=bool)) == mesh
 
 
 def test_an_end_that_curves_downwards_fails_where_nothing_else_curves() -> None:

@@ -7,7 +7,7 @@ import pytest
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.verification.switching_times import jumps_of
+from gnc_opt.planning.verification.switching_times import find_jumps
 
 HEIGHT = 0.25
 """Upper limit of q, below 1/3: the arc of least effort follows it from t = 3 HEIGHT on (Bryson and Denham, 1963)."""
@@ -112,5 +112,5 @@ def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap
         legs.append(leg)
     problem.maximize(legs[0].final_state("x") - legs[1].final_state("x"))
     solution = go.solve(problem, mesh="2x3", tol=None)
-    jumps = jumps_of(list(solution.samples().values()))
+    jumps = find_jumps(list(solution.samples().values()))
     assert [jump.beyond for jump in jumps] == ["second"] * count

@@ -35,11 +35,11 @@ from testing.wrong_solutions import (
 )
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.costate_jumps import jumps_explained
+from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.propagation import propagate
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.control_conditions import singular_arcs, undetermined
+from gnc_opt.planning.verification.control_conditions import check_singular_arcs, find_undetermined
 
 SMALL = 1e-3
 
@@ -186,7 +186,7 @@ def test_jump_of_the_wrong_sign_or_at_a_limit_that_is_not_active_is_not_explaine
     right = ceiling("LGR", path=path)
     leg, s = right.phase(), samples_of(right)
     assert (
-        np.max(np.abs(jumps_explained(s)[0])) < 1e-4
+        np.max(np.abs(explain_costate_jumps(s)[0])) < 1e-4
     )  # 1e-11 in shares of the cost would be too much to ask
     box = leg.path_bounds if path else leg.state_bounds
     reversed_sign = Interval(
@@ -195,7 +195,7 @@ def test_jump_of_the_wrong_sign_or_at_a_limit_that_is_not_active_is_not_explaine
     absent = shifted(box, 0.01)
     for wrong in (reversed_sign, absent):
         changed = with_leg(right, **{"path_bounds" if path else "state_bounds": wrong})
-        rest = jumps_explained(samples_of(changed))[0]
+        rest = explain_costate_jumps(samples_of(changed))[0]
         assert rest[0] == pytest.approx([200 / 9, 200 / 9], rel=1e-4)
         assert go.verify(changed)["stationarity"].result is go.ConditionResult.FAIL
 
@@ -443,15 +443,15 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     problem.minimize(leg.integral(x**2 + w**2))
     solution = go.solve(problem, mesh=go.Mesh((0.0, 0.25, 0.5, 0.75, 1.0), (4,) * 4), tol=None)
     samples = list(solution.samples().values())
-    singular = [undetermined(samples[0], 1e-4)[0]]
-    condition = singular_arcs(samples, 1e-4, singular)  # H alone determines nothing there
+    singular = [find_undetermined(samples[0], 1e-4)[0]]
+    condition = check_singular_arcs(samples, 1e-4, singular)  # H alone determines nothing there
     assert condition.result is go.ConditionResult.INCONCLUSIVE
     assert condition.value == pytest.approx(0.75, abs=0.03)
     assert ", u, " in condition.where
     told = np.ones((2, samples[0].times.size), dtype=bool)
-    assert singular_arcs(samples, 1e-4, singular, [told]).result is go.ConditionResult.PASS
+    assert check_singular_arcs(samples, 1e-4, singular, [told]).result is go.ConditionResult.PASS
     told[1, samples[0].times > 1.0] = False
-    assert singular_arcs(samples, 1e-4, singular, [told]).value == pytest.approx(0.5, abs=1e-6)
+    assert check_singular_arcs(samples, 1e-4, singular, [told]).value == pytest.approx(0.5, abs=1e-6)
     assert go.verify(solution, tol=1e-4)["second order"].result is go.ConditionResult.PASS
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.nlp.options import last_barrier
+from gnc_opt.planning.nlp.options import final_barrier_parameter
 from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, converges_too_slowly, pass_meter, pass_record
 from gnc_opt.planning.refinement.mesh.remesh import Past, Remesh, known_segments
@@ -258,7 +258,7 @@ class _Refinement:
                 options, tolerance=max(options.tolerance, SOLVER_SHARE * STAGE_ERROR_SHARE * left)
             )
         if options.mu_init is None:
-            last = last_barrier(options.tolerance)
+            last = final_barrier_parameter(options.tolerance)
             options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_BARRIER * left, last))
         return options
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, bang_bang_flow
+from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.switching.flight import SwitchFlight
@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import worst_bound_violation, worst_path_violation
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
-from gnc_opt.planning.verification.recomputed import ends_of
+from gnc_opt.planning.verification.recomputed import evaluate_ends
 
 LIMIT_EXCEEDED_TOLERANCE = 1e-7
 """By how much a limit may be exceeded, in shares of what is limited."""
@@ -62,7 +62,7 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
     times = np.concatenate([*within, breaks[-1:]])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.times))))  # as fine as the flight
-    flow = bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
+    flow = integrate_bang_bang(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
     worth = final_gradient(problem, s, flow, flight.step.multipliers)
     x, lam = flow.states[:n, ::parts], flow.adjoints(worth)[:n, ::parts]
     at = np.concatenate(
@@ -138,7 +138,7 @@ def keeps_limits(flown: Solution, state_scale: Array) -> bool:
 def completed(flown: Solution) -> Solution:
     """Return the flight with its cost, and the multipliers of limits that follow from its costates."""
     (leg,) = flown.phases.values()
-    ends, functions = ends_of(flown), flown.functions(leg.name)
+    ends, functions = evaluate_ends(flown), flown.functions(leg.name)
     at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
     x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
     u = np.stack([leg.flown(at[0]), leg.flown(at[1], "left")], axis=1)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, bang_bang_flow
+from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import end_derivatives
 from gnc_opt.planning.problem.functions import end_values
@@ -144,7 +144,7 @@ def _flown(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
-    return bang_bang_flow(problem, s, switches.pieces(switches.order), nothing, refinement, steps)
+    return integrate_bang_bang(problem, s, switches.pieces(switches.order), nothing, refinement, steps)
 
 
 @dataclass(frozen=True, eq=False)

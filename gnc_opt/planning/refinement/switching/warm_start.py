@@ -17,7 +17,7 @@ from gnc_opt.planning.refinement.switching.step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.tail import rest_of
-from gnc_opt.planning.verification.recomputed import from_problem
+from gnc_opt.planning.verification.recomputed import recompute_from_problem
 
 FLOW_COST_ACCURACY = 1e-9
 """Of the cost, relative to its size."""
@@ -60,7 +60,7 @@ class KnownFlight:
         (leg,) = start.phases.values()
         left = self.structure.after(leg.initial_time)
         step = self.step if left.pieces == self.structure.pieces else None
-        begun = _with_moved_start(from_problem(replace(start, problem=problem.frozen())))
+        begun = _with_moved_start(recompute_from_problem(replace(start, problem=problem.frozen())))
         found = None if begun is None else settle_flow(begun, left, FLOW_COST_ACCURACY, step)
         if begun is None or found is None:
             return None
