@@ -62,14 +62,14 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.verification.engine")
-    real, calls = module._checked, []
+    real, calls = module._check_solution, []
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
         calls.append(tol)
         verdict: Verdict = real(solution, tol)
         return verdict
 
-    monkeypatch.setattr(module, "_checked", judge)
+    monkeypatch.setattr(module, "_check_solution", judge)
     return calls
 
 
@@ -95,7 +95,7 @@ def test_a_verdict_that_fails_is_no_convergence(
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.verification.engine")
-    real = module._checked
+    real = module._check_solution
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
         open_one = Condition(
@@ -104,7 +104,7 @@ def test_a_verdict_that_fails_is_no_convergence(
         verdict: Verdict = real(solution, tol)
         return replace(verdict, conditions=(open_one, *verdict.conditions))
 
-    monkeypatch.setattr(module, "_checked", judge)
+    monkeypatch.setattr(module, "_check_solution", judge)
     refined = go.refine(cart, tol=1e-5, structure=structure)
     history = told(refined)
     assert history.status is RefinementStatus.CONDITIONS_FAIL and not refined.converged

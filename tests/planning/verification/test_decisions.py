@@ -132,7 +132,7 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     solution: Any = SimpleNamespace(structure=())
     samples: Any = [False, True]
     monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s)
-    monkeypatch.setattr(reduced_hessian, "open_end", lambda cone, s: ("", np.inf))
+    monkeypatch.setattr(reduced_hessian, "find_gaining_end_control", lambda cone, s: ("", np.inf))
     assert reduced_hessian.check_reduced_hessian(solution, samples, cone).result is UNTOLD
     assert reduced_hessian.check_reduced_hessian(solution, samples[:1], cone).result is FAIL
 
