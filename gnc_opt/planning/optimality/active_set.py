@@ -66,8 +66,8 @@ def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Ar
 def undetermined_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
     """Return which free controls have something left that H does not curve in (m, n_samples), and where all is left.
 
-    Arguments as `free_control_directions`; curvature of H that is at most ``flat`` is none. Without active constraints the
-    curvature is not evaluated.
+    Arguments as `free_control_directions`; curvature of H that is at most ``flat`` is none. Without active constraints
+    the curvature is not evaluated.
     """
     if not _constraint_control_gradients(s).size:
         return free, np.ones(s.times.size, dtype=bool)
