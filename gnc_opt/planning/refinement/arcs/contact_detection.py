@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import SMALL
 
 CONTACT_MIN_COST_SHARE = 1e-5
-"""A push counts that is worth this share of the cost, and a `SMALL` one of the largest push of its constraint."""
+"""A multiplier counts from this share of the cost, and from a `SMALL` share of the largest one of its constraint."""
 
 CONTACT_MERGE_SEGMENTS = 2.0
 """Closer than so many segments, an arc begins or ends where a control that holds it switches."""
