@@ -13,8 +13,8 @@ singular values relative to the largest, sums whose terms cancel, eigenvalues at
 """
 
 NEGLIGIBLE, SMALL, NOTABLE = 1e-6, 1e-3, 1e-2
-"""Levels of significance of a share of something: an effect below the first one does not count, one below the second
-is that of a mesh, one above the third shows in results.
+"""Levels of a dimensionless effect: below the first it is ignored, below the second an error of the mesh may cause it,
+above the third it changes the result.
 """
 
 AT_LIMIT = 1e-6

@@ -184,7 +184,7 @@ class _Task:
         return replace(self, options=replace(self.options, max_iterations=fewer))
 
     def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
-        """Solve from one guess; what an earlier try took counts, and is gone of the limit on wall time."""
+        """Solve from one guess; the effort and the wall time of an earlier try (after) count."""
         attempt = Attempt.prepare(
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
         )
@@ -217,12 +217,13 @@ class FeasibilityStart:
 
 @dataclass(eq=False)
 class _Tries:
-    """Solves of one program, until one is solved, with the effort of all."""
+    """Solves of one program, until one is solved: all that was ``spent``, and those of the ``whole``, cost included."""
 
     attempt: Attempt
     allowance: _Allowance
     deadline: float
     spent: list[NlpResult] = field(default_factory=list)
+    whole: list[NlpResult] = field(default_factory=list)
 
     def run(self, point: NlpPoint, *, search: bool) -> None:
         """Solve from a point, then by other numerics; where it is no trajectory (search), from other points."""
@@ -249,13 +250,18 @@ class _Tries:
             self._solve(point)
 
     def result(self) -> NlpResult:
-        """Return the solution; without one the first ending that says why, or else the first failure."""
+        """Return the solution; without one the first ending that says why, or else the first failure.
+
+        Constraints that are not met from one point say nothing of the problem.
+        """
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
             return (last if last.status.solved else first).with_effort(self.spent)
-        told = [r for r in self.spent if not r.status.solved and r.status not in UNEXPLAINED]
-        otherwise = last if first.status is Status.ITERATION_LIMIT else first
-        return (told[0] if told else otherwise).with_effort(self.spent)
+        explained = [r for r in self.whole if r.status not in UNEXPLAINED]
+        otherwise = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
+        if last.status is Status.INTERRUPTED and not explained:
+            return last.with_effort(self.spent)
+        return (explained[0] if explained else otherwise).with_effort(self.spent)
 
     @property
     def _ended(self) -> bool:
@@ -272,6 +278,8 @@ class _Tries:
         if patience.lost and found.status is Status.INTERRUPTED:
             found = replace(found, status=Status.ITERATION_LIMIT)
         self.spent.append(found)
+        if with_cost:
+            self.whole.append(found)
         return found
 
     def _simulated(self) -> Iterator[ProgramStart]:

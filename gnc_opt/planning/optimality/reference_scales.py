@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.control_deviation import (
     LEAST_COST_SHARE,
@@ -187,7 +187,7 @@ class Scales:
         """
         own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
-        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0)
+        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & curves_cost(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
         times, response = end_response(s)
@@ -226,9 +226,18 @@ def _cost_of_each_state(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     return float(np.sum(np.abs(_curved_changes(s, np.diag(ellipsoid.radius)))))
 
 
+def curves_cost(s: PhaseSamples) -> Mask:
+    """Return along which controls the running cost curves by itself, without any multiplier (m,)."""
+    none = np.zeros_like(s.lam), np.zeros_like(s.mu)
+    bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
+    return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
+
+
 def _curved_changes(s: PhaseSamples, moves: Array) -> Array:
-    """Return half second differences of the integral of H along moves (n,), from small steps: at a kink in proportion
-    to them, else to their squares."""
+    """Return half second differences of the integral of H along moves (n,), by small steps.
+
+    They grow with the step at a kink, and with its square elsewhere: ratios of two steps tell which.
+    """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
     coarse, fine = (replace_nonfinite(second_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps)
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)

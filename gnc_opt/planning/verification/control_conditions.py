@@ -14,7 +14,13 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import free_control_directions, undetermined_controls
 from gnc_opt.planning.optimality.cost_scale import average_over_time, exclude_switches, lasting_minimum_index
-from gnc_opt.planning.optimality.reference_scales import CHEAP_AFFINE, CHEAP_CURVED, RESOLVED_MISS, Scales
+from gnc_opt.planning.optimality.reference_scales import (
+    CHEAP_AFFINE,
+    CHEAP_CURVED,
+    RESOLVED_MISS,
+    Scales,
+    curves_cost,
+)
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -57,7 +63,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
         miss = _distance_to_minimum(s, scales)
         # However cheap a control is: multipliers may be rounding, what the cost itself curves by is not.
-        clear = np.isfinite(miss) & (miss > RESOLVED_MISS) & _curves_cost(s)[:, None]
+        clear = np.isfinite(miss) & (miss > RESOLVED_MISS) & curves_cost(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / control_gain_scale(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
@@ -68,13 +74,6 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         violation = np.maximum(by_phase, average_over_time(s.times, gain) * np.sqrt(tolerance))
         worst = worst.or_worse(_worst_control(s, violation, "dH/du of "))
     return worst
-
-
-def _curves_cost(s: PhaseSamples) -> Mask:
-    """Return along which controls the running cost curves by itself, without any multiplier (m,)."""
-    none = np.zeros_like(s.lam), np.zeros_like(s.mu)
-    bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
-    return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
 
 
 def _segment_means(s: PhaseSamples, values: Array) -> Array:

@@ -227,6 +227,23 @@ def test_an_interrupt_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(late.ways) == 1
 
 
+def test_constraints_that_are_not_met_from_one_point_say_nothing_of_the_problem(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All tries with the cost end at their limits: so does the solve."""
+    tries = [Status.ITERATION_LIMIT] * 3 + [Status.INFEASIBLE] * 3 + [Status.ITERATION_LIMIT]
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "WARM_MAX_ITERATIONS", 0)
+    watch = Stumbling(monkeypatch, *tries)
+    found = solve_mesh(regulator(), "3x4")
+    assert found.status is Status.ITERATION_LIMIT and len(watch.ways) > 4
+
+
+def test_ctrl_c_ends_a_search_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "WARM_MAX_ITERATIONS", 0)
+    Stumbling(monkeypatch, *[Status.ITERATION_LIMIT] * 3, Status.INFEASIBLE, Status.INTERRUPTED)
+    assert solve_mesh(regulator(), "3x4").status is Status.INTERRUPTED
+
+
 def test_a_given_trajectory_is_tried_with_both_barriers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """What fails then is reported as the first failure."""
     problem = regulator().with_guess("leg", time=[0.0, 0.5, 1.0], x=[[1.0, 0.8, 0.7]])
