@@ -97,14 +97,14 @@ class VectorControl(ComposedControl):
 
 @dataclass(frozen=True)
 class AssembledControl(ComposedControl):
-    """Components (``rows``) of a vector that is a magnitude times a direction, followed by other controls."""
+    """Components (``rows``) of a vector that is a magnitude times a direction."""
 
     rows: tuple[int, ...] = ()
 
     def compose(self, *parts: Any) -> Any:
-        """Return components of (first * second, others)."""
-        first, second, *others = parts
-        return np.concatenate([first * second, *others])[list(self.rows)]
+        """Return components of first * second."""
+        first, second = parts
+        return (first * second)[list(self.rows)]
 
     def decompose(self, u: Array) -> tuple[Array, ...]:
         """Return NaN: other controls are needed, too."""

@@ -463,7 +463,7 @@ class Phase(Strict):
         least = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
         return bool(least[0] > 0) or vector.name in self._curved
 
-    def replace_controls(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
+    def add_vector(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
         """Record that the model, constraints and integrands use a vector control; see `on_sphere`, None decides."""
         lengths = {v.length for v in self.vectors}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]

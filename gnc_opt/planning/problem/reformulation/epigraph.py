@@ -14,19 +14,16 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
 from gnc_opt.model.expressions import nodes_of, operations_in, replaced
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import table_uses
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
-from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
-from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
+from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, along_guess, free_name
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
@@ -423,21 +420,6 @@ class EpigraphForm(PhaseForm):
         )
         guessed = PhaseGuess(guess.time, {**guess.values, **values})
         self.give(leg, replace(leg.numbers, controls=controls, guess=guessed))
-
-
-def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
-    """Return the values of a column along the guess of a phase, as a function of time."""
-    arguments = [*stated.model.arguments(), problem.parameter_symbols()]
-    function = ca.Function("guessed", arguments, [ca.densify(problem.bind(stated, column))])
-    q = problem.guessed_parameters()
-
-    def at(t: Any) -> Array:
-        first, last = guess_times(stated)
-        start = start_phase(stated, np.array([(t - first) / (last - first)]), perturbed=False)
-        values = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
-        return np.asarray(values.full()[:, 0])
-
-    return at
 
 
 def _new_name(model: Model, k: int) -> Symbol:

@@ -5,10 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement
+from gnc_opt.planning.problem.statement import Statement
 
 
 def taken_names(model: Model) -> frozenset[str]:
@@ -48,3 +55,18 @@ class PhaseForm:
         leg.numbers = numbers
         leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
         leg.restatement = self.restatement.after(leg.restatement)
+
+
+def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
+    """Return the values of a column along the guess of a phase, as a function of time."""
+    arguments = [*stated.model.arguments(), problem.parameter_symbols()]
+    function = ca.Function("guessed", arguments, [ca.densify(problem.bind(stated, column))])
+    q = problem.guessed_parameters()
+
+    def at(t: Any) -> Array:
+        first, last = guess_times(stated)
+        start = start_phase(stated, np.array([(t - first) / (last - first)]), perturbed=False)
+        values = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
+        return np.asarray(values.full()[:, 0])
+
+    return at

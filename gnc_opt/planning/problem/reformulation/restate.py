@@ -9,16 +9,13 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.expressions import ROOTS, operations_in
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
 from gnc_opt.planning.problem.expressions import along
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
-from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import PhaseGuess, PhaseNumbers
 from gnc_opt.planning.problem.reformulation.algebraic import with_algebraic_states
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
@@ -28,13 +25,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     has_end_kinks,
 )
 from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm, bound_controls, bounds_by_hand
-from gnc_opt.planning.problem.reformulation.vector_norms import (
-    Form,
-    box_rows,
-    guessed_controls,
-    norm_by_hand,
-    without_roots,
-)
+from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, norm_by_hand, without_roots
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
 
@@ -175,19 +166,14 @@ def _without_norms(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        key: tuple[Any, ...] = (
-            leg.name,
-            np.sign(leg.numbers.controls.lower).tobytes(),
-            guessed_controls(leg),
-        )
-        while (form := _next_form(problem, leg, key)) is not None:
-            key = (*key, form.vector.places, *_give_form(leg, form))
-        key = (*key, *_restate_kinks(problem, leg, key))
-        rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
+        rootless = problem.once(("rootless", leg.name), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
-        keys.append((*key, *rootless))
+        key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes(), *rootless)
+        while (form := _next_form(problem, leg, key)) is not None:
+            key = (*key, *form.names, *form.apply(problem, leg))
+        keys.append((*key, *_restate_kinks(problem, leg, key)))
     ends = _restate_ends(problem, twin) if kinked_ends else ()
-    if all(len(key) == 3 for key in keys) and not ends:
+    if all(len(key) == 2 for key in keys) and not ends:
         return problem
     twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
     return twin
@@ -209,12 +195,12 @@ def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
-def _next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
+def _next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> NormForm | None:
     """The next form of a phase, which is the same for all variations."""
 
-    def build() -> Form | None:
-        places = norm_by_hand(leg)
-        return None if places is None else Form.of(leg, places)
+    def build() -> NormForm | None:
+        names = norm_by_hand(leg)
+        return None if names is None else NormForm.of(leg, names)
 
     return problem.once(("form", *key), build)
 
@@ -246,56 +232,3 @@ def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tupl
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
     return bool({*KINKED} & problem.once(("operations", *key), lambda: operations_in(along(leg))))
-
-
-def _give_form(leg: Phase, form: Form) -> tuple[str, ...]:
-    """Give a phase its new form with its own numbers; return the names of the constraints that are added."""
-    stated, rows = leg.clone(), box_rows(form, leg)
-    form.give(leg, _numbers_in_form(stated, form))
-    leg.paths |= rows
-    leg.replace_controls(form.control, on_sphere=form.on_sphere)
-    return tuple(rows)
-
-
-def _numbers_in_form(stated: Phase, form: Form) -> PhaseNumbers:
-    """The numbers of a phase in its new controls."""
-    old, new, numbers = stated.model.controls, form.model.controls, stated.numbers
-    box = free(new.size)
-    for name in new.names:
-        if name in old:
-            box.lower[new.slice(name)] = numbers.controls.lower[old.slice(name)]
-            box.upper[new.slice(name)] = numbers.controls.upper[old.slice(name)]
-    if form.rest is not None:
-        place, rest = new.slice(form.rest.variable.name), list(form.vector.rest)
-        box.lower[place], box.upper[place] = numbers.controls.lower[rest], numbers.controls.upper[rest]
-    scales = {name: value for name, value in numbers.scales.items() if name in new or name not in old}
-    if form.control.magnitude not in old:
-        place = new.slice(form.control.magnitude)
-        box.lower[place], box.upper[place] = form.limits
-        own = [np.max(numbers.scales[v.name]) for v in form.vector.stated if v.name in numbers.scales]
-        scales |= {form.control.magnitude: np.array([max(own)])} if own else {}
-    return replace(
-        numbers, controls=Interval(box.lower, box.upper), scales=scales, guess=_guess_in_form(stated, form)
-    )
-
-
-def _guess_in_form(stated: Phase, form: Form) -> PhaseGuess:
-    """The guess, that of components of the vector as one of the vector."""
-    guess, gone = stated.numbers.guess, {v.name for v in form.vector.stated}
-    given = gone & guess.values.keys()
-    if not given or (len(gone) == 1 and form.rest is None):
-        return guess
-    kept = {name: value for name, value in guess.values.items() if name not in gone}
-
-    def component(places: tuple[int, ...]) -> Any:
-        def at(t: float) -> Array:
-            first, last = guess_times(stated)
-            fraction = np.array([(t - first) / (last - first)])
-            return start_phase(stated, fraction, perturbed=False).controls[list(places), 0]
-
-        return at
-
-    kept[form.control.name] = component(form.vector.places)
-    if form.rest is not None:
-        kept[form.rest.variable.name] = component(form.vector.rest)
-    return PhaseGuess(guess.time, kept)
