@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -36,33 +35,26 @@ class ComposedControl:
 
 @dataclass(frozen=True)
 class SplitControl(ComposedControl):
-    """The sum of controls >= 0 less another one; an optimum that pays for all fills one after the other.
+    """The difference of two controls >= 0 that meet at ``corners`` (by component; empty: at zero)."""
 
-    ``corners`` holds where each part but the last begins; empty for two parts that meet at zero.
-    """
-
-    corners: tuple[tuple[float, ...], ...] = ()
+    corners: tuple[float, ...] = ()
 
     def compose(self, *parts: Any) -> Any:
-        """Return the first corner and all parts but the last one, less the last one."""
-        first, *others, last = parts
-        value = sum(others, first) - last
-        if not self.corners or not any(self.corners[0]):
-            return value
-        return value + np.reshape(self.corners[0], (-1, *[1] * (np.ndim(first) - 1)))
+        """Return first - second, from the corners."""
+        first, second = parts
+        if not self.corners:
+            return first - second
+        return first - second + np.reshape(self.corners, (-1, *[1] * (np.ndim(first) - 1)))
 
-    def decompose(self, u: Array) -> tuple[Array, ...]:
-        """Return the share of u in each part."""
-        corners = np.array(self.corners or [(0.0,) * u.shape[0]])[:, :, None]
-        ends = np.concatenate([corners[1:], np.full((1, *corners.shape[1:]), np.inf)])
-        plus = (np.clip(u, start, end) - start for start, end in zip(corners, ends, strict=True))
-        return (*plus, np.maximum(corners[0] - u, 0.0))
+    def decompose(self, u: Array) -> tuple[Array, Array]:
+        """Return what is above the corners, and below."""
+        beyond = u - np.reshape(self.corners or [0.0], (-1, 1))
+        return np.maximum(beyond, 0.0), np.maximum(-beyond, 0.0)
 
-    def decompose_symbol(self, u: Any) -> tuple[Any, ...]:
+    def decompose_symbol(self, u: Any) -> tuple[Any, Any]:
         """Return the same of a symbol (size, 1)."""
-        corners = [ca.DM(corner) for corner in self.corners] or [ca.DM.zeros(u.shape)]
-        plus = [ca.fmin(ca.fmax(u - a, 0.0), b - a) for a, b in pairwise(corners)]
-        return (*plus, ca.fmax(u - corners[-1], 0.0), ca.fmax(corners[0] - u, 0.0))
+        beyond = u - ca.DM(self.corners or [0.0] * u.shape[0])
+        return ca.fmax(beyond, 0.0), ca.fmax(-beyond, 0.0)
 
 
 @dataclass(frozen=True)
