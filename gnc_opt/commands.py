@@ -205,7 +205,7 @@ def _write(
 
 
 def _description(file: ProblemFile, problem: Problem) -> str:
-    lines = [f"{problem.name}: well stated"]
+    lines = [f"{problem.name}: no error in the statement"]
     for leg in problem.phases.values():
         states, controls = leg.model.states, leg.model.controls
         lines.append(
@@ -218,7 +218,7 @@ def _description(file: ProblemFile, problem: Problem) -> str:
         f"{_count(problem.parameters.size, 'free parameter')}, "
         f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
-    options = ", ".join(str(parameter) for parameter in file.options.values())
+    options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.options.values())
     lines.append(f"  options of build(): {options or 'none'}")
     return "\n".join(lines)
 

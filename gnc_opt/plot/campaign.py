@@ -154,11 +154,11 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
                 ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
                 ax.xaxis.set_major_locator(MaxNLocator(5))
         handles = [
-            Line2D([], [], label="runs up to a value", **_CURVE),
+            Line2D([], [], label="share of runs below the value", **_CURVE),
             Line2D(
                 [],
                 [],
-                label=", ".join(f"{100 * p:g}" for p in LEVELS) + " %, with confidence",
+                label=", ".join(f"{100 * p:g}" for p in LEVELS) + " % percentiles, 95 % intervals",
                 **_PERCENTILE,
             ),
         ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
@@ -16,7 +15,7 @@ from gnc_opt.planning.solution.summary import (
     mesh_text,
     objective_text,
 )
-from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe
+from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe, violation_text
 from gnc_opt.report.document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.text import table
@@ -98,16 +97,16 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
     failing = "".join(f"<p>{escape(text)}</p>" for text in open_conditions_html(verdict))
-    return failing + table(("check", "result", "largest residual", "at"), verdict_table_rows(verdict))
+    return failing + table(("check", "result", "largest violation", "at"), verdict_table_rows(verdict))
 
 
 def verdict_table_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
-    """Return group, result, largest residual and its place of three groups of conditions."""
+    """Return group, result, largest violation and its place of three groups of conditions."""
     lines = []
     for group, found in verdict.groups.items():
         worst = most_severe(found)
         place = f"{worst.name}: {worst.location_text}"
-        lines.append((group, worst.result.value.lower(), residual_text(worst.value), place))
+        lines.append((group, worst.result.value.lower(), violation_text(worst.value), place))
     return lines
 
 
@@ -145,7 +144,7 @@ def _conditions_table(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
     rows = [
-        (c.name, c.result.value.lower(), residual_text(c.value), f"{c.tolerance:.0e}", c.location_text)
+        (c.name, c.result.value.lower(), violation_text(c.value), f"{c.tolerance:.0e}", c.location_text)
         for c in verdict.conditions
     ]
     meanings = "".join(
@@ -153,14 +152,7 @@ def _conditions_table(verdict: Verdict | None) -> str:
         for c in verdict.conditions
         if c.result is not ConditionResult.PASS
     )
-    return table(("condition", "result", "residual", "tolerance", "largest at"), rows) + meanings
-
-
-def residual_text(value: float) -> str:
-    """Return two digits of a residual, "-" for none; a negative one is the margin of a sufficient condition."""
-    if value < 0.0:
-        return f"margin {-value:.1e}"
-    return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"
+    return table(("condition", "result", "violation", "tolerance", "largest at"), rows) + meanings
 
 
 def _arcs_table(solution: Solution) -> str:

@@ -246,7 +246,7 @@ def test_check_describes_the_problem(cart: Path, capsys: pytest.CaptureFixture[s
     assert run("check", cart) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.startswith("cart: well stated\n")
+    assert out.startswith("cart: no error in the statement\n")
     assert "phase leg: 2 states (q, v), 1 control (a), 0 path constraints" in out
     assert "options of build(): far=1.0, limits=(-1.0, 1.0), name='cart', wrong=None" in out
 

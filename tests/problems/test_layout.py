@@ -95,7 +95,7 @@ def test_the_command_line_takes_a_systems_folder_or_a_file_of_its_name(
     assert not (FOLDER / f"{name}.py").exists()
     for path in (FOLDER / name, FOLDER / f"{name}.py"):
         assert cli.main(["check", str(path)]) == 0
-    assert capsys.readouterr().out.count("well stated") == 2
+    assert capsys.readouterr().out.count("no error in the statement") == 2
 
 
 def test_the_index_lists_every_system() -> None:

@@ -95,9 +95,12 @@ class Violations:
     u: Array
 
     def value(self, i: int) -> str:
-        """Return what the quantity is and may be: "81 (at least 100)"."""
+        """Return the quantity and its limit: "81 (at least 100)", "1 + 2e-08 (at most 1)"."""
         limit, side = self.limits.values[i], self.limits.sides[i]
-        return f"{limit + side * self.excess[i]:.6g} (at {'most' if side > 0 else 'least'} {limit:.6g})"
+        text, allowed = f"{limit + side * self.excess[i]:.6g}", f"{limit:.6g}"
+        if text == allowed:
+            text = f"{allowed} {'+' if side > 0 else '-'} {self.excess[i]:.0e}"
+        return f"{text} (at {'most' if side > 0 else 'least'} {allowed})"
 
 
 def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:

@@ -239,10 +239,8 @@ class Verdict:
         lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
         for c in self.conditions:
             if c.result is not ConditionResult.PASS:
-                lines.append(
-                    f"{c.result.value}  {c.name}: {c.value:.2e} (tolerance {c.tolerance:.0e}) at {c.location_text}. "
-                    f"{c.meaning}"
-                )
+                size = "" if math.isnan(c.value) else f"{c.value:.2e} (tolerance {c.tolerance:.0e}) at "
+                lines.append(f"{c.result.value}  {c.name}: {size}{c.location_text}. {c.meaning}")
         return "\n".join(lines)
 
     def table(self) -> str:
@@ -278,10 +276,10 @@ class Verdict:
     def _repr_html_(self) -> str:
         """For notebooks: every condition with its number and place, then what those that do not pass mean."""
         rows = [
-            (c.name, c.result.value, f"{c.value:.1e}", f"{c.tolerance:.0e}", c.location_text)
+            (c.name, c.result.value, violation_text(c.value), f"{c.tolerance:.0e}", c.location_text)
             for c in self.conditions
         ]
-        titles = ("condition", "result", "value", "tolerance", "worst at")
+        titles = ("condition", "result", "violation", "tolerance", "largest at")
         shown = heading(f"verdict on '{self.problem_name}': {self.word}") + table(titles, rows)
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
         return shown if passed else shown + preformatted(self.explain())
@@ -300,13 +298,21 @@ def most_severe(conditions: Iterable[Condition]) -> Condition:
     return min(conditions, key=severity)
 
 
+def violation_text(value: float) -> str:
+    """Return two digits of a violation, "-" for none; a negative one is the margin of a sufficient condition."""
+    if math.isnan(value):
+        return "-"
+    return f"margin {-value:.1e}" if value < 0.0 else f"{value + 0.0:.1e}"
+
+
 def _table_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
-    width = max(len(title), *(len(name) for name, _, _ in entries))
-    rows = [(title, "result", f"{'violation':>9}", "largest at")]
+    rows = [(title, "result", "violation", "largest at")]
     rows += [
-        (name, c.result.value, f"{c.value:9.2e}", f"{prefix}{c.location_text}") for name, c, prefix in entries
+        (name, c.result.value, violation_text(c.value), f"{prefix}{c.location_text}")
+        for name, c, prefix in entries
     ]
-    return [f"{name:<{width}}  {result:<12}  {value}  {place}" for name, result, value, place in rows]
+    width, wide = (max(len(row[i]) for row in rows) for i in (0, 2))
+    return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in rows]
 
 
 def _message(condition: Condition) -> list[str]:

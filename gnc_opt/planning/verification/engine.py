@@ -68,15 +68,13 @@ SINGULAR_ARCS = "singular arcs"
 
 _STATIONARITY = (
     "The cost may not change to first order with states (adjoint equation), ends and times (transversality), "
-    "parameters, or controls between their bounds (dH/du), in shares of the cost scale over the reach: refine the mesh."
+    "parameters, or controls between their bounds (dH/du), relative to cost scale over reach: refine the mesh."
 )
 _ACTIVE_SET = (
-    "Multipliers act only at limits and inwards, and controls on a bound are on the right one for their switching "
-    "function: a switch is in the wrong place, or an arc is missing."
+    "Multipliers must be zero away from limits and act inwards; the sign of a switching function must select the bound "
+    "of its control. Otherwise a switch is in the wrong place, or an arc is missing."
 )
-_NO_EXTREMAL = (
-    "The second order distinguishes minima from other extremals, and this is no extremal: see what fails."
-)
+_NO_EXTREMAL = "Second-order conditions apply to extremals only: repair the conditions that fail."
 _AFTER_OTHERS = "not evaluated, as other conditions fail"
 _CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is unknown."
 

@@ -66,8 +66,8 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
         "dynamics",
         worst,
         tolerance,
-        "The applied control, integrated from the start of a segment, must arrive at its end (miss in shares of what "
-        "the controls move the state; inside a segment its square root; or the effect on the cost): refine the mesh.",
+        "The applied control, integrated from the start of a segment, must lead to its end (difference over the reach "
+        "of the state; inside a segment its square root; or the effect on the cost): refine the mesh.",
     )
 
 
@@ -136,7 +136,7 @@ def check_limits(
         worst,
         tolerance,
         "The applied control, states, path constraints and parameters must stay within their limits between the nodes "
-        "too (distance in shares of what the controls move; or multiplier times violation in shares of the cost).",
+        "too (distance over the reach, or multiplier times violation over the cost scale).",
     )
 
 
@@ -228,8 +228,8 @@ def check_table_ranges(solution: Solution) -> Condition:
         worst, refused = worst.or_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
     result = decide_result(not worst.value, refused)
     meaning = (
-        "Models must be used where their tables have data (value: how far outside, in shares of the axis). FAIL if the "
-        "table refuses values outside."
+        "Tables must be used within their data (distance outside over the length of the axis). FAIL if the table has "
+        "outside='error'."
     )
     return Condition("tables", result, worst.value, 0.0, worst.where, meaning, sufficient=True)
 
@@ -269,7 +269,7 @@ def check_boundary_conditions(
         worst,
         tolerance,
         "Initial and final values, times, linkages and boundary constraints must hold, recomputed from the model "
-        "(distance in shares of what the controls move the end, or multiplier times miss in shares of the cost).",
+        "(distance over the reach at the end, or multiplier times difference over the cost scale).",
     )
 
 
@@ -352,7 +352,7 @@ def check_cost(
         worst,
         tolerance,
         "The objective, its integrals and their weights, recomputed from the end points and a finer quadrature along "
-        "the applied control, must agree with those reported (in shares of the cost scale).",
+        "the applied control, must agree with those of the solution (difference over the cost scale).",
     )
 
 

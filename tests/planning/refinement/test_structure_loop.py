@@ -487,8 +487,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.parametrize(
     ("script", "passes", "status", "actions"),
     [
-        ([(Status.OPTIMAL, "")], 40, "converged", ["structure stands"]),
-        ([(Status.OPTIMAL, "a"), (Status.ACCEPTABLE, "")], 40, "converged", ["a", "structure stands"]),
+        ([(Status.OPTIMAL, "")], 40, "converged", ["structure unchanged"]),
+        ([(Status.OPTIMAL, "a"), (Status.ACCEPTABLE, "")], 40, "converged", ["a", "structure unchanged"]),
         ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "iteration_limit", ["a", "b"]),
         ([(Status.OPTIMAL, "a"), (Status.INFEASIBLE, "")], 40, "failed", ["a", "not solved (infeasible)"]),
         ([(Status.INTERRUPTED, "")], 40, "interrupted", ["not solved (interrupted)"]),

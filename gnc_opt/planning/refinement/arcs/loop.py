@@ -237,7 +237,7 @@ class _Loop:
             solution, vain = found, 0
             current = {name: _plan_at_solution(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve_plans(solution, current, left, self.aim)
-            record = _record(solution, begin, action or "structure stands")
+            record = _record(solution, begin, action or "structure unchanged")
             self._add_try(_Try(solution, current, record))
             if len(self.records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
