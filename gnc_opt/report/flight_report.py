@@ -134,6 +134,7 @@ def write_campaign_report(
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
         "Overview": preformatted(str(campaign)),
+        "Parameters": _drawn_parameters_table(campaign),
         "Motion": motion,
         "Distributions": figure_html(
             files, "distributions", "Distribution of each measure over all runs, with its limit."
@@ -161,6 +162,17 @@ def write_campaign_report(
     saved = campaign.save(folder / "campaign.npz")
     page = write_page(folder, html_document(title, headline, sections))
     return [page, saved, statistics, *files.values()]
+
+
+def _drawn_parameters_table(campaign: Campaign) -> str:
+    """Return mean, standard deviation and range of the parameters over the runs; those without variation last."""
+    layout, rows = campaign.layouts["parameter"], []
+    for label, unit, drawn in zip(layout.labels, layout.units, campaign.parameters, strict=True):
+        varies = float(np.ptp(drawn)) > 0.0
+        spread = [f"{f(drawn):.4g}" for f in (np.std, np.min, np.max)] if varies else ["fixed", "", ""]
+        rows.append((not varies, (label, f"{np.mean(drawn):.6g}", *spread, unit)))
+    titles = ("parameter", "mean", "standard deviation", "smallest", "largest", "unit")
+    return table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
 
 
 def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str) -> str:

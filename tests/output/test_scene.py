@@ -105,6 +105,7 @@ def test_page_carries_the_motion(solution):
 def test_campaign_carries_any_run(campaign, tmp_path):
     page = write_campaign_report(campaign, tmp_path, view=View("r", force="u"), runs=30)[0].read_text("utf-8")
     assert len(page) < LARGEST and "30 of 40 runs" in page
+    assert "standard deviation" in page and f"{campaign.parameters[0].mean():.6g}" in page
     data = carried(page)
     passed = campaign.passed()
     assert 0 < passed.sum() < 40
