@@ -26,17 +26,14 @@ class Turns:
     Attributes
     ----------
     lower, upper : array (n_controls,)
-        One turn at least, half a turn for the elevation of a pair; infinite for other controls.
+        One turn at least; infinite for other controls.
     periods : array (n_controls,)
         0 for controls that are not angles.
-    pairs : tuple of (int, int)
-        Azimuths and elevations.
     """
 
     lower: Array
     upper: Array
     periods: Array
-    pairs: tuple[tuple[int, int], ...] = ()
 
     @property
     def free(self) -> Array:
@@ -53,13 +50,6 @@ class Turns:
     def within(self, u: Array) -> Array:
         """Return controls (n_controls, ...) with angles moved into their range, except for rounding."""
         u = u.copy()
-        for azimuth, elevation in self.pairs:
-            period, upper = self.periods[elevation], self.upper[elevation]
-            above = np.ceil((u[elevation] - upper) / period - AT_LIMIT)
-            angle = u[elevation] - period * above  # at most a turn below the end
-            beyond = angle < self.lower[elevation] - AT_LIMIT * period
-            u[elevation] = np.where(beyond, 2.0 * (upper - 0.5 * period) - angle, angle)
-            u[azimuth] += np.where(beyond, 0.5 * self.periods[azimuth], 0.0)
         for i in np.flatnonzero(self.free):
             low, high, period = self.lower[i], self.upper[i], self.periods[i]
             beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)

@@ -24,14 +24,12 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
-from gnc_opt.planning.problem.interval import Interval, free
-from gnc_opt.planning.problem.interval_arithmetic import is_affine, ranges_of
+from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.magnitudes import SAMPLES
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import Restatement
@@ -85,7 +83,6 @@ class AlgebraicForm:
         """Let the variable be a state of a phase."""
         t, x, _, _ = leg.model.arguments()
         constraint = leg.paths[self.constraint]
-        leg.bounds(**{self.symbol.variable.name: self._needed_bounds(leg, constraint)})
         leg.add_states({self.symbol: self.rate}, ends=self.ends)
         leg.drop_path(self.constraint)
         name = f"{self.constraint} at the start of {leg.name}"
@@ -95,27 +92,6 @@ class AlgebraicForm:
         text = f"{self.symbol.variable.name} is solved for as a state that follows from {self.constraint}"
         leg.restatement = Restatement.of_limits(leg.model, (text,)).after(leg.restatement)
         problem.constraints[name] = Constraint(name, value, constraint.interval)
-
-    def _needed_bounds(self, leg: Phase, constraint: Constraint) -> tuple[Array, Array]:
-        """Bounds of the variable, infinite where g = c has no solution beyond them."""
-        t, x, _, p = leg.model.arguments()
-        controls = leg.model.controls.slice(self.symbol.variable.name)
-        box = leg.numbers.controls
-        lower, upper = box.lower[controls].copy(), box.upper[controls].copy()
-        if lower.size > 1:
-            return lower, upper
-        known = ca.symvar(ca.vertcat(t, x, p, self.residual))
-        others = ca.vertcat(*(s for s in known if s.element_hash() != self.symbol.element_hash()))
-        function = ca.Function("residual", [self.symbol, others], [ca.densify(self.residual)])
-        value = constraint.interval.lower[0]
-        for beyond, end in (
-            (Interval(upper, upper + np.inf), upper),
-            (Interval(lower - np.inf, lower), lower),
-        ):
-            found = ranges_of(function, [beyond, free(others.numel())])
-            if np.isfinite(end[0]) and (found.lower[0] >= value or found.upper[0] <= value):
-                end[:] = np.sign(beyond.upper[0] + beyond.lower[0]) * np.inf
-        return lower, upper
 
 
 def with_algebraic_states(problem: P) -> P:

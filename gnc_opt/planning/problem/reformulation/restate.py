@@ -114,23 +114,12 @@ def _full_turns(problem: Statement, leg: Phase) -> Turns:
     probe = angle_probe(problem, leg)
     if not np.all(np.any(np.isfinite(probe.here), axis=1)):
         return turns
-    for i in np.flatnonzero(bounded | np.isinf(room)):
-        turns.periods[i] = probe.period(int(i), [*PERIODS, *room[[i]][np.isfinite(room[[i]])]])
-    reach = 0.5 * turns.periods
-    whole = bounded & (reach > 0) & (room >= 2.0 * (1.0 - FULL_TURN_BOUND_TOLERANCE) * reach)
-    azimuths = np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0))).tolist()
-    pairs: list[tuple[int, int]] = []
-    for j in np.flatnonzero(bounded & ~whole & (turns.periods > 0)).tolist():
-        mirrored = (i for i in azimuths if probe.is_mirrored(i, j, 0.5 * turns.periods[i], box.upper[j]))
-        azimuth = (
-            next(mirrored, None) if abs(room[j] - reach[j]) <= FULL_TURN_BOUND_TOLERANCE * reach[j] else None
-        )
-        pairs += [] if azimuth is None else [(azimuth, j)]
-    for i in [*np.flatnonzero(whole), *(j for _, j in pairs)]:
-        half = max(reach[i], 0.5 * room[i]) if whole[i] else 0.5 * reach[i]
-        middle = 0.5 * (box.lower[i] + box.upper[i])
-        turns.lower[i], turns.upper[i] = middle - half, middle + half
-    return replace(turns, pairs=tuple(pairs))
+    for i in np.flatnonzero(bounded):
+        period = probe.period(int(i), [*PERIODS, room[i]])
+        if period and room[i] >= (1.0 - FULL_TURN_BOUND_TOLERANCE) * period:
+            half, middle = 0.5 * max(period, room[i]), 0.5 * (box.lower[i] + box.upper[i])
+            turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
+    return turns
 
 
 def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
