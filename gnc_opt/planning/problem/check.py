@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.check_functions import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.expressions import along, end_points, parameter_arguments
+from gnc_opt.planning.problem.expressions import along, bind_at_ends, end_arguments, function_along
 from gnc_opt.planning.problem.guess.singularity_avoidance import bent
 from gnc_opt.planning.problem.interval import Interval, free, intersect
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
@@ -109,8 +109,10 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
         return
-    function = leg.once("paths and parameters", lambda: _check_paths(problem, leg))
-    p = Interval(leg.model.parameter_values, leg.model.parameter_values)
+    function, p = (
+        _path_function(problem, leg),
+        Interval(leg.model.parameter_values, leg.model.parameter_values),
+    )
     for end, time, values in zip(
         ("initial", "final"), leg.times(), (numbers.initial, numbers.final), strict=True
     ):
@@ -130,7 +132,7 @@ def _warn_of_repeated_limits(problem: Statement, leg: Phase) -> None:
         return
     p = Interval(leg.model.parameter_values, leg.model.parameter_values)
     time = Interval(leg.times()[0].lower, leg.times()[1].upper)
-    function = leg.once("paths and parameters", lambda: _check_paths(problem, leg))
+    function = _path_function(problem, leg)
     reached = ranges_of(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
     with np.errstate(invalid="ignore"):
@@ -152,9 +154,10 @@ def _rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
     return [int(i) for i in np.flatnonzero(outside)]
 
 
-def _check_paths(problem: Statement, leg: Phase) -> Any:
-    arguments = (*leg.model.arguments(), problem.parameter_symbols())
-    return ca.Function("paths", arguments, [ca.densify(problem.bind(leg, leg.path_expression()))])
+def _path_function(problem: Statement, leg: Phase) -> Any:
+    return leg.once(
+        "paths and parameters", lambda: function_along(problem, leg, "paths", leg.path_expression())
+    )
 
 
 def _check_order(problem: Statement, leg: Phase) -> None:
@@ -179,7 +182,12 @@ def _check_constraints(problem: Statement) -> None:
         values, p = leg.numbers, leg.model.parameter_values
         ends = (intersect(end, values.states) for end in (values.initial, values.final))
         arguments += [*ends, *leg.times(), free(len(leg.integrands)), Interval(p, p)]
-    function = problem.once("constraints", lambda: _constraint_ranges(problem))
+
+    def build() -> Any:
+        rows = bind_at_ends(problem, problem.constraint_expression())
+        return ca.Function("constraints", end_arguments(problem), [ca.densify(rows)])
+
+    function = problem.once("constraints", build)
     reached = ranges_of(function, [*arguments, problem.parameter_interval()])
     for k in _rows_beyond_limits(reached, box):
         raise ProblemError(
@@ -187,16 +195,6 @@ def _check_constraints(problem: Statement) -> None:
             f"and end values of the phases: it is {_show(reached, k)} there, outside its limits {_show(box, k)}: "
             "correct one of the two."
         )
-
-
-def _constraint_ranges(problem: Statement) -> Any:
-    legs, arguments = problem.phases.values(), []
-    for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
-        arguments += [*end_points(leg), parameters]
-    rows = problem.constraint_expression()
-    for leg in legs:
-        rows = problem.bind(leg, rows)
-    return ca.Function("constraints", [*arguments, problem.parameter_symbols()], [ca.densify(rows)])
 
 
 def _show(interval: Interval | None, i: int) -> str:

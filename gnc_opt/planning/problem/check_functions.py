@@ -14,9 +14,10 @@ from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expressions import ROOTS, nodes_of, operations_in
 from gnc_opt.planning.problem.expressions import (
     along,
+    bind_at_ends,
+    end_arguments,
     end_points,
     outside_tables,
-    parameter_arguments,
     table_uses,
 )
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, start_phase
@@ -380,14 +381,9 @@ def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], t
     """Kind, names, variables and function of the cost and of the boundary constraints."""
 
     def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
-        arguments: list[Any] = []
-        variables: list[Any] = []
-        columns: list[str] = []
-        legs = problem.phases.values()
-        for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
-            own = end_points(leg)
-            variables += own
-            arguments += [*own, parameters]
+        variables, columns = list[Any](), list[str]()
+        for leg in problem.phases.values():
+            variables += end_points(leg)
             columns += [
                 f"{end} {label} of {leg.name}"
                 for end in ("initial", "final")
@@ -403,10 +399,9 @@ def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], t
         )
         built = []
         for what, rows, expression in kinds:
-            for leg in problem.phases.values():
-                expression = problem.bind(leg, expression)
             if rows:
-                function = _with_jacobian(expression, ca.vertcat(*variables, q), [*arguments, q])
+                bound = bind_at_ends(problem, expression)
+                function = _with_jacobian(bound, ca.vertcat(*variables, q), end_arguments(problem))
                 built.append((what, rows, tuple(columns), function))
         return built
 

@@ -50,6 +50,13 @@ def along(leg: Phase) -> Any:
     return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
 
 
+def function_along(problem: Statement, leg: Phase, name: str, column: Any) -> Any:
+    """Return a column along a phase as CasADi Function of (t, x, u, p, q), q the free parameters."""
+    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+    values = [ca.densify(problem.bind(leg, column))]
+    return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
+
+
 def table_uses(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
     """Return the calls of tables in what varies along a phase."""
 
@@ -87,14 +94,24 @@ def outside_tables(
 
 def _table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
     """The function (t, x, u, p, q) -> all arguments of all tables."""
+    stacked = ca.vertcat(*(use.arguments for use in uses))
+    return problem.once(
+        ("table arguments", leg.name), lambda: function_along(problem, leg, "tables", stacked)
+    )
 
-    def build() -> Any:
-        stacked = ca.densify(ca.vertcat(*(use.arguments for use in uses)))
-        names = ["t", "x", "u", "p", "q"]
-        inputs = [*leg.model.arguments(), problem.parameter_symbols()]
-        return ca.Function("tables", inputs, [problem.bind(leg, stacked)], names, ["arguments"])
 
-    return problem.once(("table arguments", leg.name), build)
+def end_arguments(problem: Statement) -> list[Any]:
+    """Return the symbols of a function of all end values: those of each phase and its parameters, free parameters."""
+    legs = problem.phases.values()
+    own = zip(map(end_points, legs), parameter_arguments(legs), strict=True)
+    return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
+
+
+def bind_at_ends(problem: Statement, expression: Any) -> Any:
+    """Replace the parameters of all models that the problem optimises by its own symbols."""
+    for leg in problem.phases.values():
+        expression = problem.bind(leg, expression)
+    return expression
 
 
 def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:

@@ -25,7 +25,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.evaluation import Operations, evaluate, fast_call
 from gnc_opt.model.variables import as_expression
-from gnc_opt.planning.problem.expressions import end_points, parameter_arguments
+from gnc_opt.planning.problem.expressions import bind_at_ends, end_arguments, end_points, function_along
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 
@@ -209,10 +209,8 @@ class PhaseFunctions:
 def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
     """Return the functions of a phase for given parameter values and integral weights."""
     leg = problem.get_phase(phase)
-    key = ("functions", phase)
-    if key not in problem.builds:
-        problem.builds[key] = _build_phase_functions(problem, leg)
-    return PhaseFunctions(problem.builds[key], p, q, weights)
+    functions = problem.once(("functions", phase), lambda: _build_phase_functions(problem, leg))
+    return PhaseFunctions(functions, p, q, weights)
 
 
 def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
@@ -311,39 +309,28 @@ def end_function(problem: Problem) -> Any:
     Its inputs are, per phase, the six of ``ends`` there, then q and nu; its outputs the cost as stated, the
     boundary constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
     """
-    if "ends" not in problem.builds:
-        problem.builds["ends"] = _build_end_function(problem)
-    return problem.builds["ends"]
+    return problem.once("ends", lambda: _build_end_function(problem))
 
 
 def _build_end_function(problem: Problem) -> Any:
-    constraints = problem.constraint_expression()
+    cost, constraints = (bind_at_ends(problem, e) for e in (problem.cost, problem.constraint_expression()))
     nu = ca.SX.sym("nu", constraints.shape[0])
-    cost = problem.cost
-    for leg in problem.phases.values():
-        cost, constraints = problem.bind(leg, cost), problem.bind(leg, constraints)
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
-    differentiated, arguments = [], []
-    for leg, parameters in zip(
-        problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
-    ):
-        own = end_points(leg)
-        differentiated += own
-        arguments += [*own, parameters]
-    q = problem.parameter_symbols()
-    gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*differentiated, q)]
-    return ca.Function("ends", [*arguments, q, nu], [cost, ca.densify(constraints), *gradients])
+    ends = [symbol for leg in problem.phases.values() for symbol in end_points(leg)]
+    gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*ends, problem.parameter_symbols())]
+    return ca.Function("ends", [*end_arguments(problem), nu], [cost, ca.densify(constraints), *gradients])
 
 
 def end_values(problem: Problem) -> Any:
     """Return the CasADi Function of boundary constraints and, last, cost, in one column; inputs as `end_function`."""
-    if "end values" not in problem.builds:
+
+    def build() -> Any:
         ends = end_function(problem)
         arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
         cost, constraints, *_ = ends(*arguments)
-        column = ca.densify(ca.vertcat(constraints, cost))
-        problem.builds["end values"] = ca.Function("end_values", arguments, [column])
-    return problem.builds["end values"]
+        return ca.Function("end_values", arguments, [ca.densify(ca.vertcat(constraints, cost))])
+
+    return problem.once("end values", build)
 
 
 def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
@@ -351,10 +338,8 @@ def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Ar
     leg = problem.get_phase(phase)
     if isinstance(expression, str):
         expression = leg.model.output_expression(expression)
-    t, x, u, p = leg.model.arguments()
-    q = problem.parameter_symbols()
     value = as_expression(expression, "the expression to evaluate", None, ProblemError)
     value = value if leg.restatement is None else leg.restatement.of(value)
     problem.refuse_foreign(leg, value, "the expression to evaluate")
-    function = ca.Function("evaluate", [t, x, u, p, q], [problem.bind(leg, value)])
+    function = function_along(problem, leg, "evaluate", value)
     return lambda *arguments: evaluate(function, *arguments)

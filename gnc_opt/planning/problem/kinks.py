@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.arrays import Mask
 from gnc_opt.model.expressions import nodes_of, operations_in
-from gnc_opt.planning.problem.expressions import table_uses
+from gnc_opt.planning.problem.expressions import along, function_along, table_uses
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
@@ -52,7 +52,7 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
     """Return what switches along a phase, tables left out; None if nothing does."""
 
     def find() -> Kinks | None:
-        t, x, u, p = leg.model.arguments()
+        _, x, u, _ = leg.model.arguments()
         expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
         if not has_kinks(expression):
             return None
@@ -67,9 +67,7 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
         if not found:
             return None
         words, arguments = zip(*found.values(), strict=True)
-        stacked = problem.bind(leg, ca.densify(ca.vertcat(*arguments)))
-        function = ca.Function("kinks", [t, x, u, p, problem.parameter_symbols()], [stacked])
-        return Kinks(words, function)
+        return Kinks(words, function_along(problem, leg, "kinks", ca.vertcat(*arguments)))
 
     return problem.once(("kinks", leg.name), find)
 
@@ -81,10 +79,9 @@ def centres_of(problem: Statement, leg: Phase) -> Any:
     """
 
     def find() -> Any:
-        t, x, u, p = leg.model.arguments()
-        expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression(), leg.path_expression())
+        t, x, _, _ = leg.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in nodes_of(expression):
+        for node in nodes_of(along(leg)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]
@@ -93,8 +90,7 @@ def centres_of(problem: Statement, leg: Phase) -> Any:
                     found[node.element_hash()] = node
         if not found:
             return None
-        stacked = problem.bind(leg, ca.densify(ca.vertcat(*found.values())))
-        return ca.Function("centres", [t, x, u, p, problem.parameter_symbols()], [stacked])
+        return function_along(problem, leg, "centres", ca.vertcat(*found.values()))
 
     return problem.once(("centres", leg.name), find)
 

@@ -23,8 +23,7 @@ from gnc_opt.planning.problem.check import check_problem
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.division import divided
 from gnc_opt.planning.problem.expressions import (
-    end_points,
-    parameter_arguments,
+    end_arguments,
     refuse_foreign_along,
     refuse_foreign_ends,
     refuse_other_size,
@@ -90,14 +89,7 @@ def _phase_expressions(problem: Statement, leg: Phase) -> bytes:
 
 
 def _end_expressions(problem: Statement) -> bytes:
-    arguments: list[Any] = []
-    for leg, parameters in zip(
-        problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
-    ):
-        arguments += [*end_points(leg), parameters]
-    return _exact_text(
-        [*arguments, problem.parameter_symbols()], [problem.cost, problem.constraint_expression()]
-    )
+    return _exact_text(end_arguments(problem), [problem.cost, problem.constraint_expression()])
 
 
 def _exact_text(arguments: list[Any], expressions: list[Any]) -> bytes:

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.problem.expressions import function_along
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.phase import Phase
@@ -78,11 +79,9 @@ def kept_later(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
 
 def _rates_by_controls(problem: Statement, leg: Phase) -> tuple[Array, Any]:
     """Rows of the states whose rates depend on controls, and their rates as a function."""
-    t, x, u, p = leg.model.arguments()
-    rates = problem.bind(leg, leg.model.derivative())
-    rows = np.unique(np.array(ca.jacobian_sparsity(rates, u).row(), dtype=int))
-    arguments = [t, x, u, p, problem.parameter_symbols()]
-    return rows, ca.Function("rates", arguments, [ca.densify(rates[rows.tolist()])])
+    rates = leg.model.derivative()
+    rows = np.unique(np.array(ca.jacobian_sparsity(rates, leg.model.symbols("control")).row(), dtype=int))
+    return rows, function_along(problem, leg, "rates", rates[rows.tolist()])
 
 
 NORM_BOUND_SLACK_SHARE = 1e-2
@@ -135,9 +134,13 @@ def _state_places(leg: Phase, name: str) -> Indices:
 
 def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
     """Whether a vector of a length has no rate along itself, whatever everything else is."""
-    terms = problem.once(
-        ("rate along itself", leg.name, places.tobytes()), lambda: _rate_along_itself(problem, leg, places)
-    )
+
+    def build() -> Any:
+        rows = places.tolist()
+        products = leg.model.symbols("state")[rows] * leg.model.derivative()[rows]
+        return function_along(problem, leg, "along_itself", products)
+
+    terms = problem.once(("rate along itself", leg.name, places.tobytes()), build)
     random = np.random.default_rng(5)
     free = problem.parameter_interval().lower.size
     for _ in range(8):
@@ -150,12 +153,3 @@ def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float
         if not abs(values.sum()) <= ROUNDING * np.abs(values).sum():
             return False
     return True
-
-
-def _rate_along_itself(problem: Statement, leg: Phase, places: Indices) -> Any:
-    """Return the products of a vector's components and their rates, as a function."""
-    t, x, u, p = leg.model.arguments()
-    rows = places.tolist()
-    rates = problem.bind(leg, leg.model.derivative())
-    products = ca.densify(x[rows] * rates[rows])
-    return ca.Function("along_itself", [t, x, u, p, problem.parameter_symbols()], [products])

@@ -498,11 +498,12 @@ def _break_before(problem: Problem, phase: str) -> list[Phase]:
 
 def _rate_derivative(problem: Problem, leg: Phase) -> Any:
     """Return (t, x, u, p, q and their changes) -> change of dx/dt."""
-    key = ("rate derivative", leg.name)
-    if key not in problem.builds:
+
+    def build() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
         rates = problem.bind(leg, leg.model.derivative())
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
-        problem.builds[key] = ca.Function("rate_derivative", [*arguments, *changes], [outputs])
-    return problem.builds[key]
+        return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
+
+    return problem.once(("rate derivative", leg.name), build)

@@ -15,6 +15,7 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.evaluation import fast_call
 from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
 from gnc_opt.model.variables import as_expression, as_vector
+from gnc_opt.planning.problem.expressions import function_along
 from gnc_opt.planning.problem.guess.initial_guess import end_values, guess_times, put_control, start_phase
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -107,9 +108,7 @@ def guess_from_simulation(
     law = _control_law(problem, leg, controls)
     q = problem.guessed_parameters()
     p, start = leg.model.parameter_values, _initial_state(leg, initial)
-    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
-    rates = ca.Function("rates", arguments, [ca.densify(problem.bind(leg, leg.model.derivative()))])
-    fast = fast_call(rates, p, q)
+    fast = fast_call(function_along(problem, leg, "rates", leg.model.derivative()), p, q)
 
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.expressions import function_along
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.phase import Phase
@@ -59,8 +59,7 @@ class PhaseForm:
 
 def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
     """Return the values of a column along the guess of a phase, as a function of time."""
-    arguments = [*stated.model.arguments(), problem.parameter_symbols()]
-    function = ca.Function("guessed", arguments, [ca.densify(problem.bind(stated, column))])
+    function = function_along(problem, stated, "guessed", column)
     q = problem.guessed_parameters()
 
     def at(t: Any) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.expressions import ROOTS, operations_in
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
-from gnc_opt.planning.problem.expressions import along
+from gnc_opt.planning.problem.expressions import along, function_along
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
@@ -124,15 +124,11 @@ def _full_turns(problem: Statement, leg: Phase) -> Turns:
 
 def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
     """Return a probe of all that varies along a phase, at random times, states, controls and free parameters."""
-    t, x, u, p = leg.model.arguments()
-    q = problem.parameter_symbols()
-
-    def build() -> Any:
-        return ca.Function("along", [t, x, u, p, q], [ca.densify(problem.bind(leg, along(leg)))])
-
-    rng = np.random.default_rng(20)
-    times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in (t, x, u, q))
-    function, values = problem.once(("along", leg.name), build), leg.model.parameter_values
+    t, x, u, _ = leg.model.arguments()
+    symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
+    times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
+    function = problem.once(("along", leg.name), lambda: function_along(problem, leg, "along", along(leg)))
+    values = leg.model.parameter_values
     if of_states:
         return AngleProbe(lambda x: evaluate(function, times[0], x, controls, values, free), states)
     return AngleProbe(lambda u: evaluate(function, times[0], states, u, values, free), controls)
