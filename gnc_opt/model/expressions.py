@@ -210,19 +210,3 @@ def _homogeneity_degrees(values: Array) -> list[int]:
             scaled = np.all((grown < EQUAL) | ~known[:, None, None], axis=(1, 2, 3))
             degrees[scaled & alike & np.any(known, axis=1)] = degree
     return [int(d) for d in degrees]
-
-
-def degree_in(expression: Any, symbol: Any) -> int | None:
-    """Return k if a scalar is proportional to ``symbol**k``, k = 0, 1 or 2, as numbers > 0 tell; else None."""
-    others = [s for s in ca.symvar(expression) if s.element_hash() != symbol.element_hash()]
-    function = ca.Function("row", [symbol, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])
-    rest = np.random.default_rng(_SEED).uniform(-1.5, 1.5, (len(others), 5))
-    values = np.stack([function(np.full((1, 5), k), rest).full()[0] for k in _LENGTHS])
-    with np.errstate(all="ignore"):
-        grown = values / values[0]
-        known = np.isfinite(grown).all(axis=0)
-    for degree in (0, 1, 2):
-        expected = (_LENGTHS / _LENGTHS[0])[:, None] ** degree
-        if np.any(known) and np.all(np.abs(grown / expected - 1)[:, known] < EQUAL):
-            return degree
-    return None

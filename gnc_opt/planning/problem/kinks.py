@@ -16,7 +16,6 @@ from gnc_opt.planning.problem.statement import Statement
 
 _OF_ONE = (ca.OP_FABS, ca.OP_SIGN)
 _OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
-_STEPS = (ca.OP_FLOOR, ca.OP_CEIL)
 _WORDS = {
     ca.OP_FABS: "fabs",
     ca.OP_SIGN: "sign",

@@ -15,12 +15,13 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
-from gnc_opt.model.expressions import ROOTS, NormNodes, degree_in, nodes_of, rebuilt
+from gnc_opt.model.expressions import ROOTS, NormNodes, nodes_of, rebuilt
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.interval import Interval, by_name, from_names, stacked
+from gnc_opt.planning.problem.interval_arithmetic import is_affine, drawn
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, along_guess, free_name, taken_names
@@ -344,7 +345,8 @@ def _restated_paths(
 def _without_factor(expression: Any, limits: Interval, magnitude: Any) -> Any:
     """Return a row whose limits are zero, that of a cone, without the magnitude if that is a factor of it."""
     ends = np.array([limits.lower[0], limits.upper[0]])
-    is_cone = bool(np.all((ends == 0) | ~np.isfinite(ends))) and degree_in(expression, magnitude) in (1, 2)
+    is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)
+    is_cone = is_cone and not np.any(drawn(ca.substitute(expression, magnitude, 0.0)))
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
