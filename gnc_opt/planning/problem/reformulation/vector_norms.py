@@ -21,7 +21,7 @@ from gnc_opt.model.variables import Layout, Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.interval import Interval, by_name, from_names, stacked
-from gnc_opt.planning.problem.interval_arithmetic import is_affine, drawn
+from gnc_opt.planning.problem.interval_arithmetic import drawn, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, along_guess, free_name, taken_names
