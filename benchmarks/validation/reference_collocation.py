@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.planning.problem.guess.initial_guess import phase_guess
 from gnc_opt.problem_file import example
 
 Array = NDArray[np.float64]
@@ -226,7 +226,7 @@ def _parameters(program: Program, problem: go.Problem, before: Collocated | None
 def _guess(leg: Any, fractions: Array, before: Trajectory | None) -> tuple[Array, Array, Array]:
     """Return times (2,), states and controls at fractions of a phase."""
     if before is None:
-        start = start_phase(leg, fractions, perturbed=False)
+        start = phase_guess(leg, fractions, perturbed=False)
         return start.times, start.states, start.controls
     at = before.times[0] + fractions * (before.times[-1] - before.times[0])
 

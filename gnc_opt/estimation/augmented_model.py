@@ -20,7 +20,7 @@ from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.estimation.error_space import Space, euclidean_space, product_space
 from gnc_opt.estimation.measurement import Measurement
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, user_expression
+from gnc_opt.model.variables import Layout, Variable, call_user_function
 
 _MOST_LATE = 200
 """Largest number of components of late samples: the filter's work grows with the cube of its states."""
@@ -256,6 +256,6 @@ def _replace_difference(space: Space, function: Callable[[Any, Any], Any], name:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
     remedy = f"return {space.errors} components made of a sample and what it should be, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"
-    if not ca.symvar(user_expression(function, (x, ref), space.errors, what, remedy)):
+    if not ca.symvar(call_user_function(function, (x, ref), space.errors, what, remedy)):
         raise ArgumentError(f"{what} is the same whatever its arguments: {remedy}.")
     return Space(space.size, space.errors, function, space.retraction)

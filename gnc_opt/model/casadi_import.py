@@ -21,7 +21,7 @@ class Declared:
     symbol: Any = None
 
 
-def declared(given: Any, what: str) -> list[Declared]:
+def read_variables(given: Any, what: str) -> list[Declared]:
     """Return the variables behind symbols, a sequence of them, or a mapping from names to symbols or sizes.
 
     Symbols without a mapping keep their names. ``what`` is for the `ModelError` of anything else.
@@ -32,7 +32,7 @@ def declared(given: Any, what: str) -> list[Declared]:
     return [entry for column in columns for entry in _named_variables(_input_column(column, what))]
 
 
-def known_names(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
+def read_named_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
     """Return the values by name; raise `UnknownNameError` for a name not in ``names``."""
     for name in given or {}:
         if name not in names:
@@ -40,7 +40,7 @@ def known_names(given: Mapping[str, Any] | None, names: Sequence[str], what: str
     return dict(given or {})
 
 
-def derivative_in(
+def express_derivative(
     f: Any, arguments: Mapping[str, Any], symbols: Mapping[str, list[Any]], size: int, what: str
 ) -> Any:
     """Return dx/dt, SX (size, 1), in new symbols; raise `ModelError` for other inputs, sizes or symbols.

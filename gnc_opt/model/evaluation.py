@@ -117,7 +117,7 @@ def evaluate(
 
     1-D arguments are constant in time; 2-D ones have time last. ``programme`` is the function as NumPy code.
     """
-    times, *columns = checked(function, t, x, *others)
+    times, *columns = check_arguments(function, t, x, *others)
     if (
         programme is not None
         and times.size >= NUMPY_MIN_COLUMNS_SHORT
@@ -129,7 +129,7 @@ def evaluate(
     return found if times.ndim else found[:, 0]
 
 
-def fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
+def make_fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
     """Return a CasADi function's first output at one point, without conversion overhead, for integrators."""
     arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
     free = len(arguments) - len(constants)
@@ -203,7 +203,7 @@ def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
     return np.ascontiguousarray(states.T)
 
 
-def checked(function: Any, *arguments: ArrayLike) -> list[Array]:
+def check_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for those that the function cannot take."""
     arrays = [
         read_numbers(a, f"{function.name_in(i)} of {function.name()}()") for i, a in enumerate(arguments)

@@ -28,7 +28,7 @@ def nodes_of(expression: Any) -> Iterator[Any]:
             waiting += [node.dep(i) for i in range(node.n_dep())]
 
 
-def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
+def rebuild(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     """Return a column in which ``replacement(node)`` replaces nodes; None visits the operands of a node."""
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
@@ -50,9 +50,9 @@ def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
 
 
-def replaced(expression: Any, instead: Mapping[int, Any]) -> Any:
-    """Return a column with nodes replaced by their hashes, see `rebuilt`."""
-    return rebuilt(expression, lambda node: instead.get(node.element_hash()))
+def replace_in(expression: Any, instead: Mapping[int, Any]) -> Any:
+    """Return a column with nodes replaced by their hashes, see `rebuild`."""
+    return rebuild(expression, lambda node: instead.get(node.element_hash()))
 
 
 def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
@@ -142,7 +142,7 @@ class NormNodes:
             factor = ca.substitute(node, self.vector, unit)
             return factor * (norm if degree == 1 else norm**2)
 
-        return rebuilt(expression, replacement)
+        return rebuild(expression, replacement)
 
 
 def _smooth_nodes(expression: Any, vector: Any) -> list[Any]:

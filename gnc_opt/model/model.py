@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import Strict, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, right_symbol
-from gnc_opt.model.casadi_import import declared, derivative_in, known_names
+from gnc_opt.model.casadi_import import express_derivative, read_named_values, read_variables
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
-from gnc_opt.model.evaluation import checked, evaluate
+from gnc_opt.model.evaluation import check_arguments, evaluate
 from gnc_opt.model.table import TableUse
 from gnc_opt.model.variables import (
     Layout,
@@ -173,12 +173,12 @@ class Model(Strict):
         """
         model = cls(name)
         states, controls, parameters = (
-            declared(given, f"the {what} of model '{name}'")
+            read_variables(given, f"the {what} of model '{name}'")
             for what, given in (("states", x), ("controls", u), ("parameters", p))
         )
         names = [v.name for v in (*states, *controls, *parameters)]
-        units = known_names(units, names, f"units= of '{name}'")
-        values = known_names(values, [v.name for v in parameters], f"values= of '{name}'")
+        units = read_named_values(units, names, f"units= of '{name}'")
+        values = read_named_values(values, [v.name for v in parameters], f"values= of '{name}'")
         for v in states:
             model.state(v.name, v.size, unit=units.get(v.name, ""))
         for v in controls:
@@ -194,7 +194,7 @@ class Model(Strict):
         }
         symbols = {"t": [] if t is None else [t], **symbols}
         arguments = dict(zip(_ARGUMENTS, model.arguments(), strict=True))
-        rate = derivative_in(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
+        rate = express_derivative(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
         model.ode({state: rate[model.states.slice(state)] for state in model.states.names})
         return model
 
@@ -578,7 +578,7 @@ class Model(Strict):
         jacobians = self._function(
             "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
         )
-        a, b = jacobians(*checked(jacobians, t, x, u, self.parameter_values if p is None else p))
+        a, b = jacobians(*check_arguments(jacobians, t, x, u, self.parameter_values if p is None else p))
         return np.asarray(a.full()), np.asarray(b.full())
 
     def mark_in_use(self, user: str) -> None:

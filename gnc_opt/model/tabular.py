@@ -122,7 +122,7 @@ class Records:
         return target
 
 
-def named(
+def name_rows(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
     """Yield the variables of a layout with their rows of stacked values."""

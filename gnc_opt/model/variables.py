@@ -261,7 +261,7 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
     return ca.densify(expression)
 
 
-def user_expression(
+def call_user_function(
     function: Callable[..., Any], arguments: Sequence[Any], size: int, what: str, remedy: str
 ) -> Any:
     """Return the SX column (size, 1) that a function of a user makes of its arguments; else raise `ArgumentError`."""

@@ -15,7 +15,7 @@ from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import Strict
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.model.tabular import Records, named
+from gnc_opt.model.tabular import Records, name_rows
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import (
@@ -265,9 +265,9 @@ class Campaign(Strict, Printed):
         ]
         quantities = (
             (Variable("outcome"), np.array([outcomes], dtype=object)),
-            *named(self.layouts["parameter"], self.parameters),
-            *named(self.layouts["state"], self.states, "final."),
-            *named(self.layouts["error"], self.errors, "error."),
+            *name_rows(self.layouts["parameter"], self.parameters),
+            *name_rows(self.layouts["state"], self.states, "final."),
+            *name_rows(self.layouts["error"], self.errors, "error."),
             *measures,
         )
         about = {"seed": self.seed, "asked": self.asked, "fingerprint": self.fingerprint}

@@ -14,7 +14,7 @@ from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import Strict, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.tabular import Records, named
+from gnc_opt.model.tabular import Records, name_rows
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.campaign_text import LISTED
@@ -274,7 +274,7 @@ class Run(Strict, Printed):
 
     def _records(self) -> Records:
         n = self.times.size
-        quantities = [*named(self.layouts["state"], self.states)]
+        quantities = [*name_rows(self.layouts["state"], self.states)]
         steps = {
             "measured": self.measured,
             "command": self.commands,
@@ -282,11 +282,11 @@ class Run(Strict, Printed):
             "memory": self.memory,
         }
         for kind, values in steps.items():
-            quantities += named(self.layouts[kind], values, f"{kind}.", n)
+            quantities += name_rows(self.layouts[kind], values, f"{kind}.", n)
         if self.errors is not None:
-            quantities += named(self.layouts["error"], self.errors, "error.")
+            quantities += name_rows(self.layouts["error"], self.errors, "error.")
         if self.reference is not None:
-            quantities += named(self.layouts["measured"], self.reference, "reference.")
+            quantities += name_rows(self.layouts["measured"], self.reference, "reference.")
         about = {"outcome": str(self.outcome), "seed": self.seed}
         return Records(Variable("time", unit="s"), self.times, tuple(quantities), about)
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import user_expression
+from gnc_opt.model.variables import call_user_function
 from gnc_opt.simulation.block import (
     Block,
     Defaults,
@@ -165,7 +165,7 @@ class SensorOutage(Block):
         if self.where is not None:
             states = ", ".join(tick.x)
             remedy = f"write a function of the time and of the plant's states by name, {states}"
-            found = user_expression(self.where, (tick.t, tick.x), 1, f"where= of '{self.name}'", remedy)
+            found = call_user_function(self.where, (tick.t, tick.x), 1, f"where= of '{self.name}'", remedy)
             out = ca.logic_and(out, ca.logic_not(found <= 0))  # NaN counts as an outage
         return Step(ca.if_else(out, math.nan, signal), state)
 
@@ -176,4 +176,4 @@ def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: i
     remedy = (
         f"take a state and an error, of {count} component{'s' * (count > 1)} as given, and return a state"
     )
-    user_expression(retraction, arguments, size, f"the retraction beside {what}", remedy)
+    call_user_function(retraction, arguments, size, f"the retraction beside {what}", remedy)

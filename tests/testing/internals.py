@@ -56,13 +56,13 @@ from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.guess import simulation as guess_simulation
-from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED, end_values, guess_times, start_phase
-from gnc_opt.planning.problem.guess.simulation import with_flown_guess
-from gnc_opt.planning.problem.guess.singularity_avoidance import bent
+from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED, end_values, guess_times, phase_guess
+from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
-from gnc_opt.planning.problem.redundant_bounds import idle_bounds, one_way_states
+from gnc_opt.planning.problem.redundant_bounds import implied_norm_bounds, monotone_states
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
@@ -89,7 +89,7 @@ from gnc_opt.planning.solution.scales import control_spans
 from gnc_opt.planning.solution.summary import overshooting_controls
 from gnc_opt.planning.solution.unwrap import unwound
 from gnc_opt.planning.solution.warm_start import start_from_guess
-from gnc_opt.planning.study.kkt_sensitivity import predict, sharper
+from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution
 from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
     hold_controls,

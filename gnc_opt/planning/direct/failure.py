@@ -9,8 +9,8 @@ import numpy as np
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import knows_trajectory
 from gnc_opt.planning.nlp import Status
-from gnc_opt.planning.problem.check import bounds_to_give
-from gnc_opt.planning.problem.check_functions import norms_by_hand
+from gnc_opt.planning.problem.check import missing_bounds_text
+from gnc_opt.planning.problem.check_functions import singular_norms
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 
@@ -42,14 +42,14 @@ def failure_message(solution: Solution) -> str:
         worst = f"worst: {first.name}{amount}"
     problem = solution.problem
     norms = (
-        [text for leg in problem.phases.values() for text in norms_by_hand(problem, leg)] if problem else []
+        [text for leg in problem.phases.values() for text in singular_norms(problem, leg)] if problem else []
     )
     return (
         f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"
         + (guess_to_give(problem) if problem and solution.status in GUESS_HELPS else "")
         + "".join(f" And {text}." for text in norms)
-        + (f" And {missing}" if problem and (missing := bounds_to_give(problem)) else "")
+        + (f" And {missing}" if problem and (missing := missing_bounds_text(problem)) else "")
     )
 
 

@@ -22,7 +22,7 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptio
 from gnc_opt.planning.nlp.monitor import ProgressCallback
 from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.problem.guess.perturbation import with_random_guess
-from gnc_opt.planning.problem.guess.simulation import with_flown_guess
+from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.solution.solution import Solution
@@ -283,7 +283,7 @@ class _Tries:
         return found
 
     def _simulated(self) -> Iterator[ProgramStart]:
-        flown = with_flown_guess(self.attempt.problem)
+        flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
             yield program_start(self.attempt.transcription, flown, None)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.problem.kinks import centres_of
+from gnc_opt.planning.problem.kinks import find_feature_centres
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 
@@ -25,7 +25,7 @@ _BISECTIONS = 60
 
 def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
-    centres = centres_of(problem, problem.phases[s.leg.name])
+    centres = find_feature_centres(problem, problem.phases[s.leg.name])
     if centres is None or not s.has_length:
         return np.zeros(0)
 

@@ -76,7 +76,7 @@ class AngleProbe:
             turned, elsewhere = (
                 self.values(self._shifted_values(i, by)) for by in (period, ELSEWHERE * period)
             )
-            if turned_back(self.here, turned, elsewhere):
+            if repeats_after_turn(self.here, turned, elsewhere):
                 return period
         return 0.0
 
@@ -85,7 +85,7 @@ class AngleProbe:
         away = self._shifted_values(azimuth, half_turn)
         reflected = away.copy()
         reflected[elevation] = 2.0 * end - reflected[elevation]
-        return turned_back(self.here, self.values(reflected), self.values(away))
+        return repeats_after_turn(self.here, self.values(reflected), self.values(away))
 
     def _shifted_values(self, i: int, by: float) -> Array:
         u = self.u.copy()
@@ -93,7 +93,7 @@ class AngleProbe:
         return u
 
 
-def turned_back(here: Array, turned: Array, elsewhere: Array) -> bool:
+def repeats_after_turn(here: Array, turned: Array, elsewhere: Array) -> bool:
     """Whether values (n, N) are the same after a turn, which they are not elsewhere; unknown ones are not looked at."""
     known = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
     here, turned, elsewhere = (np.where(known, values, 0.0) for values in (here, turned, elsewhere))

@@ -15,8 +15,8 @@ from gnc_opt.planning.problem.check_functions import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.expressions import along, bind_at_ends, end_arguments, function_along
-from gnc_opt.planning.problem.guess.singularity_avoidance import bent
+from gnc_opt.planning.problem.expressions import bind_at_ends, end_arguments, function_along, phase_terms
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval import Interval, free, intersect
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.phase import Phase
@@ -45,7 +45,9 @@ def check_problem(problem: Statement) -> None:
     try:
         check_values(solved)
     except ProblemError:
-        check_values(bent(solved))  # as the solver will start: most straight lines need no bending
+        check_values(
+            with_curved_guess(solved)
+        )  # as the solver will start: most straight lines need no bending
     if first:
         for leg in solved.phases.values():
             warn_of_norms(solved, leg)
@@ -62,7 +64,7 @@ def check_numbers(problem: Statement) -> None:
         _check_boundary_values(leg)
         _check_paths_at_ends(problem, leg)
     for leg in problem.phases.values():
-        _check_order(problem, leg)
+        _check_phase_order(problem, leg)
     _check_constraints(problem)
 
 
@@ -160,7 +162,7 @@ def _path_function(problem: Statement, leg: Phase) -> Any:
     )
 
 
-def _check_order(problem: Statement, leg: Phase) -> None:
+def _check_phase_order(problem: Statement, leg: Phase) -> None:
     """Refuse a phase that starts when the one that it follows starts: ``time()`` alone fixes that at zero."""
     if leg.follows is None:
         return
@@ -207,7 +209,7 @@ def _show(interval: Interval | None, i: int) -> str:
 # --- what is used where -------------------------------------------------------------------------------
 
 
-def _is_used(expressions: list[Any]) -> set[int]:
+def _used_symbols(expressions: list[Any]) -> set[int]:
     return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
 
 
@@ -219,11 +221,11 @@ def _unused_components(variable: Variable, symbol: Any, used: set[int]) -> list[
 
 def check_unused_controls(problem: Statement) -> None:
     """Raise `ProblemError` for a control that neither dynamics nor limits nor an integral that counts depend on."""
-    ends = _is_used([ca.vertcat(problem.cost, problem.constraint_expression())])
+    ends = _used_symbols([ca.vertcat(problem.cost, problem.constraint_expression())])
     for leg in problem.phases.values():
         counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
         acted_on = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
-        used = _is_used([problem.bind(leg, acted_on)])
+        used = _used_symbols([problem.bind(leg, acted_on)])
         for variable in leg.model.controls.variables:
             idle = _unused_components(variable, leg.model.symbol(variable.name), used)
             if idle:
@@ -236,8 +238,12 @@ def check_unused_controls(problem: Statement) -> None:
 def _check_unused_parameters(problem: Statement) -> None:
     ends = ca.vertcat(problem.cost, problem.constraint_expression())
     legs = problem.phases.values()
-    used = _is_used(
-        [ends, *(problem.bind(leg, ends) for leg in legs), *(problem.bind(leg, along(leg)) for leg in legs)]
+    used = _used_symbols(
+        [
+            ends,
+            *(problem.bind(leg, ends) for leg in legs),
+            *(problem.bind(leg, phase_terms(leg)) for leg in legs),
+        ]
     )
     models = {id(leg.model): leg.model for leg in legs}.values()
     known = [name for model in models for name in model.parameters.names]
@@ -262,7 +268,7 @@ def _check_unused_parameters(problem: Statement) -> None:
                 )
 
 
-def bounds_to_give(problem: Statement) -> str:
+def missing_bounds_text(problem: Statement) -> str:
     """Return which controls lack bounds in a problem that costs time alone; empty if none does."""
     times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))

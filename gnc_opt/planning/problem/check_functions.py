@@ -13,16 +13,16 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expressions import ROOTS, nodes_of, operations_in
 from gnc_opt.planning.problem.expressions import (
-    along,
     bind_at_ends,
     end_arguments,
     end_points,
     outside_tables,
+    phase_terms,
     table_uses,
 )
-from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, start_phase
+from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, phase_guess
 from gnc_opt.planning.problem.interval import Interval, intersect
-from gnc_opt.planning.problem.interval_arithmetic import drawn
+from gnc_opt.planning.problem.interval_arithmetic import draw_values
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -71,7 +71,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not operations_in(along(leg)) & _KINKS.keys():
+    if not operations_in(phase_terms(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
     for operation, (kind, where) in _first_kinks(problem, leg, looked_up):
@@ -85,7 +85,7 @@ def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None
     """Raise `ProblemError` if the guess leaves a table that refuses it; warn, if wanted, where it leaves another."""
     if not table_uses(problem, leg):
         return
-    start = start_phase(leg, _CHECK_SMOOTH_FRACTIONS)
+    start = phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()
     p = leg.model.parameter_values
@@ -126,8 +126,8 @@ _REMEDY = (
 
 
 def warn_of_norms(problem: Statement, leg: Phase) -> None:
-    """Issue a `ProblemWarning` for each of `norms_by_hand` and `shifted_norms`."""
-    for text in [*norms_by_hand(problem, leg), *shifted_norms(leg)]:
+    """Issue a `ProblemWarning` for each of `singular_norms` and `shifted_norms`."""
+    for text in [*singular_norms(problem, leg), *shifted_norms(leg)]:
         warn_user(f"{text}.")
 
 
@@ -135,7 +135,7 @@ def shifted_norms(leg: Phase) -> list[str]:
     """Return which integrands contain a norm that has no derivative at controls other than zero: ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
-        vectors = (_argument_of_norm(node) for node in nodes_of(integrand) if node.op() in ROOTS)
+        vectors = (_norm_argument(node) for node in nodes_of(integrand) if node.op() in ROOTS)
         if any(v is not None and ca.depends_on(v, controls) and _is_shifted(v, controls) for v in vectors):
             texts.append(
                 f"integral '{name}' of {leg.where} contains a norm of controls less other terms, which has a kink "
@@ -147,10 +147,10 @@ def shifted_norms(leg: Phase) -> list[str]:
 def _is_shifted(vector: Any, controls: Any) -> bool:
     """Whether a vector that depends on controls is not zero where all of them are."""
     rest = ca.substitute(vector, controls, ca.SX.zeros(controls.numel()))
-    return bool(np.any(drawn(rest) != 0))
+    return bool(np.any(draw_values(rest) != 0))
 
 
-def _argument_of_norm(root: Any) -> Any | None:
+def _norm_argument(root: Any) -> Any | None:
     """Return the vector whose Euclidean norm a root is, if it has two or more components; else None."""
     if root.op() == ca.OP_HYPOT:
         return ca.vertcat(root.dep(0), root.dep(1))
@@ -166,16 +166,16 @@ def _argument_of_norm(root: Any) -> Any | None:
     return ca.vertcat(*components) if len(components) > 1 else None
 
 
-def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
+def singular_norms(problem: Statement, leg: Phase) -> list[str]:
     """Return the functions whose derivatives fail or vanish at zero controls, and their replacements."""
-    start = start_phase(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
+    start = phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()
     box = leg.numbers.controls
     still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
-    guessed = try_along(problem, leg, times, start.states, start.controls, q)
+    guessed = evaluate_along(problem, leg, times, start.states, start.controls, q)
     texts = []
-    for kind, tried in try_along(problem, leg, times, start.states, still, q).items():
+    for kind, tried in evaluate_along(problem, leg, times, start.states, still, q).items():
         for row, what in _undefined_values(leg, tried, guessed[kind]):
             texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.where} has {what}: {_REMEDY}")
     return texts
@@ -269,7 +269,7 @@ def first_not_finite(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NotFinite | None:
     """Return the first function along a trajectory (columns are times) that is not finite, or has such a derivative."""
-    for tried in try_along(problem, leg, times, states, controls, parameters).values():
+    for tried in evaluate_along(problem, leg, times, states, controls, parameters).values():
         bad = tried.first_bad()
         if bad:
             labels = (*leg.model.states.labels, *leg.model.controls.labels)
@@ -278,7 +278,7 @@ def first_not_finite(
     return None
 
 
-def try_along(
+def evaluate_along(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, Tried]:
     """Return functions along a phase and their derivatives, at the points of `first_not_finite`, by their kind."""
@@ -306,10 +306,10 @@ class _Guessed:
     @classmethod
     def of(cls, leg: Phase) -> _Guessed:
         # The end points are included: messages there name the user's functions.
-        start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
+        start = phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
         scales, control_scales = phase_magnitudes(leg)
-        states = _moved_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
-        controls = _moved_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
+        states = _move_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
+        controls = _move_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
         return cls(start, scales, (times, states, controls))
 
@@ -323,17 +323,15 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
     start = guessed.start
     bad = guessed.not_finite(problem, leg)
     if bad:
-        raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
+        raise _not_finite_error(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
-        integrands = try_along(problem, leg, *guessed.along, problem.guessed_parameters())["integral"]
+        integrands = evaluate_along(problem, leg, *guessed.along, problem.guessed_parameters())["integral"]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
-    first = _moved_inside_bounds(
+    first = _move_inside_bounds(
         start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales
     )
-    last = _moved_inside_bounds(
-        start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales
-    )
+    last = _move_inside_bounds(start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales)
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
 
 
@@ -343,10 +341,10 @@ def _check_ends(problem: Statement, ends: list[Any]) -> None:
         tried = Tried.at(what, rows, columns, function(*ends, problem.guessed_parameters()))
         bad = tried.first_bad()
         if bad:
-            raise _not_finite(f"{bad[0]} at the end points of the guess", {})
+            raise _not_finite_error(f"{bad[0]} at the end points of the guess", {})
 
 
-def _moved_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
+def _move_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
     """Move values (n, N) into the bounds (n,), slightly inside them if the bounds differ."""
     lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
     push = _BOUND_OFFSET * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
@@ -360,7 +358,11 @@ def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[st
 
     def build() -> list[tuple[str, tuple[str, ...], Any]]:
         return [
-            (what, rows, _with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]))
+            (
+                what,
+                rows,
+                _function_with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]),
+            )
             for what, rows, expression in _expressions_along(leg)
             if rows
         ]
@@ -401,19 +403,19 @@ def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], t
         for what, rows, expression in kinds:
             if rows:
                 bound = bind_at_ends(problem, expression)
-                function = _with_jacobian(bound, ca.vertcat(*variables, q), end_arguments(problem))
+                function = _function_with_jacobian(bound, ca.vertcat(*variables, q), end_arguments(problem))
                 built.append((what, rows, tuple(columns), function))
         return built
 
     return problem.once("check ends", build)
 
 
-def _with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:
+def _function_with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:
     jacobian = ca.densify(ca.jacobian(expression, variables))
     return ca.Function("check", arguments, [ca.densify(expression), ca.vec(jacobian)])
 
 
-def _not_finite(what: str, point: Mapping[str, float]) -> ProblemError:
+def _not_finite_error(what: str, point: Mapping[str, float]) -> ProblemError:
     shown = ", ".join(f"{name} = {value:.4g}" for name, value in point.items()) if len(point) <= 12 else ""
     return ProblemError(
         f"{what}{f' ({shown})' if shown else ''}: give another guess(), or bounds that keep away from the "

@@ -59,7 +59,7 @@ class StatedPhase(Protocol):
 def limit_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
     """Make controls states of a phase, with rates in given ranges; see `Phase.rates`."""
     for name, limits in ranges.items():
-        symbol = _checked_control(leg, name, "rates")
+        symbol = _read_control(leg, name, "rates")
         v = symbol.variable
         rate = _new_variable(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
         leg.add_states({symbol: rate}, [rate])
@@ -69,7 +69,7 @@ def limit_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
 def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
     """Make controls polynomials of time over a phase; see `Phase.polynomials`."""
     for name, given in degrees.items():
-        symbol = _checked_control(leg, name, "polynomials")
+        symbol = _read_control(leg, name, "polynomials")
         degree = read_integer(given, f"the degree of control '{name}' in {leg.where}", 0, ProblemError)
         v = symbol.variable
         leg.own_states |= {name, f"{name}_coefficients"}
@@ -79,7 +79,8 @@ def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
         coefficients = _new_variable(leg, f"{name}_coefficients", v.size * degree, v.unit)
         place, table = 2.0 * leg.fraction - 1.0, ca.reshape(coefficients, v.size, degree)
         slopes = [
-            _end_value(legendre.leg2poly(legendre.legder(row)), place) for row in np.eye(degree + 1)[1:]
+            _evaluate_polynomial(legendre.leg2poly(legendre.legder(row)), place)
+            for row in np.eye(degree + 1)[1:]
         ]
         rate = 2.0 * leg.model.symbol(FRACTION_RATE) * (table @ ca.vertcat(*slopes))
         leg.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
@@ -96,11 +97,11 @@ def fraction_of(leg: StatedPhase) -> Any:
     return leg.model.symbol(FRACTION)
 
 
-def _end_value(polynomial: Any, at: Any) -> Any:
+def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _checked_control(leg: StatedPhase, name: str, what: str) -> Symbol:
+def _read_control(leg: StatedPhase, name: str, what: str) -> Symbol:
     """Return the symbol of a control that may become a state."""
     layout, composed = leg.model.controls, leg.model.composed_controls
     if name in leg.model.states:

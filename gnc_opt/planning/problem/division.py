@@ -36,7 +36,7 @@ class Divisible(Protocol):
     def constraint_expression(self) -> Any: ...
 
 
-def divided(
+def divide_phase(
     problem: Divisible, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
     """Divide a phase of a problem and return its parts; see `Problem.divide`."""
@@ -46,11 +46,13 @@ def divided(
         raise ProblemError(f"{leg.where} has no times: call time(initial=..., final=...) before divide().")
     parts = [
         leg,
-        *leg.followers([f"{leg.name}_{k + 2}" for k in range(np.size(_given_number(leg, times, fractions)))]),
+        *leg.followers(
+            [f"{leg.name}_{k + 2}" for k in range(np.size(_read_division_points(leg, times, fractions)))]
+        ),
     ]
-    marks = [begin, *_divided_ranges(leg, times, fractions, begin, end), end]
+    marks = [begin, *_division_times(leg, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
-        part.numbers = replace(part.numbers, initial_time=first, final_time=last, duration=positive())
+        part.numbers = replace(part.numbers, initial_time=first, final_time=last, duration=any_duration())
         problem.phases[part.name] = part
     problem.changed()
     for one, other in pairwise(parts):
@@ -66,24 +68,24 @@ def divided(
     return tuple(parts)
 
 
-def positive() -> Interval:
+def any_duration() -> Interval:
     """Return the range of an unspecified duration."""
     return Interval(np.zeros(1), np.full(1, np.inf))
 
 
-def _given_number(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
+def _read_division_points(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
     if (times is None) == (fractions is None):
         raise ProblemError(f"divide() of {leg.where} needs either times or fractions: give one of them.")
     return times if fractions is None else fractions
 
 
-def _divided_ranges(
+def _division_times(
     leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
 ) -> Iterator[Interval]:
     """Yield the ranges of the times at which the phase is divided."""
     what = "times" if fractions is None else "fractions"
     values = np.ravel(
-        read_numbers(_given_number(leg, times, fractions), f"the {what} of divide()", ProblemError)
+        read_numbers(_read_division_points(leg, times, fractions), f"the {what} of divide()", ProblemError)
     )
     least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
     if not (values.size and np.all(np.diff([least, *values, most]) > 0)):

@@ -45,7 +45,7 @@ class OutsideTable:
         )
 
 
-def along(leg: Phase) -> Any:
+def phase_terms(leg: Phase) -> Any:
     """Return all expressions along a phase, stacked, in the symbols of its model."""
     return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
 
@@ -64,7 +64,7 @@ def table_uses(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
         known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
         if not known:
             return ()
-        present = {node.element_hash() for node in nodes_of(along(leg))}
+        present = {node.element_hash() for node in nodes_of(phase_terms(leg))}
         return tuple({id(use): use for use in known if use.hashes & present}.values())
 
     return problem.once(("tables", leg.name), find)

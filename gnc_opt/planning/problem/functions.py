@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.evaluation import Operations, evaluate, fast_call
+from gnc_opt.model.evaluation import Operations, evaluate, make_fast_call
 from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import bind_at_ends, end_arguments, end_points, function_along
 from gnc_opt.planning.problem.phase import Phase
@@ -65,7 +65,7 @@ class PhaseFunctions:
         """Return dx/dt as a function of (t, x, u) at one time without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
-        return fast_call(function, costates, multipliers, self.weights, self.p, self.q)
+        return make_fast_call(function, costates, multipliers, self.weights, self.p, self.q)
 
     def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
@@ -333,7 +333,7 @@ def end_values(problem: Problem) -> Any:
     return problem.once("end values", build)
 
 
-def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
+def make_evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
     """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols or a declared output's name."""
     leg = problem.get_phase(phase)
     if isinstance(expression, str):

@@ -17,7 +17,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_vector
 
 
-def merged(old: Interval, layout: Layout, values: Mapping[str, Any], what: str, where: str) -> Interval:
+def with_ranges(old: Interval, layout: Layout, values: Mapping[str, Any], what: str, where: str) -> Interval:
     """Return an interval with the ranges of some names changed; ``what`` they are, and where, is for messages."""
     lower, upper = old.lower.copy(), old.upper.copy()
     for name, value in values.items():
@@ -35,7 +35,7 @@ def by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
     return {name: Interval(box.lower[place], box.upper[place]) for name, place in places}
 
 
-def from_names(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
+def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
     """Return ranges by name as one of all of a layout's variables, free where none is given."""
     box = free(layout.size)
     for name in layout.names:
@@ -47,7 +47,7 @@ def from_names(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
     return box
 
 
-def without_negative_parts(model: Model) -> Interval:
+def default_control_bounds(model: Model) -> Interval:
     """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""
     box = free(model.controls.size)
     for control in model.composed_controls.values():
@@ -56,7 +56,7 @@ def without_negative_parts(model: Model) -> Interval:
     return box
 
 
-def one_sided(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
+def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return ranges in which those of split controls are of their two parts: u = plus - minus."""
     parts: dict[str, Any] = {}
     for name, value in ranges.items():
@@ -80,7 +80,7 @@ def one_sided(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, 
     return parts
 
 
-def of_magnitudes(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, tuple[float, float]]:
+def magnitude_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, tuple[float, float]]:
     """Return ranges of the norms of vector controls as ranges of their magnitudes, which are >= 0."""
     parts = {}
     for name, value in ranges.items():
@@ -141,7 +141,7 @@ def free(size: int) -> Interval:
     return Interval(np.full(size, -np.inf), np.full(size, np.inf))
 
 
-def stacked(boxes: Iterable[Interval]) -> Interval:
+def stack_all(boxes: Iterable[Interval]) -> Interval:
     """Return several intervals, or none, as one."""
     every = [free(0), *boxes]
     return Interval(
@@ -168,7 +168,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
         fixed = Interval(_range_end(value, -np.inf, size, what), _range_end(value, np.inf, size, what))
         if np.any(np.isnan(fixed.lower)):
             raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
-        return checked(fixed, what)
+        return check_interval(fixed, what)
     if len(value) != 2:
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
@@ -182,7 +182,7 @@ def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
     """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
     low = _range_end(lower, -np.inf, size, f"the lower limit of {what}")
     high = _range_end(upper, np.inf, size, f"the upper limit of {what}")
-    return checked(Interval(low, high), what)
+    return check_interval(Interval(low, high), what)
 
 
 def _range_end(value: Any, none: float, size: int, what: str) -> Array:
@@ -207,7 +207,7 @@ def refuse_ambiguous(value: tuple[Any, Any], size: int, what: str, otherwise: st
         )
 
 
-def checked(interval: Interval, what: str) -> Interval:
+def check_interval(interval: Interval, what: str) -> Interval:
     """Return the interval; raise `ProblemError` for NaN, crossed limits and values at infinity."""
     for end, name in ((interval.lower, "lower"), (interval.upper, "upper")):
         if np.any(np.isnan(end)):

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.expressions import nodes_of, replaced
-from gnc_opt.planning.problem.expressions import along
+from gnc_opt.model.expressions import nodes_of, replace_in
+from gnc_opt.planning.problem.expressions import phase_terms
 from gnc_opt.planning.problem.interval import Interval, free, intersect
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -50,49 +50,49 @@ def ranges_of(function: Any, arguments: Sequence[Interval]) -> Interval:
     return Interval(np.array([a for a, _ in found]), np.array([b for _, b in found]))
 
 
-def _add(a: Range, b: Range) -> Range:
+def _add_ranges(a: Range, b: Range) -> Range:
     return a[0] + b[0], a[1] + b[1]
 
 
-def _negative(a: Range) -> Range:
+def _negate_range(a: Range) -> Range:
     return -a[1], -a[0]
 
 
-def _times(a: Range, b: Range) -> Range:
+def _multiply_ranges(a: Range, b: Range) -> Range:
     # Zero times infinity is zero: infinity stands for what has no limit, not for a value.
     products = [x * y if x and y else 0.0 for x in a for y in b]
     return min(products), max(products)
 
 
-def _inverse(a: Range) -> Range:
+def _invert_range(a: Range) -> Range:
     if a[0] < 0 < a[1] or a[0] == a[1] == 0:
         return ANY
     ends = sorted(math.copysign(math.inf, a[0] + a[1]) if x == 0 else 1 / x for x in a)
     return ends[0], ends[1]
 
 
-def _square(a: Range) -> Range:
+def _square_range(a: Range) -> Range:
     low, high = sorted(map(abs, a))
     return 0.0 if a[0] <= 0 <= a[1] else low * low, high * high
 
 
-def _magnitude(a: Range) -> Range:
+def _absolute_range(a: Range) -> Range:
     low, high = sorted(map(abs, a))
     return 0.0 if a[0] <= 0 <= a[1] else low, high
 
 
-def _square_root(a: Range) -> Range:
+def _square_root_range(a: Range) -> Range:
     return math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))
 
 
-def _exponential(a: Range) -> Range:
+def _exponential_range(a: Range) -> Range:
     def exp(x: float) -> float:
         return math.inf if x > 700 else math.exp(x)
 
     return exp(a[0]), exp(a[1])
 
 
-def _power(a: Range, b: Range) -> Range:
+def _power_range(a: Range, b: Range) -> Range:
     """Of a base that is not negative, with a constant exponent."""
     if a[0] < 0 or b[0] != b[1]:
         return ANY
@@ -103,19 +103,19 @@ def _power(a: Range, b: Range) -> Range:
 
 _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_ASSIGN: lambda a: a,
-    ca.OP_ADD: _add,
-    ca.OP_SUB: lambda a, b: _add(a, _negative(b)),
-    ca.OP_NEG: _negative,
-    ca.OP_MUL: _times,
-    ca.OP_TWICE: lambda a: _add(a, a),
-    ca.OP_DIV: lambda a, b: _times(a, _inverse(b)),
-    ca.OP_INV: _inverse,
-    ca.OP_SQ: _square,
-    ca.OP_SQRT: _square_root,
-    ca.OP_FABS: _magnitude,
-    ca.OP_EXP: _exponential,
-    ca.OP_POW: _power,
-    ca.OP_CONSTPOW: _power,
+    ca.OP_ADD: _add_ranges,
+    ca.OP_SUB: lambda a, b: _add_ranges(a, _negate_range(b)),
+    ca.OP_NEG: _negate_range,
+    ca.OP_MUL: _multiply_ranges,
+    ca.OP_TWICE: lambda a: _add_ranges(a, a),
+    ca.OP_DIV: lambda a, b: _multiply_ranges(a, _invert_range(b)),
+    ca.OP_INV: _invert_range,
+    ca.OP_SQ: _square_range,
+    ca.OP_SQRT: _square_root_range,
+    ca.OP_FABS: _absolute_range,
+    ca.OP_EXP: _exponential_range,
+    ca.OP_POW: _power_range,
+    ca.OP_CONSTPOW: _power_range,
     ca.OP_FMIN: lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     ca.OP_FMAX: lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
     ca.OP_SIN: lambda _: (-1.0, 1.0),
@@ -188,7 +188,7 @@ class Domain:
         """Return 1 for nodes with which a scalar expression never falls, -1 if it never rises, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
-        of_z = replaced(expression, place)
+        of_z = replace_in(expression, place)
         boxes = (*self.boxes, self.ranges(ca.vertcat(*nodes)))
         within = Domain((*self.symbols, z), boxes)
         slopes = within.ranges(ca.jacobian(of_z, z).T)
@@ -206,7 +206,9 @@ class Domain:
         for symbol in ca.symvar(
             expression
         ):  # a factor that occurs twice hides from intervals: v / 0.8 - 0.8 v
-            if is_affine(expression, symbol) and not np.any(drawn(ca.substitute(expression, symbol, 0.0))):
+            if is_affine(expression, symbol) and not np.any(
+                draw_values(ca.substitute(expression, symbol, 0.0))
+            ):
                 return self.sign(symbol) * self.sign(ca.jacobian(expression, symbol))
         return 0
 
@@ -216,7 +218,7 @@ def is_affine(column: Any, symbol: Any) -> bool:
     return not any(ca.which_depends(column, symbol, 2, True))
 
 
-def drawn(column: Any) -> Array:
+def draw_values(column: Any) -> Array:
     """Return the values of a column, (n, n_draws), for some values of all of its symbols."""
     symbols = ca.vertcat(*ca.symvar(column))
     rng = np.random.default_rng(20)
@@ -233,7 +235,9 @@ def _divisor_states(problem: Statement, leg: Phase) -> Mask:
 
     def find() -> Mask:
         found: set[int] = set()
-        waiting = [node.dep(node.n_dep() - 1) for node in nodes_of(along(leg)) if node.op() in _QUOTIENTS]
+        waiting = [
+            node.dep(node.n_dep() - 1) for node in nodes_of(phase_terms(leg)) if node.op() in _QUOTIENTS
+        ]
         while waiting:
             node = waiting.pop()
             if node.is_symbolic():

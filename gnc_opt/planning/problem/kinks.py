@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.arrays import Mask
 from gnc_opt.model.expressions import nodes_of, operations_in
-from gnc_opt.planning.problem.expressions import along, function_along, table_uses
+from gnc_opt.planning.problem.expressions import function_along, phase_terms, table_uses
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
@@ -60,7 +60,7 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
         for node in nodes_of(expression):
             operation = node.op()
             if operation in _WORDS and node.element_hash() not in looked_up:
-                argument = _argument(node, operation)
+                argument = _switching_argument(node, operation)
                 if ca.depends_on(argument, ca.vertcat(x, u)):
                     found.setdefault(argument.element_hash(), (_WORDS[operation], argument))
         if not found:
@@ -71,7 +71,7 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
     return problem.once(("kinks", leg.name), find)
 
 
-def centres_of(problem: Statement, leg: Phase) -> Any:
+def find_feature_centres(problem: Statement, leg: Phase) -> Any:
     """Return ``(t, x, u, p, q)`` -> differences of a time or a state and a constant; None if nothing is compared so.
 
     Narrow features, as gusts and windows, lie where they vanish.
@@ -80,7 +80,7 @@ def centres_of(problem: Statement, leg: Phase) -> Any:
     def find() -> Any:
         t, x, _, _ = leg.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in nodes_of(along(leg)):
+        for node in nodes_of(phase_terms(leg)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]
@@ -94,7 +94,7 @@ def centres_of(problem: Statement, leg: Phase) -> Any:
     return problem.once(("centres", leg.name), find)
 
 
-def _argument(node: Any, operation: int) -> Any:
+def _switching_argument(node: Any, operation: int) -> Any:
     if operation in _OF_ONE:
         return node.dep(0)
     if operation in _OF_TWO:

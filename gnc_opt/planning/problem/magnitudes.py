@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, start_phase
+from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, phase_guess
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.tolerances import ROUNDING
@@ -82,11 +82,11 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     The first of: the user's scale, the nominal value, finite bounds, the guess; for controls without any, what path
     constraints allow; for states, how far the dynamics move them, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess.
     """
-    start = start_phase(leg, SAMPLES, perturbed=False)
+    start = phase_guess(leg, SAMPLES, perturbed=False)
     numbers = leg.numbers
-    controls = magnitude_within(numbers.controls, _control_reach(leg, start))
+    controls = typical_magnitudes(numbers.controls, _control_reach(leg, start))
     if overridden:
-        _with_given_scales(controls, leg.model.controls, numbers.scales)
+        _apply_given_scales(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
     drift = _state_motion(leg, start, controls)
     beside = _state_motion(
@@ -96,9 +96,9 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     reach = np.where(
         reach > ROUNDING * beside, np.clip(drift, reach, UNBOUNDED_STATE_MAX_RATIO * reach), drift
     )
-    states = magnitude_within(numbers.states, reach)
+    states = typical_magnitudes(numbers.states, reach)
     if overridden:
-        _with_given_scales(states, leg.model.states, numbers.scales)
+        _apply_given_scales(states, leg.model.states, numbers.scales)
     return states, controls
 
 
@@ -141,7 +141,7 @@ def _motion_by_control(leg: Phase, start: PhaseStart, times: Array, magnitudes: 
     return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
 
 
-def magnitude_within(interval: Interval, reach: Array) -> Array:
+def typical_magnitudes(interval: Interval, reach: Array) -> Array:
     """Return typical magnitudes: the larger of two finite bounds, else the reach, else 1."""
     bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
     limits = np.maximum(
@@ -151,7 +151,7 @@ def magnitude_within(interval: Interval, reach: Array) -> Array:
     return np.where(scales > 0, scales, 1.0)
 
 
-def _with_given_scales(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
+def _apply_given_scales(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
     for variable in layout.variables:
         if variable.name in user:
             scales[layout.slice(variable.name)] = user[variable.name]

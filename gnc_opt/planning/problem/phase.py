@@ -29,15 +29,15 @@ from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import (
     Interval,
     by_name,
+    default_control_bounds,
     free,
-    from_names,
     intersect,
-    merged,
-    of_magnitudes,
-    one_sided,
+    magnitude_ranges,
     read_interval,
-    stacked,
-    without_negative_parts,
+    split_control_ranges,
+    stack_all,
+    stack_ranges,
+    with_ranges,
 )
 from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement, read_duration
 
@@ -102,7 +102,7 @@ class Phase(Strict):
         self.model = model
         self._owner = owner
         n, positive = model.states.size, Interval(np.zeros(1), np.full(1, np.inf))
-        controls = without_negative_parts(model)
+        controls = default_control_bounds(model)
         self.numbers = PhaseNumbers(None, None, positive, free(n), free(n), free(n), controls)
         self.paths: dict[str, Constraint] = {
             f"equation of {z}": make_constraint(
@@ -194,10 +194,10 @@ class Phase(Strict):
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
         ranges = constant_ranges(self, ranges)
-        states, controls = self._split(one_sided(self.model, ranges, self.where), "bounds")
+        states, controls = self._split(split_control_ranges(self.model, ranges, self.where), "bounds")
         self._set_numbers(
-            states=merged(self.numbers.states, self.model.states, states, "bounds", self.where),
-            controls=merged(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
+            states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.where),
+            controls=with_ranges(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
         )
 
     def norm_bounds(self, **ranges: Any) -> None:
@@ -211,7 +211,7 @@ class Phase(Strict):
         ProblemError
             The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
         """
-        self.bounds(**of_magnitudes(self.model, constant_ranges(self, ranges), self.where))
+        self.bounds(**magnitude_ranges(self.model, constant_ranges(self, ranges), self.where))
 
     def path(
         self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
@@ -346,10 +346,10 @@ class Phase(Strict):
         model = old.with_states(rates, controls)
         bounds = {**by_name(box.states, old.states), **by_name(box.controls, old.controls)}
         self._set_numbers(
-            states=from_names(bounds, model.states),
-            controls=from_names(bounds, model.controls),
-            initial=from_names(by_name(box.initial, old.states), model.states),
-            final=from_names(by_name(box.final, old.states), model.states),
+            states=stack_ranges(bounds, model.states),
+            controls=stack_ranges(bounds, model.controls),
+            initial=stack_ranges(by_name(box.initial, old.states), model.states),
+            final=stack_ranges(by_name(box.final, old.states), model.states),
         )
         self.model = model
         for end, symbols in self._ends.items():
@@ -446,7 +446,7 @@ class Phase(Strict):
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {v.length: Interval(np.ones(1), np.ones(1)) for v in self.vectors if self.on_sphere(v)}
-        return stacked(boxes.values())
+        return stack_all(boxes.values())
 
     @property
     def vectors(self) -> tuple[VectorControl, ...]:
@@ -535,7 +535,7 @@ class Phase(Strict):
                 f"the {what} of control '{jumping}' in {self.where} changes nothing, because a control may jump there: "
                 f"limit its rate before, rates({jumping}=(-1.0, 1.0)), or leave it out."
             )
-        return merged(old, self.model.states, values, what, self.where)
+        return with_ranges(old, self.model.states, values, what, self.where)
 
     def _end(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name

@@ -18,7 +18,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Held
-from gnc_opt.planning.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
+from gnc_opt.planning.problem.guess.values import GuessValue, read_guess_times, resample_guesses, sample_guess
 from gnc_opt.planning.problem.interval import Interval, read_interval
 
 
@@ -50,7 +50,7 @@ class PhaseGuess:
                 sample_guess(value, sizes[name], ends, ends, times, f"the guess of '{name}' in {where}")
         if older is not None and times is not None:
             kept = {name: value for name, value in self.values.items() if name not in values}
-            merged, times = on_shared_times(kept, older, values, times)
+            merged, times = resample_guesses(kept, older, values, times)
         return PhaseGuess(times, merged)
 
 

@@ -21,14 +21,14 @@ from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_
 from gnc_opt.planning.problem.arcs import Junction, Smooth
 from gnc_opt.planning.problem.check import check_problem
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.division import divided
+from gnc_opt.planning.problem.division import divide_phase
 from gnc_opt.planning.problem.expressions import (
     end_arguments,
     refuse_foreign_along,
     refuse_foreign_ends,
     refuse_other_size,
 )
-from gnc_opt.planning.problem.guess.initial_guess import note_told_ends
+from gnc_opt.planning.problem.guess.initial_guess import note_known_ends
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
 from gnc_opt.planning.problem.phase import Phase
@@ -40,10 +40,12 @@ from gnc_opt.text import heading, table
 def problem_fingerprint(problem: Statement) -> str:
     """Return a hash of functions, names and numbers that define the problem, without guesses, scales and held arcs."""
     digest = hashlib.sha256()
-    digest.update(repr((problem.sense, _names(problem.parameters), problem.constraint_labels())).encode())
+    digest.update(
+        repr((problem.sense, _names_and_sizes(problem.parameters), problem.constraint_labels())).encode()
+    )
     for leg in problem.phases.values():
         model = leg.model
-        layouts = [_names(layout) for layout in (model.states, model.controls, model.parameters)]
+        layouts = [_names_and_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
         digest.update(_phase_expressions(problem, leg))
         for vector in (
@@ -61,7 +63,7 @@ def problem_fingerprint(problem: Statement) -> str:
     return digest.hexdigest()[:16]
 
 
-def _names(layout: Layout) -> tuple[tuple[str, int], ...]:
+def _names_and_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 
@@ -294,7 +296,7 @@ class Problem(Statement):
         constraint = make_constraint(name, expression, lower, upper, equals, what)
         refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
-        note_told_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
+        note_known_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
         self.changed()
 
     def link(
@@ -399,7 +401,7 @@ class Problem(Statement):
         ProblemError
             Times or fractions that do not increase or lie outside of the phase, or a call too late.
         """
-        return divided(self, self.get_phase(phase), times, fractions)
+        return divide_phase(self, self.get_phase(phase), times, fractions)
 
     def minimize(self, cost: Any, *, unit: str = "") -> None:
         """State the cost to minimise: an expression in end points, integrals and parameters.

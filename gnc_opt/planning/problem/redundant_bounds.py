@@ -23,7 +23,7 @@ LOOSE = 0.1
 """Share of a state's bounds and start by which bounds are loosened that say nothing."""
 
 
-def loose_bounds(leg: Phase) -> Interval:
+def loosened_bounds(leg: Phase) -> Interval:
     """Return the bounds of the states of a phase, somewhat wider."""
     bounds, initial = leg.numbers.states, leg.numbers.initial
     reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
@@ -31,17 +31,17 @@ def loose_bounds(leg: Phase) -> Interval:
     return Interval(bounds.lower - room, bounds.upper + room)
 
 
-def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which states with bounds never fall and which never rise, for controls and `loose_bounds` of states."""
+def monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+    """Return which states with bounds never fall and which never rise, for controls and `loosened_bounds` of states."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.once(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
     if not np.any(bounded[rows]):
-        return _no_state(leg), _no_state(leg)
+        return _empty_state_mask(leg), _empty_state_mask(leg)
     values, times = leg.model.parameter_values, leg.times()
     ranges = [
         Interval(times[0].lower, times[1].upper),
-        loose_bounds(leg),
+        loosened_bounds(leg),
         numbers.controls,
         Interval(values, values),
         problem.parameter_interval(),
@@ -50,17 +50,17 @@ def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     place = ("one way", leg.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        rising, falling, rate = _no_state(leg), _no_state(leg), ranges_of(rates, ranges)
+        rising, falling, rate = _empty_state_mask(leg), _empty_state_mask(leg), ranges_of(rates, ranges)
         rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
         problem.builds[place] = known = (asked, rising, falling)
     return known[1:]
 
 
-def _no_state(leg: Phase) -> Mask:
+def _empty_state_mask(leg: Phase) -> Mask:
     return np.zeros(leg.model.states.size, dtype=bool)
 
 
-def kept_later(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+def inherited_monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     """Return which states that never fall, and never rise, a later phase takes over without a jump or a wider bound."""
     kept = np.zeros((2, leg.model.states.size), dtype=bool)
     for later in problem.phases.values():
@@ -70,10 +70,10 @@ def kept_later(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
                 continue
             ours, theirs = leg.model.states.slice(name), later.model.states.slice(name)
             bounds, tighter = leg.numbers.states, later.numbers.states
-            ways = one_way_states(problem, later)
+            ways = monotone_states(problem, later)
             kept[0, ours] = ways[0][theirs] & (tighter.upper[theirs] <= bounds.upper[ours])
             kept[1, ours] = ways[1][theirs] & (tighter.lower[theirs] >= bounds.lower[ours])
-    ways = one_way_states(problem, leg)
+    ways = monotone_states(problem, leg)
     return ways[0] & kept[0], ways[1] & kept[1]
 
 
@@ -88,7 +88,7 @@ NORM_BOUND_SLACK_SHARE = 1e-2
 """Share of a length by which a bound of it may exceed it."""
 
 
-def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+def implied_norm_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     """Return which lower and which upper bounds of states (n_states,) are the length that a vector of them keeps."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states

@@ -52,10 +52,14 @@ def _find_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
     t, x, u, _ = leg.model.arguments()
     rates = problem.bind(leg, leg.model.derivative())
     value = problem.bind(leg, ca.vertcat(leg.path_expression(), x)[row])
-    return _order_of((*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates)
+    return _differentiate_until_control(
+        (*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates
+    )
 
 
-def _order_of(label: str, value: Any, t: Any, x: Any, u: Any, rates: Any) -> ConstraintOrder:
+def _differentiate_until_control(
+    label: str, value: Any, t: Any, x: Any, u: Any, rates: Any
+) -> ConstraintOrder:
     derivatives = [value]
     while True:
         controls = tuple(sorted(set(ca.jacobian(derivatives[-1], u).sparsity().get_col())))

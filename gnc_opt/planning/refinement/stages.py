@@ -33,7 +33,7 @@ import numpy as np
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.simulation import with_flown_guess
+from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, convex_channels, curved_channels
 from gnc_opt.planning.refinement.arcs.detection import structures_of
@@ -226,7 +226,7 @@ class Stages:
         meshes = self._meshes(MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS, first)
         found = self._solve(MIDDLE, meshes, first)
         yield found
-        flown = with_flown_guess(self.problem)
+        flown = with_simulated_guess(self.problem)
         if flown is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             second = self._solve(f"{MIDDLE}, integrated guess", meshes, None, flown, most)

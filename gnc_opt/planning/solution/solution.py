@@ -22,7 +22,7 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.expressions import OutsideTable, outside_tables, table_uses
-from gnc_opt.planning.problem.functions import PhaseFunctions, evaluator, phase_functions
+from gnc_opt.planning.problem.functions import PhaseFunctions, make_evaluator, phase_functions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -209,7 +209,7 @@ class Solution(Printed):
         """
         leg = self.phase(phase)
         problem = self.need_problem("evaluate")
-        function = evaluator(problem, leg.name, expression)
+        function = make_evaluator(problem, leg.name, expression)
         values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
         if values.shape[0] > 1:
             return np.asarray(values)

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.problem.check import bounds_to_give
+from gnc_opt.planning.problem.check import missing_bounds_text
 from gnc_opt.planning.problem.expressions import OutsideTable
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.accuracy import Accuracy
@@ -216,7 +216,7 @@ def _optimality(solution: SummarisedSolution) -> Iterator[str]:
         yield _labelled_line(
             "open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}"
         )
-    if solution.problem is not None and (missing := bounds_to_give(solution.problem)):
+    if solution.problem is not None and (missing := missing_bounds_text(solution.problem)):
         yield _labelled_line("what to do", missing)
 
 

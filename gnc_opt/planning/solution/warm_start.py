@@ -11,8 +11,8 @@ import numpy as np
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.problem.guess.initial_guess import start_phase
-from gnc_opt.planning.problem.guess.singularity_avoidance import bent
+from gnc_opt.planning.problem.guess.initial_guess import phase_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import point_multipliers
@@ -54,7 +54,9 @@ def program_start(transcription: Transcription, problem: Problem, guess: Solutio
     """
     if guess is None:
         return ProgramStart(
-            with_integrals(transcription, problem, start_from_guess(transcription, bent(problem)))
+            with_integrals(
+                transcription, problem, start_from_guess(transcription, with_curved_guess(problem))
+            )
         )
     return start_from_solution(transcription, problem, guess, start_from_guess(transcription, problem))
 
@@ -64,8 +66,8 @@ def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
-        boundaries = start_phase(leg, np.asarray(collocation.mesh.breaks))
-        points = start_phase(leg, collocation.fractions)
+        boundaries = phase_guess(leg, np.asarray(collocation.mesh.breaks))
+        points = phase_guess(leg, collocation.fractions)
         x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
         x[collocation.boundary_states] = boundaries.states
         free_times = part.times < transcription.n_variables

@@ -68,7 +68,9 @@ class MovedSolution:
         return float(np.max(np.abs(here - self.variables) / self.scales))
 
 
-def predict(problem: Problem, last: Solution, before: Solution | None, ratio: float) -> MovedSolution:
+def predict_solution(
+    problem: Problem, last: Solution, before: Solution | None, ratio: float
+) -> MovedSolution:
     """Return where the solution is likely to go for ``problem``, from the ``last`` one and the one ``before`` that.
 
     By the sensitivities of the last solution, if both problems are variations of one another; else along the line
@@ -76,7 +78,7 @@ def predict(problem: Problem, last: Solution, before: Solution | None, ratio: fl
     """
     problem = restated(problem)
     transcription, start = _start_values(problem, last)
-    change = _by_sensitivity(problem, last)
+    change = _predict_change(problem, last)
     if change is None and before is not None:
         earlier = program_start(transcription, problem, before).x
         change = ratio * (start.x - earlier)
@@ -96,7 +98,7 @@ def _start_values(problem: Problem, solution: Solution) -> tuple[Transcription, 
     return transcription, program_start(transcription, problem, solution)
 
 
-def _by_sensitivity(problem: Problem, last: Solution) -> Array | None:
+def _predict_change(problem: Problem, last: Solution) -> Array | None:
     """Return the first-order change of the variables (n_variables,), or None where it is not known."""
     old = last.need_problem("differentiate")
     if problem.builds is not old.builds:
@@ -172,7 +174,7 @@ class KktPoint:
     def __init__(self, solution: Solution) -> None:
         trouble = self._solve_conditions(solution)
         if trouble:
-            trouble = self._solve_conditions(sharper(solution))
+            trouble = self._solve_conditions(tighten_solution(solution))
         if trouble:
             raise GncOptError(trouble)
         self._warn_of_weak_limits()
@@ -182,9 +184,9 @@ class KktPoint:
     def _solve_conditions(self, solution: Solution) -> str:
         """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
         self._point = ProgramPoint.of(solution, held=add_constraint_contacts)
-        return self._newton() or self._wrong_limit()
+        return self._solve_newton() or self._find_wrong_limit()
 
-    def _newton(self) -> str:
+    def _solve_newton(self) -> str:
         """Apply Newton's method to the conditions; return what is wrong if it fails, else an empty text."""
         best = np.inf
         for _ in range(8):
@@ -211,7 +213,7 @@ class KktPoint:
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
 
-    def _wrong_limit(self) -> str:
+    def _find_wrong_limit(self) -> str:
         """Return which multiplier has the wrong sign or which limit is violated now; else an empty text."""
         culprits = [
             limits.labels[i]
@@ -321,7 +323,7 @@ def _directional_derivatives(transcription: Transcription) -> Any:
     return transcription.built["sensitivity"]
 
 
-def sharper(solution: Solution) -> Solution:
+def tighten_solution(solution: Solution) -> Solution:
     """Return the solution on its own mesh, sharp enough to tell active limits from others; itself if that fails."""
     problem = solution.need_problem("solve")
     options = SolverOptions(tolerance=SENSITIVITY_SOLVE_TOLERANCE)

@@ -79,7 +79,7 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     verdict = replace(verify(solution), bound=None, gap=None)
     theorem = theorem_of(solution, verdict)
     if theorem:
-        best: LowerBound | None = LowerBound(solution.objective, _labels(problem), theorem)
+        best: LowerBound | None = LowerBound(solution.objective, _state_labels(problem), theorem)
     else:
         found = (_relaxation_bound(relaxation, solution, tol) for relaxation in relaxations(problem))
         known = [bound for bound in found if bound is not None]
@@ -121,7 +121,7 @@ def _with_solution_guess(relaxation: Relaxation, solution: Solution) -> Problem:
     return problem.with_parameter_guess(**{n: solution.parameter(n) for n in problem.parameters.names})
 
 
-def _labels(problem: Problem) -> tuple[str, ...]:
+def _state_labels(problem: Problem) -> tuple[str, ...]:
     return tuple(dict.fromkeys(label for leg in problem.phases.values() for label in leg.model.states.labels))
 
 
@@ -136,22 +136,22 @@ def theorem_of(solution: Solution, verdict: Verdict) -> str:
         return ""
     if is_convex(problem):
         return CONVEX
-    return LINEAR_TIME_OPTIMAL if _linear_time_optimal(problem, solution) else ""
+    return LINEAR_TIME_OPTIMAL if _fulfils_time_optimal_theorem(problem, solution) else ""
 
 
-def _linear_time_optimal(problem: Problem, solution: Solution) -> bool:
+def _fulfils_time_optimal_theorem(problem: Problem, solution: Solution) -> bool:
     if len(problem.phases) != 1 or problem.constraints or problem.parameters.size:
         return False
     leg = next(iter(problem.phases.values()))
     return (
-        _least_time(problem, leg, solution.phase().final_time)
+        _is_least_time(problem, leg, solution.phase().final_time)
         and bool(np.all(leg.numbers.final.fixed))
-        and _is_linear_time_optimal(leg)
-        and _can_rest(leg, solution)
+        and _has_linear_dynamics(leg)
+        and _has_equilibrium(leg, solution)
     )
 
 
-def _least_time(problem: Problem, leg: Phase, found: float) -> bool:
+def _is_least_time(problem: Problem, leg: Phase, found: float) -> bool:
     """Whether the cost is the final time, and the solution's is not the least that is allowed."""
     initial, final = leg.times()
     slope = ca.jacobian(problem.sense * problem.cost, leg.final_time)
@@ -162,7 +162,7 @@ def _least_time(problem: Problem, leg: Phase, found: float) -> bool:
     return bool(initial.fixed[0] and time_alone and grows and found > final.lower[0] + AT_LIMIT * span)
 
 
-def _is_linear_time_optimal(leg: Phase) -> bool:
+def _has_linear_dynamics(leg: Phase) -> bool:
     """Whether dx/dt = A x + b(u), and no path constraint is other than one of controls, or a convex one of states."""
     t, x, u, _ = leg.model.arguments()
     rates, rows = leg.model.derivative(), leg.path_expression()
@@ -196,7 +196,7 @@ def _depends_on(expression: Any, symbols: Any) -> bool:
     return bool(ca.depends_on(expression, symbols))
 
 
-def _can_rest(leg: Phase, solution: Solution) -> bool:
+def _has_equilibrium(leg: Phase, solution: Solution) -> bool:
     """Whether an admissible control holds the final state, as far as least squares find one."""
     flown = solution.phase()
     t, target = flown.final_time, leg.numbers.final.lower

@@ -65,11 +65,11 @@ class Minimum:
         return "NOT ok" if self.refined else "coarse"
 
 
-def merged(minima: Iterable[Minimum]) -> list[Minimum]:
+def merge_minima(minima: Iterable[Minimum]) -> list[Minimum]:
     """Return the distinct minima, best first, whatever the order they come in."""
     groups: list[list[Minimum]] = []
     for minimum in sorted(minima, key=_minimum_rank):
-        if groups and equal(groups[-1][-1].objective, minimum.objective):
+        if groups and is_same_objective(groups[-1][-1].objective, minimum.objective):
             groups[-1].append(minimum)
         else:
             groups.append([minimum])
@@ -81,7 +81,7 @@ def _minimum_rank(minimum: Minimum) -> tuple[float, int]:
     return sense * minimum.objective, minimum.starts[0]
 
 
-def equal(a: float, b: float) -> bool:
+def is_same_objective(a: float, b: float) -> bool:
     """Whether two objectives are one within `SAME_MINIMUM_TOLERANCE`."""
     return abs(a - b) <= SAME_MINIMUM_TOLERANCE * max(abs(a), abs(b), SAME_MINIMUM_TOLERANCE)
 
@@ -103,7 +103,7 @@ def _distinct_values(objectives: Iterable[float]) -> tuple[float, ...]:
     """Return values in increasing order, equal ones once."""
     kept: list[float] = []
     for value in sorted(objectives):
-        if not (kept and equal(kept[-1], value)):
+        if not (kept and is_same_objective(kept[-1], value)):
             kept.append(value)
     return tuple(kept)
 

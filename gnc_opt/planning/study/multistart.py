@@ -30,7 +30,7 @@ from gnc_opt.planning.refinement.engine import StructureChoice
 from gnc_opt.planning.refinement.engine import refine as refine_solution
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.study.minima import Minimum, equal, merged
+from gnc_opt.planning.study.minima import Minimum, is_same_objective, merge_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.engine import verify
 from gnc_opt.text import Printed
@@ -93,10 +93,10 @@ class Refining:
         places = [(coarse, halved), (first.solution.with_problem(problem), meshes)]
         for guess, mesh in places if first.refined else places[:1]:
             solution = solve_mesh(problem, mesh, guess=guess, options=self.options)
-            pass_on_interrupt(solution, self.options)
+            raise_interrupt(solution, self.options)
             if not solution.status.solved or is_spurious(solution):
                 continue
-            if mesh is meshes and equal(solution.objective, coarse.objective):
+            if mesh is meshes and is_same_objective(solution.objective, coarse.objective):
                 continue  # back where it came from
             second = self._refine_mesh(minimum, solution, "bang-bang")
             if second.verdict_ok:
@@ -140,7 +140,7 @@ def is_spurious(solution: Solution) -> bool:
     return not (quality.propagation_error < MISS or quality.max_defect < MISS)
 
 
-def pass_on_interrupt(solution: Solution, options: SolverOptions) -> None:
+def raise_interrupt(solution: Solution, options: SolverOptions) -> None:
     """Raise KeyboardInterrupt if it was Ctrl-C, and not the time limit, that the solver obeyed."""
     limit = options.max_wall_time
     if solution.status is Status.INTERRUPTED and (limit is None or solution.statistics.solve_s < limit):
@@ -325,11 +325,11 @@ def multistart(
         search = _Search(pool, stated, progress)
         coarse = _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen)
         endings = search.endings(coarse, n)
-        minima = merged(_first_minima(endings))
+        minima = merge_minima(_first_minima(endings))
         if refine and not pool.interrupted:
-            count = _worth_refining(minima, within)
+            count = _count_worth_refining(minima, within)
             refined = search.refined(Refining(structure, tol, chosen), minima[:count], max_refined)
-            minima = merged([*refined, *minima[count:]])
+            minima = merge_minima([*refined, *minima[count:]])
     return Multistart(
         stated.name,
         tuple(replace(m, solution=m.solution.with_problem(stated)) for m in minima),
@@ -370,7 +370,7 @@ class _Search:
         finer: list[Minimum] = []
         waiting = list(minima)
         while not self.pool.interrupted:
-            left = min(most - len(merged(finer)), 2 * most - len(finer))
+            left = min(most - len(merge_minima(finer)), 2 * most - len(finer))
             batch, waiting = waiting[: max(left, 0)], waiting[max(left, 0) :]
             if not batch:
                 break
@@ -383,7 +383,7 @@ class _Search:
 
 def _phase_durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
     """Return how long each phase takes in the best of the solutions; nothing without one."""
-    best = next(iter(merged(_first_minima(endings))), None)
+    best = next(iter(merge_minima(_first_minima(endings))), None)
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
@@ -399,11 +399,11 @@ def _problem_for_workers(problem: Problem | Builder) -> Shared[Problem]:
             f"multistart() got a {type(problem).__name__} where a Problem or a function that builds one is needed."
         )
     remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
-    builder = partial(_built_problem, problem)
+    builder = partial(_build_problem, problem)
     return Shared(builder(), "the function that builds the problem", remedy, builder)
 
 
-def _built_problem(builder: Builder) -> Problem:
+def _build_problem(builder: Builder) -> Problem:
     return expect(builder(), Problem, "what the builder returned", "return the problem")  # type: ignore[no-any-return]
 
 
@@ -423,7 +423,7 @@ def _task_answer(done: Done[Item, Answer]) -> Answer:
     return done.answer
 
 
-def _worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
+def _count_worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
     """Return how many of the minima, best first, are not far worse than the best."""
     if within is None or not minima:
         return len(minima)
@@ -482,7 +482,7 @@ class _Coarse:
             finer = {name: _halved_mesh(leg.mesh) for name, leg in solution.phases.items()}
             solution = solve_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
-            pass_on_interrupt(solution, options)
+            raise_interrupt(solution, options)
             return _StartEnding(index, solution.status.value)
         if is_spurious(solution):
             return _StartEnding(index, "spurious")

@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.engine import refine
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solver import solve
-from gnc_opt.planning.study.kkt_sensitivity import predict
+from gnc_opt.planning.study.kkt_sensitivity import predict_solution
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
 from gnc_opt.renamed import StatusWord
@@ -185,7 +185,7 @@ def continuation(
     length = whole if step is None else read_positive(step, "the step of continuation()")
     if first is not None:
         expect(first, Solution, "the first solution of continuation()", "give what solve() returned")
-    problem = _read_values(problem_of, float(way[0]))
+    problem = _build_problem(problem_of, float(way[0]))
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
         raise SolveError(
@@ -196,7 +196,7 @@ def continuation(
     return _Walk(problem_of, way, max(least, 1e-14 * whole), tol, options).go(start, length)
 
 
-def _read_values(problem_of: Family, value: float) -> Problem:
+def _build_problem(problem_of: Family, value: float) -> Problem:
     problem = expect(
         problem_of(value), Problem, "what the function of continuation() returned", "return the problem"
     )
@@ -249,7 +249,7 @@ class _Walk:
                 if (
                     self.tol is not None
                     and found.structure != ()
-                    and _parameter_kinds(found) != _parameter_kinds(solutions[-1])
+                    and _arc_kinds(found) != _arc_kinds(solutions[-1])
                 ):
                     events.append(f"structure changes between {values[-1]:.10g} and {value:.10g}")
                 values.append(value)
@@ -263,11 +263,11 @@ class _Walk:
         self, value: float, values: Sequence[float], solutions: Sequence[Solution]
     ) -> tuple[Solution, float]:
         """Return the solution at a value, and how wrong its prediction was."""
-        problem, last = _read_values(self.problem_of, value), solutions[-1]
+        problem, last = _build_problem(self.problem_of, value), solutions[-1]
         before, ratio = None, 0.0
         if len(values) > 1:
             before, ratio = solutions[-2], (value - values[-1]) / (values[-1] - values[-2])
-        prediction = predict(problem, last, before, ratio)
+        prediction = predict_solution(problem, last, before, ratio)
         if self.tol is not None and last.structure:
             found = solve(problem, guess=last, tol=self.tol, throw=False)
         else:
@@ -284,5 +284,5 @@ class _Walk:
             return found, miss
 
 
-def _parameter_kinds(solution: Solution) -> tuple[object, ...]:
+def _arc_kinds(solution: Solution) -> tuple[object, ...]:
     return tuple((arc.phase, arc.channel, arc.kind) for arc in solution.structure)

@@ -48,7 +48,7 @@ def _closed_sets(problem: Problem) -> Iterator[Mask]:
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
     needs = np.eye(owner.size, dtype=bool)
-    ties = [_at_ends(problem, problem.constraint_expression())]
+    ties = [_dependence_at_ends(problem, problem.constraint_expression())]
     for i, leg in enumerate(legs):
         own, x = owner == i, leg.model.symbols("state")
         needs[np.ix_(own, own)] |= _dependence(leg.model.derivative(), x)
@@ -88,7 +88,7 @@ def _dependence(expression: Any, symbols: Any) -> Mask:
     return pattern
 
 
-def _at_ends(problem: Problem, expression: Any) -> Mask:
+def _dependence_at_ends(problem: Problem, expression: Any) -> Mask:
     """Return on which states of all phases rows depend, by end points or by integrals."""
     columns = []
     for leg in problem.phases.values():
@@ -150,7 +150,7 @@ class _Part:
         kept = ((x, self.states), (u, self.controls), (p, parameters))
         before = ca.vertcat(t, *(symbols[np.flatnonzero(mask)] for symbols, mask in kept))
         after = ca.vertcat(*model.arguments())
-        rates = _in_other_symbols(self.rates, before, after)
+        rates = _substitute_symbols(self.rates, before, after)
         model.ode({name: rates[model.states.slice(name)] for name in model.states.names})
         return model, before, after
 
@@ -158,9 +158,9 @@ class _Part:
 def _restricted_problem(problem: Problem, kept: Mask) -> Relaxation | None:
     """Return the problem of a closed set of states; None if the cost needs others."""
     conditions, cost = problem.constraint_expression(), problem.cost
-    if np.any(_at_ends(problem, cost)[:, ~kept]):
+    if np.any(_dependence_at_ends(problem, cost)[:, ~kept]):
         return None
-    alone = ~np.any(_at_ends(problem, conditions)[:, ~kept], axis=1)
+    alone = ~np.any(_dependence_at_ends(problem, conditions)[:, ~kept], axis=1)
     conditions = conditions[np.flatnonzero(alone)]
     ends = ca.vertcat(cost, conditions)
     parts, first = [], 0
@@ -169,10 +169,10 @@ def _restricted_problem(problem: Problem, kept: Mask) -> Relaxation | None:
         integrals = np.any(_dependence(ends, leg.integral_symbols()), axis=0)
         parts.append(_Part(leg, kept[first:last], integrals))
         first = last
-    return _stated_phase(problem, parts, conditions, problem.constraint_interval(), alone)
+    return _state_relaxation(problem, parts, conditions, problem.constraint_interval(), alone)
 
 
-def _stated_phase(
+def _state_relaxation(
     problem: Problem, parts: list[_Part], conditions: Any, limits: Interval, alone: Mask
 ) -> Relaxation:
     used = {
@@ -184,7 +184,7 @@ def _stated_phase(
         dict.fromkeys(name for p in parts for name, _ in _kept_components(p.leg.model.states, p.states))
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
-    before, after = _parameters(problem, relaxed, parts, used)
+    before, after = _declare_parameters(problem, relaxed, parts, used)
     stated, free = ca.vertcat(*before), ca.vertcat(*after)
     for part in parts:
         model, old, new = part.model(used)
@@ -198,16 +198,16 @@ def _stated_phase(
         before += [part.leg.integrands[name][0] for name in part.integrands]
         after += [leg.integrands[name][0] for name in part.integrands]
     cost, rows = (
-        _in_other_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
+        _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
-        label = _one_row(problem.constraint_labels()[place])
+        label = _row_name(problem.constraint_labels()[place])
         relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
     (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
 
 
-def _parameters(
+def _declare_parameters(
     problem: Problem, relaxed: Problem, parts: list[_Part], used: set[int]
 ) -> tuple[list[Any], list[Any]]:
     """Declare the free parameters that are used, with all their components; return old symbols and the new ones."""
@@ -242,11 +242,11 @@ def _state_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
     )
     limits = _chosen_components(part.leg.path_interval(), part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
-    rows = _in_other_symbols(part.paths, before, after)
+    rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
-        leg.path(_one_row(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+        leg.path(_row_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
-        leg.integral(_in_other_symbols(integrand, before, after), name)
+        leg.integral(_substitute_symbols(integrand, before, after), name)
 
 
 def _kept_components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
@@ -258,12 +258,12 @@ def _kept_components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str
             yield name, places
 
 
-def _one_row(label: str) -> str:
+def _row_name(label: str) -> str:
     """Return the name of a constraint that is one row of another."""
     return label.replace("[", " ").rstrip("]")
 
 
-def _in_other_symbols(expression: Any, before: Any, after: Any) -> Any:
+def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
     """Return an expression in other symbols; phases that share a model bring its symbols more than once."""
     first = {s.element_hash(): i for i, s in reversed(list(enumerate(ca.vertsplit(before))))}
     places = list(first.values())

@@ -105,11 +105,11 @@ class Sensitivity:
 
     def state(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a state over time: ``s.state("q")(0.3)``."""
-        return _named_quantity(self.phase(phase).states, name, "state")
+        return _get_signal(self.phase(phase).states, name, "state")
 
     def control(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a control over time."""
-        return _named_quantity(self.phase(phase).controls, name, "control")
+        return _get_signal(self.phase(phase).controls, name, "control")
 
     def parameter(self, name: str) -> Array | float:
         """Return the derivative of an optimised parameter."""
@@ -128,7 +128,7 @@ class Sensitivity:
         return self.phase().final_time
 
 
-def _named_quantity(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
+def _get_signal(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
     if not isinstance(name, str) or name not in signals:
         raise unknown_name(kind, name, "the sensitivity", signals)
     return signals[name]
@@ -208,11 +208,11 @@ def sensitivity(
             "initial='x', final='x', time='final' or constraint='c'."
         )
     _check_solution(solution)
-    point = _factorised_point(solution)
+    point = _factorise_once(solution)
     kind, name = chosen[0]
     quantity, changes = _quantity_changes(point, solution, kind, name, phase)
     responses = [point.respond(change) for change in changes]
-    return _collect(point, solution, quantity, changes, responses)
+    return _collect_derivatives(point, solution, quantity, changes, responses)
 
 
 def _check_solution(solution: Solution) -> None:
@@ -224,7 +224,7 @@ def _check_solution(solution: Solution) -> None:
         )
 
 
-def _factorised_point(solution: Solution) -> KktPoint:
+def _factorise_once(solution: Solution) -> KktPoint:
     """Factorise once per solution."""
     if solution not in _POINTS:
         _POINTS[solution] = KktPoint(solution)
@@ -286,7 +286,7 @@ def _quantity_changes(
     return f"{kind} value of '{name}' in phase '{leg.name}'", _state_changes(point, leg, kind, name)
 
 
-def _no_change(point: KktPoint) -> Change:
+def _zero_change(point: KktPoint) -> Change:
     transcription = point.transcription
     return Change(
         np.zeros(transcription.numbers(point.problem).size),
@@ -314,7 +314,7 @@ def _parameter_changes(point: KktPoint, name: str, phase: str | None) -> list[Ch
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _no_change(point)
+        change = _zero_change(point)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
@@ -331,7 +331,7 @@ def _state_changes(point: KktPoint, leg: PhaseSolution, end: str, name: str) -> 
                 f"the {end} value of '{label}' in phase '{leg.name}' of '{point.problem.name}' is not held by a given "
                 "value or limit, so that there is nothing to differentiate by: choose a state that is."
             )
-        change = _no_change(point)
+        change = _zero_change(point)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
@@ -340,7 +340,7 @@ def _state_changes(point: KktPoint, leg: PhaseSolution, end: str, name: str) -> 
 def _time_change(point: KktPoint, phase: str, end: str) -> Change:
     transcription = point.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _no_change(point)
+    change = _zero_change(point)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
@@ -365,7 +365,7 @@ def _constraint_changes(point: KktPoint, solution: Solution, name: str) -> list[
             raise ProblemError(
                 f"boundary constraint '{label}' of '{point.problem.name}' is not active: its limit changes nothing."
             )
-        change = _no_change(point)
+        change = _zero_change(point)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes
@@ -374,7 +374,7 @@ def _constraint_changes(point: KktPoint, solution: Solution, name: str) -> list[
 # --- the derivatives ------------------------------------------------------------------------------
 
 
-def _collect(
+def _collect_derivatives(
     point: KktPoint, solution: Solution, quantity: str, changes: list[Change], responses: list[Response]
 ) -> Sensitivity:
     problem, transcription = point.problem, point.transcription
@@ -437,7 +437,7 @@ def _differentiate(
     states = state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = piecewise(leg.breaks, leg.rules, response.variables[collocation.point_controls])
     shifts = _break_changes(transcription, part, anchors)
-    return anchors, _at_fixed_time(states, leg.x, shifts), _at_fixed_time(controls, leg.u, shifts)
+    return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
 
 
 def _break_changes(transcription: Transcription, part: PhasePart, anchors: Array) -> Array:
@@ -447,7 +447,7 @@ def _break_changes(transcription: Transcription, part: PhasePart, anchors: Array
     return np.append(starts, anchors[-1])
 
 
-def _at_fixed_time(
+def _remove_node_motion(
     change: PiecewisePolynomial, signal: PiecewisePolynomial, shifts: Array
 ) -> PiecewisePolynomial:
     """Take the motion of the nodes out: dx/dp at fixed t is dX/dp at a node less dx/dt times the node's dt/dp."""
@@ -477,7 +477,7 @@ def _rate_changes(
     p = model_parameters(problem, own, q)
     functions = phase_functions(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
-        other.model.parameters.size for other in _break_before(problem, part.name)
+        other.model.parameters.size for other in _earlier_phases(problem, part.name)
     )  # where this phase's parameters start among the numbers
     directions = [
         time_changes[None, :],
@@ -491,7 +491,7 @@ def _rate_changes(
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
 
-def _break_before(problem: Problem, phase: str) -> list[Phase]:
+def _earlier_phases(problem: Problem, phase: str) -> list[Phase]:
     names = list(problem.phases)
     return [problem.phases[n] for n in names[: names.index(phase)]]
 

@@ -14,7 +14,12 @@ from gnc_opt.planning.problem.arcs import ArcKind, Held, Junction, Kinds, Smooth
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.redundant_bounds import idle_bounds, kept_later, loose_bounds, one_way_states
+from gnc_opt.planning.problem.redundant_bounds import (
+    implied_norm_bounds,
+    inherited_monotone_states,
+    loosened_bounds,
+    monotone_states,
+)
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 
@@ -82,10 +87,10 @@ def _continued_states(leg: Phase, held: Held) -> set[int]:
 
 def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
     """Loosen the bounds of states that only rise, or only fall, but at the one end at which they say everything."""
-    rising, falling = one_way_states(problem, leg)
+    rising, falling = monotone_states(problem, leg)
     if not np.any(rising | falling):
         return
-    loose, kept = loose_bounds(leg), kept_later(problem, leg)
+    loose, kept = loosened_bounds(leg), inherited_monotone_states(problem, leg)
     lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
     first, last = slice(None, -1), slice(1, None)
     for ways, handed, with_it, against_it in (
@@ -103,7 +108,7 @@ def drop_inactive_constraints(
 ) -> None:
     """Drop the bounds of states that hold by themselves, since a vector keeps its length."""
     sides = (box.lower, -np.inf), (box.upper, np.inf)
-    for (limits, none), idle in zip(sides, idle_bounds(problem, leg), strict=True):
+    for (limits, none), idle in zip(sides, implied_norm_bounds(problem, leg), strict=True):
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 

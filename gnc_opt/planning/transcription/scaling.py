@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.guess.initial_guess import start_phase
-from gnc_opt.planning.problem.magnitudes import SAMPLES, magnitude_within, phase_magnitudes
+from gnc_opt.planning.problem.guess.initial_guess import phase_guess
+from gnc_opt.planning.problem.magnitudes import SAMPLES, phase_magnitudes, typical_magnitudes
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.transcription import Transcription
 
@@ -45,11 +45,11 @@ def scale_variables(
         scales[collocation.boundary_states] = states[:, None]
         scales[collocation.point_states] = states[:, None]
         scales[collocation.point_controls] = controls[:, None]
-        span = max(abs(start_phase(problem.phases[name], SAMPLES).times[1]), 1e-3)
+        span = max(abs(phase_guess(problem.phases[name], SAMPLES).times[1]), 1e-3)
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     for places, interval in ((transcription.parameter_places, problem.parameter_interval()),):
-        scales[places] = magnitude_within(interval, np.abs(start[places]))
+        scales[places] = typical_magnitudes(interval, np.abs(start[places]))
     return scales
 
 

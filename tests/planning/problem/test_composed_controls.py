@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import start_phase
+from testing.internals import phase_guess
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -159,7 +159,7 @@ def test_guess_of_the_vector_is_one_of_its_parts() -> None:
     times = np.linspace(0.0, DURATION, 5)
     leg = problem.get_phase()
     leg.guess(time=times, a=np.outer([0.0, 0.5], [1.0, 1.0, 0.0, -1.0, -1.0]))
-    start = start_phase(leg, times / DURATION, perturbed=False)
+    start = phase_guess(leg, times / DURATION, perturbed=False)
     np.testing.assert_allclose(start.controls[0], [0.5, 0.5, 0.0, 0.5, 0.5])
     np.testing.assert_allclose(start.controls[2], [1.0, 1.0, 0.0, -1.0, -1.0])
 

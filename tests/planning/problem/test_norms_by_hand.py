@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import restated, start_phase
+from testing.internals import phase_guess, restated
 
 import gnc_opt as go
 
@@ -213,7 +213,7 @@ def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     leg.guess(T_x=3.0, T_y=(0.0, -8.0))
     leg.scale(T_x=2.0, T_y=7.0)
     solved = restated(problem).phases["leg"]
-    start = start_phase(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
+    start = phase_guess(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
     layout = solved.model.controls
     (vector,) = solved.vectors
     np.testing.assert_allclose(start.controls[layout.slice("d")][0], [3.0, 5.0, np.hypot(3, 8)])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from testing.internals import Interval, one_way_states, ranges_of
+from testing.internals import Interval, monotone_states, ranges_of
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -91,7 +91,7 @@ def test_a_rate_that_turns_round_just_beyond_its_bounds_is_no_budget() -> None:
     model.ode({level: u * (1.05 - other), other: u})
     problem, leg = one_phase("tank", model, initial=0.0, final=1.0)
     leg.bounds(u=(0.0, 1.0), level=(0.0, 1.0), other=(0.0, 1.0))
-    rising, _ = one_way_states(problem, leg)
+    rising, _ = monotone_states(problem, leg)
     assert rising.tolist() == [False, True]
 
 
@@ -114,11 +114,11 @@ def test_budgets_are_told_from_what_comes_and_goes() -> None:
     )
     problem, leg = one_phase("vehicle", model, initial=0.0, final=1.0)
     leg.bounds(u=(0.0, 1.0), w=(-1.0, 1.0), **dict.fromkeys(names[:-1], (0.0, 1.0)))
-    rising, falling = one_way_states(problem, leg)
+    rising, falling = monotone_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["dose", "energy"]
     assert [names[i] for i in np.flatnonzero(falling)] == ["fuel"]
     leg.bounds(u=(-1.0, 0.0))
-    rising, falling = one_way_states(problem, leg)
+    rising, falling = monotone_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["fuel", "energy"]
     assert [names[i] for i in np.flatnonzero(falling)] == ["dose"]
 
@@ -134,7 +134,7 @@ def test_a_budget_is_told_anew_for_other_numbers() -> None:
     filled = problem.with_parameters(loss=-2.0)
     pumped = problem.with_bounds(u=(-1.0, 1.0))
     for stated, ways in ((problem, (False, True)), (filled, (True, False)), (pumped, (False, False))) * 2:
-        assert tuple(bool(way[0]) for way in one_way_states(stated, stated.get_phase())) == ways
+        assert tuple(bool(way[0]) for way in monotone_states(stated, stated.get_phase())) == ways
 
 
 def test_a_list_of_two_is_the_range_of_a_scalar_and_the_value_of_a_vector() -> None:

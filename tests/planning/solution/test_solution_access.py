@@ -325,7 +325,7 @@ def test_a_sharper_solution_is_kept_if_there_is_one(
     sharp = replace(moved, status=status)
     seen: dict[str, Any] = {}
     monkeypatch.setattr(again, "solve_mesh", lambda problem, **more: seen.update(more) or sharp)
-    assert again.sharper(moved) is (sharp if status is Status.OPTIMAL else moved)
+    assert again.tighten_solution(moved) is (sharp if status is Status.OPTIMAL else moved)
     assert seen["options"].tolerance == again.SENSITIVITY_SOLVE_TOLERANCE
     assert seen["guess"] is moved and seen["scheme"] == "LG"
 

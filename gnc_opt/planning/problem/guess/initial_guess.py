@@ -33,8 +33,8 @@ class PhaseStart:
     controls: Array
 
 
-def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
-    """Return the guess of a phase at the given fractions of its duration, with or without `perturbation`."""
+def phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
+    """Return the guess of a phase at the given fractions of its duration, with or without `control_perturbation`."""
     times = guess_times(leg)
     at = times[0] + fractions * (times[1] - times[0])
     model, numbers = leg.model, leg.numbers
@@ -44,14 +44,14 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
     for vector in leg.vectors:
         _set_constant_vector(leg, vector, times, (first, last), controls)
     if perturbed:
-        controls += perturbation(numbers.controls, fractions)
+        controls += control_perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         what = f"the guess of '{name}' in {leg.where}"
         values = sample_guess(value, leg.guessable[name].size, at, fractions, numbers.guess.time, what)
         if name in model.states:
             states[model.states.slice(name)] = values
         else:
-            put_control(model, controls, name, values)
+            set_control_values(model, controls, name, values)
     return PhaseStart(times, states, controls)
 
 
@@ -65,7 +65,9 @@ def _set_constant_vector(
     if duration <= 0 or controls.shape[1] == 0:
         return
     rate, place = (last - first) / duration, layout.slice(vector.magnitude)
-    found = balanced(leg, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate)
+    found = trim_vector_control(
+        leg, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate
+    )
     box = leg.numbers.controls
     most = float(box.upper[place][0])
     if found is not None and np.isfinite(most) and SUSTAINED * most <= found[0] <= most:
@@ -73,7 +75,7 @@ def _set_constant_vector(
         controls[layout.slice(vector.direction)] = found[1][:, None]
 
 
-def put_control(model: Model, controls: Array, name: str, values: Array) -> None:
+def set_control_values(model: Model, controls: Array, name: str, values: Array) -> None:
     """Write values (size, N) of one control into those of all (m, N); of a composed one, into those of its parts."""
     composed = model.composed_controls.get(name)
     if composed is None:
@@ -84,7 +86,7 @@ def put_control(model: Model, controls: Array, name: str, values: Array) -> None
         controls[place] = np.where(np.isnan(own), controls[place], own)
 
 
-def perturbation(bounds: Interval, fractions: Array) -> Array:
+def control_perturbation(bounds: Interval, fractions: Array) -> Array:
     """Return the control perturbation, shape (m, N)."""
     ranges = bounds.upper - bounds.lower
     amplitude = PERTURBATION * np.where(np.isfinite(ranges), ranges, 1.0)
@@ -93,7 +95,7 @@ def perturbation(bounds: Interval, fractions: Array) -> Array:
     return np.asarray(amplitude[:, None] * np.cos(phase))
 
 
-def note_told_ends(
+def note_known_ends(
     constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
     """Note in phases the values at which rows of a constraint hold that are affine in one end state alone.
@@ -127,7 +129,7 @@ def note_told_ends(
             leg.told[end, name] = known_end
 
 
-def balanced(
+def trim_vector_control(
     leg: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
 ) -> tuple[float, Array] | None:
     r"""Return magnitude and direction of the vector by which states best follow a rate; None if undetermined.
@@ -166,13 +168,13 @@ def guess_times(leg: Phase) -> Array:
     before, after = _linked_in_time(leg)
     if before is not None and np.isnan(wanted[0]):
         wanted[0] = guess_times(before)[1]
-    t0 = _time_in(initial, wanted[0], default=0.0)
+    t0 = _choose_time(initial, wanted[0], default=0.0)
     span = leg.numbers.duration
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
-    if np.isnan(wanted[1]) and after is not None and not _is_given(final):
+    if np.isnan(wanted[1]) and after is not None and not _is_bounded(final):
         usual = _equal_shares(after, t0) or usual
-    tf = _time_in(final, wanted[1], default=t0 + usual)
+    tf = _choose_time(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
@@ -186,7 +188,7 @@ def _linked_in_time(leg: Phase) -> tuple[Phase | None, Phase | None]:
     return next(before, None), next(after, None)
 
 
-def _is_given(time: Interval) -> bool:
+def _is_bounded(time: Interval) -> bool:
     return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
 
 
@@ -196,14 +198,14 @@ def _equal_shares(leg: Phase | None, start: float) -> float:
     while leg is not None:
         phases += 1
         own, final = leg.numbers.guess.time, leg.times()[1]
-        if own is not None or _is_given(final):
+        if own is not None or _is_bounded(final):
             end = float(own[-1]) if own is not None else float(final.middle[0])
             return max(end - start, 0.0) / phases
         leg = _linked_in_time(leg)[1]
     return 0.0
 
 
-def _time_in(interval: Interval, wanted: float, default: float) -> float:
+def _choose_time(interval: Interval, wanted: float, default: float) -> float:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower

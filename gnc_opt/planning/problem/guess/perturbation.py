@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angles import PERIODS
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
@@ -60,7 +60,7 @@ def with_random_guess(
         guessed = guess_times(leg)
         times = _draw_times(leg, rng, shift, known)
         shift = times[1] - guessed[1]
-        start = start_phase(leg, FRACTIONS)
+        start = phase_guess(leg, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
         states, controls = start.states + _draw_turns(problem, leg, rng, ratio, turned), start.controls
         if known is not None or not is_plain(index):
@@ -89,7 +89,7 @@ def _draw_turns(
     """Return turns of angles to add to the states (n_states, n_fractions); ``turned`` carries them between phases."""
     numbers, periods = leg.numbers, angular_states(problem, leg)
     first, last = (intersect(end, numbers.states) for end in (numbers.initial, numbers.final))
-    guess = start_phase(leg, FRACTIONS[[0, -1]]).states
+    guess = phase_guess(leg, FRACTIONS[[0, -1]]).states
     added = np.zeros((periods.size, FRACTIONS.size))
     for i in np.flatnonzero(periods > 0):
         label, period = leg.model.states.labels[i], periods[i]
@@ -148,7 +148,7 @@ def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Gene
         (numbers.final, offsets[1], FRACTIONS),
     ):
         states += np.where(intersect(end, numbers.states).fixed, 0.0, offset)[:, None] * ramp
-    return _clip(states, numbers.states)
+    return _clip_to_bounds(states, numbers.states)
 
 
 def _draw_controls(
@@ -163,7 +163,7 @@ def _draw_controls(
     else:
         pattern = _smooth_random_signals(reach.size, rng)
     level = 1.0 if full else rng.uniform(0.3, 1.0)
-    return _clip(middle + level * reach[:, None] * pattern, box)
+    return _clip_to_bounds(middle + level * reach[:, None] * pattern, box)
 
 
 def _random_bangs(rng: np.random.Generator) -> Array:
@@ -179,7 +179,7 @@ def _smooth_random_signals(size: int, rng: np.random.Generator) -> Array:
     return np.asarray((rng.normal(size=(size, WAVES)) / k) @ np.sin(np.pi * np.outer(k, FRACTIONS)))
 
 
-def _clip(values: Array, box: Interval) -> Array:
+def _clip_to_bounds(values: Array, box: Interval) -> Array:
     return np.clip(values, box.lower[:, None], box.upper[:, None])
 
 

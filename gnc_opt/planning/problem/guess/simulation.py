@@ -12,11 +12,16 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.evaluation import fast_call
+from gnc_opt.model.evaluation import make_fast_call
 from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
 from gnc_opt.model.variables import as_expression, as_vector
 from gnc_opt.planning.problem.expressions import function_along
-from gnc_opt.planning.problem.guess.initial_guess import end_values, guess_times, put_control, start_phase
+from gnc_opt.planning.problem.guess.initial_guess import (
+    end_values,
+    guess_times,
+    phase_guess,
+    set_control_values,
+)
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.tolerances import magnitude
@@ -25,11 +30,11 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""
 
 
-def with_flown_guess(problem: Problem) -> Problem | None:
+def with_simulated_guess(problem: Problem) -> Problem | None:
     """Return the problem with each phase simulated with its guessed mean controls, or None if that is impossible."""
     for name, leg in problem.phases.items():
         layout = leg.model.controls
-        held = start_phase(leg, FRACTIONS).controls.mean(axis=1)
+        held = phase_guess(leg, FRACTIONS).controls.mean(axis=1)
         law = {control: held[layout.slice(control)] for control in layout.names}
         try:
             flight = guess_from_simulation(problem, law, phase=name).phases[name].numbers.guess
@@ -108,7 +113,7 @@ def guess_from_simulation(
     law = _control_law(problem, leg, controls)
     q = problem.guessed_parameters()
     p, start = leg.model.parameter_values, _initial_state(leg, initial)
-    fast = fast_call(function_along(problem, leg, "rates", leg.model.derivative()), p, q)
+    fast = make_fast_call(function_along(problem, leg, "rates", leg.model.derivative()), p, q)
 
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
@@ -116,7 +121,7 @@ def guess_from_simulation(
     stop = None if until is None else _stop_event(problem, leg, until)
     sizes = magnitude(np.maximum(np.abs(start), np.abs(end_values(leg)[1])))
     try:
-        flight = _integrate(rate, start, (t0, tf), sizes, leg, stop)
+        flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:
         raise ProblemError(
             f"the flight that guess_from_simulation() makes of {leg.where} cannot go on ({error}): change the law"
@@ -137,7 +142,7 @@ def guess_from_simulation(
     return problem.with_guess(leg.name, times, **values)
 
 
-def _integrate(
+def _integrate_guess(
     rate: Rate,
     start: Array,
     times: tuple[float, float],
@@ -182,7 +187,7 @@ def _control_law(
             value = ca.SX(as_vector(value, sizes[name], what))
         expressions[name] = as_expression(value, what, sizes[name], ProblemError)
     stacked = ca.vertcat(ca.SX(0, 1), *expressions.values())
-    function = _function(problem, leg, stacked, "the law of guess_from_simulation()")
+    function = _compile_expression(problem, leg, stacked, "the law of guess_from_simulation()")
     ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
 
     def law(t: float, x: Array) -> Array:
@@ -191,7 +196,7 @@ def _control_law(
             values[name] = as_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
         u = box.middle[:, None].copy()
         for name, value in values.items():
-            put_control(model, u, name, value[:, None])
+            set_control_values(model, u, name, value[:, None])
         return np.clip(u[:, 0], box.lower, box.upper)
 
     return law
@@ -199,11 +204,13 @@ def _control_law(
 
 def _stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
     what = "what guess_from_simulation() flies until"
-    function = _function(problem, leg, as_expression(until, what, 1, ProblemError), what)
+    function = _compile_expression(problem, leg, as_expression(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])
 
 
-def _function(problem: Problem, leg: Phase, expression: Any, what: str) -> Callable[[float, Array], Array]:
+def _compile_expression(
+    problem: Problem, leg: Phase, expression: Any, what: str
+) -> Callable[[float, Array], Array]:
     """Return an expression in time, states and parameters as a function of t and x."""
     t, x, u, p = leg.model.arguments()
     problem.refuse_foreign(leg, expression, what)
@@ -211,4 +218,4 @@ def _function(problem: Problem, leg: Phase, expression: Any, what: str) -> Calla
         raise ProblemError(f"{what} uses controls of {leg.where}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
     function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind(leg, expression))])
-    return fast_call(function, leg.model.parameter_values, problem.guessed_parameters())
+    return make_fast_call(function, leg.model.parameter_values, problem.guessed_parameters())

@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.planning.problem.check_functions import not_finite_at_guess
-from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.planning.problem.guess.initial_guess import phase_guess
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -22,7 +22,7 @@ FRACTIONS = np.linspace(0.0, 1.0, 33)
 P = TypeVar("P", bound=Statement)
 
 
-def bent(problem: P) -> P:
+def with_curved_guess(problem: P) -> P:
     """Return the problem with curved guesses in phases where this makes every function finite; user guesses stay."""
     for name, leg in problem.phases.items():
         if not_finite_at_guess(problem, leg) is None:
@@ -36,7 +36,7 @@ def bent(problem: P) -> P:
 
 def _curved_states(leg: Phase) -> dict[str, Any]:
     """All states that the user does not guess, as functions of time."""
-    start, layout, box = start_phase(leg, FRACTIONS), leg.model.states, leg.numbers.states
+    start, layout, box = phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Each state by another share: r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
     states = start.states + (phase_magnitudes(leg)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)

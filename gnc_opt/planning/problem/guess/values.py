@@ -27,7 +27,7 @@ def read_guess_times(time: ArrayLike, where: str) -> Array:
     return times
 
 
-def on_shared_times(
+def resample_guesses(
     old: Mapping[str, GuessValue], old_times: Array, new: Mapping[str, GuessValue], times: Array
 ) -> tuple[dict[str, GuessValue], Array]:
     """Return two guesses with times of their own, of which the latter's ends are the phase's, on the times of both."""
@@ -36,7 +36,7 @@ def on_shared_times(
     shared = np.union1d(old_times, times)
     shared = shared[(shared >= times[0]) & (shared <= times[-1])]
     resampled = {
-        name: _resampled(value, given, shared) if _is_table(value, given) else value
+        name: _interpolate_rows(value, given, shared) if _is_table(value, given) else value
         for values, given in ((old, old_times), (new, times))
         for name, value in values.items()
     }
@@ -47,7 +47,7 @@ def _is_table(value: GuessValue, times: Array) -> bool:
     return not callable(value) and not isinstance(value, tuple) and np.shape(value)[-1:] == times.shape
 
 
-def _resampled(value: GuessValue, times: Array, at: Array) -> Array:
+def _interpolate_rows(value: GuessValue, times: Array, at: Array) -> Array:
     rows = np.asarray(value, dtype=float).reshape(-1, times.size)
     return np.stack([np.interp(at, times, row) for row in rows])
 
@@ -59,16 +59,16 @@ def sample_guess(
     if callable(value):
         sampled = np.stack([as_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
     elif isinstance(value, tuple):
-        sampled = _line(value, size, fractions, what)
+        sampled = _sample_line(value, size, fractions, what)
     else:
-        sampled = _table(read_numbers(value, what, ProblemError), size, at, times, what)
+        sampled = _sample_table(read_numbers(value, what, ProblemError), size, at, times, what)
     bad = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
     if bad.size:
         raise ProblemError(f"{what} is {sampled[:, bad[0]]} at t = {at[bad[0]]:.4g} s: give finite values.")
     return sampled
 
 
-def _line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
+def _sample_line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
     if len(value) != 2:
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."
@@ -80,7 +80,7 @@ def _line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) 
     return np.asarray(first[:, None] + (last - first)[:, None] * fractions)
 
 
-def _table(array: Array, size: int, at: Array, times: Array | None, what: str) -> Array:
+def _sample_table(array: Array, size: int, at: Array, times: Array | None, what: str) -> Array:
     constant = array.size in (1, size)
     if times is None and not constant:
         raise ProblemError(
@@ -92,4 +92,4 @@ def _table(array: Array, size: int, at: Array, times: Array | None, what: str) -
         raise ProblemError(
             f"{what} has the shape {array.shape}: with {times.size} guess times give ({size}, {times.size})."
         )
-    return _resampled(array, times, at)
+    return _interpolate_rows(array, times, at)

@@ -27,8 +27,8 @@ import numpy as np
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import along
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.expressions import phase_terms
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.magnitudes import SAMPLES
 from gnc_opt.planning.problem.phase import Phase
@@ -59,12 +59,12 @@ class AlgebraicForm:
         return (
             bool(others)
             and bounded
-            and is_affine(along(leg), ca.vertcat(*(symbols[rows] for rows in others)))
+            and is_affine(phase_terms(leg), ca.vertcat(*(symbols[rows] for rows in others)))
         )
 
     def is_regular(self, leg: Phase) -> bool:
         """Whether the rate of the variable is finite along a phase's guess."""
-        start, model = start_phase(leg, SAMPLES, perturbed=False), leg.model
+        start, model = phase_guess(leg, SAMPLES, perturbed=False), leg.model
         first, last = guess_times(leg)
         function = leg.once(
             f"rate of {self.constraint}", lambda: ca.Function("rate", [*model.arguments()], [self.rate])

@@ -14,16 +14,16 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import nodes_of, operations_in, replaced
+from gnc_opt.model.expressions import nodes_of, operations_in, replace_in
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import table_uses
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
-from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, along_guess, free_name
+from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, guess_column, unused_name
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
@@ -42,9 +42,9 @@ def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str,
     ignored, found = _table_pieces(problem, leg), {}
     wanted = integral_senses(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
-        nodes = outermost(integrand, ignored, domain) if wanted[name] else []
+        nodes = outermost_kinks(integrand, ignored, domain) if wanted[name] else []
         if nodes:
-            found[name] = list(extrema_of(integrand, nodes, wanted[name], domain))
+            found[name] = list(convex_kinks(integrand, nodes, wanted[name], domain))
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
@@ -54,11 +54,11 @@ def limited_sense(constraint: Constraint, row: int) -> int:
     return int(above) - int(below)
 
 
-def extrema_of(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
+def convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
     """Yield those kinks of a scalar that are convex where less of it (sense 1), or more of it (-1), is better."""
     for node, direction in zip(nodes, domain.directions(expression, nodes), strict=True):
         own = sense * direction
-        found = pieces(node, own, domain) if own else None
+        found = kink_pieces(node, own, domain) if own else None
         if found is not None and len(found) > 1 and not _is_rounded(expression, Extremum(node, own, found)):
             yield Extremum(node, own, found)
 
@@ -66,7 +66,7 @@ def extrema_of(expression: Any, nodes: list[Any], sense: int, domain: Domain) ->
 def _is_rounded(expression: Any, kink: Extremum) -> bool:
     """Whether an expression has no slope, or no finite one, wherever two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
-    of_z = replaced(expression, {kink.node.element_hash(): z})
+    of_z = replace_in(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
     for first, second in combinations(kink.pieces, 2):
         symbol = next((s for s in ca.symvar(second - first) if is_affine(second - first, s)), None)
@@ -74,7 +74,7 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
             return False
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
-        slopes, here, *others = drawn(ca.substitute(column, symbol, meeting(gap, symbol)))
+        slopes, here, *others = draw_values(ca.substitute(column, symbol, meeting_point(gap, symbol)))
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
         if np.any(largest & ~np.isfinite(slopes)):
             return True
@@ -116,7 +116,7 @@ def is_smooth(expression: Any) -> bool:
     return not any(node.op() in KINKED for node in nodes_of(expression))
 
 
-def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
+def outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
     """Return the kinks of a scalar expression that are in no other one, without the nodes of these hashes."""
     found: dict[int, Any] = {}
     seen: set[int] = set()
@@ -127,23 +127,23 @@ def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[
         if place in seen or place in ignored:
             continue
         seen.add(place)
-        if _extremum(node, domain) is not None:
+        if _read_extremum(node, domain) is not None:
             found[place] = node
         else:
             waiting += [node.dep(i) for i in range(node.n_dep())]
     return list(found.values())
 
 
-def pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def kink_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     """Return smooth expressions of which a node is the largest (sense 1) or the least (-1); None if it is of none."""
     found = _smooth_pieces(node, sense, domain)
-    return None if found is None or len(found) > KINK_MAX_PIECES else _without_dominated(found, sense)
+    return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated(found, sense)
 
 
 def _smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     if is_smooth(node):
         return [node]
-    extremum = _extremum(node, domain)
+    extremum = _read_extremum(node, domain)
     if extremum is not None:
         own, operands = extremum
         if own != sense:
@@ -196,7 +196,7 @@ def _scaled_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
-def _extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
+def _read_extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     """Return 1 for a largest value, -1 for a least one, and of what; None if a node is neither."""
     operation = node.op()
     if operation == ca.OP_FABS:
@@ -223,27 +223,27 @@ def _choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
         if not is_affine(ca.vertcat(gap, rise), symbol):
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
-        left = drawn(ca.substitute(rise, symbol, meeting(gap, symbol)))
+        left = draw_values(ca.substitute(rise, symbol, meeting_point(gap, symbol)))
         sense = domain.sign(across) * domain.sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
     return None
 
 
-def meeting(gap: Any, symbol: Any) -> Any:
+def meeting_point(gap: Any, symbol: Any) -> Any:
     """Return where a scalar that is affine in a symbol vanishes."""
     return -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
 
 
-def _without_dominated(found: Pieces, sense: int) -> Pieces:
+def _drop_dominated(found: Pieces, sense: int) -> Pieces:
     """Leave out constants that the larger of e and -e is never below."""
-    values = drawn(ca.vertcat(*found))
+    values = draw_values(ca.vertcat(*found))
     opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
     keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]
     return [e for e, kept in zip(found, keep, strict=True) if kept]
 
 
-def rows_of(column: Any) -> Iterator[Any]:
+def split_rows(column: Any) -> Iterator[Any]:
     """Yield the rows of a column, of which there may be none."""
     yield from ca.vertsplit(column) if column.numel() else ()
 
@@ -266,19 +266,19 @@ class EndForm:
     @classmethod
     def of(cls, problem: Statement, domain: Domain) -> EndForm:
         """Restate a problem."""
-        limits = {name: smooth_limits(c, domain) for name, c in problem.constraints.items()}
+        limits = {name: split_limits(c, domain) for name, c in problem.constraints.items()}
         changed = {name: c for name, c in limits.items() if c is not None}
         constraints, instead = {**problem.constraints, **changed}, {}
         parameters: dict[str, tuple[Symbol, float]] = {}
         taken = {*problem.parameters.names, *constraints}
         taken |= {name for leg in problem.phases.values() for name in leg.model.parameters.names}
-        nodes = outermost(problem.cost, frozenset(), domain)
-        for kink in extrema_of(problem.cost, nodes, int(problem.sense), domain):
+        nodes = outermost_kinks(problem.cost, frozenset(), domain)
+        for kink in convex_kinks(problem.cost, nodes, int(problem.sense), domain):
             name = f"epigraph_of_cost_{len(parameters) + 1}"
             while name in taken:
                 name += "_"
             symbol = Symbol(Variable(name, 1, ""))
-            constraints[name], least = above_pieces(symbol, kink)
+            constraints[name], least = epigraph_rows(symbol, kink)
             parameters[name] = (symbol, least)
             instead[kink.node.element_hash()] = kink.sense * symbol
         texts = (
@@ -288,7 +288,7 @@ class EndForm:
             ),
             *(f"'{name}' is solved for as {c.size} smooth limits" for name, c in changed.items()),
         )
-        return cls(replaced(problem.cost, instead), constraints, parameters, texts)
+        return cls(replace_in(problem.cost, instead), constraints, parameters, texts)
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -321,7 +321,7 @@ class Kinked:
         costs = {
             name: [k for k in own if ca.depends_on(k.node, ca.vertcat(x, u))] for name, own in found.items()
         }
-        limits = {name: smooth_limits(c, domain) for name, c in leg.paths.items()}
+        limits = {name: split_limits(c, domain) for name, c in leg.paths.items()}
         return cls(
             {name: own for name, own in costs.items() if own},
             {name: c for name, c in limits.items() if c is not None},
@@ -334,13 +334,13 @@ class Kinked:
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
 
 
-def smooth_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
+def split_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
     """Return a constraint with smooth rows for each row that is the largest or least of them; None if there is none."""
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False
-    for i, row in enumerate(rows_of(constraint.expression)):
+    for i, row in enumerate(split_rows(constraint.expression)):
         sense = limited_sense(constraint, i)
-        own = pieces(row, sense, domain) if sense and not is_smooth(row) else None
+        own = kink_pieces(row, sense, domain) if sense and not is_smooth(row) else None
         changed |= own is not None
         kept = [
             e for e in own or [row] if own is None or not _is_constant_within(e, box.lower[i], box.upper[i])
@@ -352,7 +352,7 @@ def smooth_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
     return Constraint(constraint.name, ca.vertcat(*expressions), Interval(np.array(lower), np.array(upper)))
 
 
-def above_pieces(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
+def epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
     """Return the constraint that keeps a symbol above the pieces of a kink, and the largest constant among them."""
     above = [kink.sense * e for e in kink.pieces]
     rows = [symbol - e for e in above if not e.is_constant()]
@@ -385,14 +385,14 @@ class EpigraphForm(PhaseForm):
                 place = kink.node.element_hash()
                 if place in symbols:
                     continue
-                s = symbols[place] = _new_name(old, len(symbols))
+                s = symbols[place] = _epigraph_symbol(old, len(symbols))
                 label = s.variable.name
                 kinks[label] = kink
-                paths[label], least[label] = above_pieces(s, kink)
+                paths[label], least[label] = epigraph_rows(s, kink)
                 texts.append(f"a kink of integral '{name}' is solved for as {label}, kept beyond its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
-            integrands[name] = (symbol, replaced(integrand, value))
+            integrands[name] = (symbol, replace_in(integrand, value))
         texts += [f"'{n}' is solved for as {c.size} smooth limits" for n, c in kinked.limits.items()]
         none = ca.SX(0, 1)
         values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]
@@ -413,7 +413,7 @@ class EpigraphForm(PhaseForm):
         box = leg.numbers.controls
         guess = leg.numbers.guess
         values = {
-            name: along_guess(problem, stated, kink.sense * kink.node) for name, kink in self.kinks.items()
+            name: guess_column(problem, stated, kink.sense * kink.node) for name, kink in self.kinks.items()
         }
         controls = Interval(
             np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])
@@ -422,5 +422,5 @@ class EpigraphForm(PhaseForm):
         self.give(leg, replace(leg.numbers, controls=controls, guess=guessed))
 
 
-def _new_name(model: Model, k: int) -> Symbol:
-    return Symbol(Variable(free_name(model, "epigraph" if k == 0 else f"epigraph_{k + 1}"), 1, ""))
+def _epigraph_symbol(model: Model, k: int) -> Symbol:
+    return Symbol(Variable(unused_name(model, "epigraph" if k == 0 else f"epigraph_{k + 1}"), 1, ""))

@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import function_along
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement
@@ -24,7 +24,7 @@ def taken_names(model: Model) -> frozenset[str]:
     return frozenset(name for layout in layouts for name in layout.names)
 
 
-def free_name(model: Model, wanted: str) -> str:
+def unused_name(model: Model, wanted: str) -> str:
     """Return a name that a model does not have yet."""
     taken = taken_names(model)
     while wanted in taken:
@@ -32,7 +32,7 @@ def free_name(model: Model, wanted: str) -> str:
     return wanted
 
 
-def with_values_of(model: Model, old: Model) -> Model:
+def copy_values(model: Model, old: Model) -> Model:
     """Return a model with the values of another one's parameters."""
     layout = old.parameters
     return model.with_parameters(
@@ -51,20 +51,20 @@ class PhaseForm:
 
     def give(self, leg: Phase, numbers: PhaseNumbers) -> None:
         """Give a phase this form, and numbers in its controls."""
-        leg.model = with_values_of(self.model, leg.model)
+        leg.model = copy_values(self.model, leg.model)
         leg.numbers = numbers
         leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
         leg.restatement = self.restatement.after(leg.restatement)
 
 
-def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
+def guess_column(problem: Statement, stated: Phase, column: Any) -> GuessValue:
     """Return the values of a column along the guess of a phase, as a function of time."""
     function = function_along(problem, stated, "guessed", column)
     q = problem.guessed_parameters()
 
     def at(t: Any) -> Array:
         first, last = guess_times(stated)
-        start = start_phase(stated, np.array([(t - first) / (last - first)]), perturbed=False)
+        start = phase_guess(stated, np.array([(t - first) / (last - first)]), perturbed=False)
         values = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
         return np.asarray(values.full()[:, 0])
 

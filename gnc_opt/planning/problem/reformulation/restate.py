@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.expressions import ROOTS, operations_in
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
-from gnc_opt.planning.problem.expressions import along, function_along
+from gnc_opt.planning.problem.expressions import function_along, phase_terms
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
@@ -24,8 +24,13 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Kinked,
     has_end_kinks,
 )
-from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm, bound_controls, bounds_by_hand
-from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, norm_by_hand, without_roots
+from gnc_opt.planning.problem.reformulation.splitting import (
+    Bends,
+    SplitForm,
+    apply_stated_bounds,
+    find_stated_bounds,
+)
+from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_roots
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
 
@@ -35,12 +40,12 @@ FULL_TURN_BOUND_TOLERANCE = 1e-6
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
-def without_full_turns(problem: P) -> P:
+def drop_full_turn_bounds(problem: P) -> P:
     """Return a problem whose angles are free where their bounds leave out no direction; itself if it has none."""
     found = {
         name: turns
         for name, leg in problem.phases.items()
-        if np.any((turns := _full_turns(problem, leg)).free)
+        if np.any((turns := _find_full_turns(problem, leg)).free)
     }
     if not found:
         return problem
@@ -53,13 +58,15 @@ def without_full_turns(problem: P) -> P:
     return twin
 
 
-def without_implied_bounds(problem: P) -> P:
+def drop_implied_bounds(problem: P) -> P:
     """Return a problem without the bounds of controls that a vector of given length implies; itself if it has none.
 
     Where a component is the length, the gradients of both limits are one, and their multipliers are not unique.
     """
     implied = {
-        name: bounds for name, leg in problem.phases.items() if (bounds := _within_length(problem, leg))
+        name: bounds
+        for name, leg in problem.phases.items()
+        if (bounds := _bounds_beyond_length(problem, leg))
     }
     if not implied:
         return problem
@@ -70,7 +77,7 @@ def without_implied_bounds(problem: P) -> P:
     return twin
 
 
-def _within_length(problem: Statement, leg: Phase) -> Interval | None:
+def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval | None:
     """Return the bounds of controls without those that a vector of given length implies; None if there are none."""
     if leg.numbers.arcs is not None:
         return None
@@ -79,7 +86,7 @@ def _within_length(problem: Statement, leg: Phase) -> Interval | None:
         square = constraint.interval.upper
         if square.size > 1 or not 0.0 < square[0] == constraint.interval.lower[0]:
             continue
-        squared = partial(_squared, leg, constraint.expression)
+        squared = partial(_squared_controls, leg, constraint.expression)
         places = problem.once(("vector of length", leg.name, name), squared)
         length = np.sqrt(square[0]) * (1.0 - ROUNDING)
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
@@ -88,7 +95,7 @@ def _within_length(problem: Statement, leg: Phase) -> Interval | None:
     return Interval(lower, upper) if changed else None
 
 
-def _squared(leg: Phase, expression: Any) -> list[int]:
+def _squared_controls(leg: Phase, expression: Any) -> list[int]:
     """Return the controls whose sum of squares an expression is; empty if it is no such sum."""
     t, x, u, p = leg.model.arguments()
     if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
@@ -102,14 +109,14 @@ def _squared(leg: Phase, expression: Any) -> list[int]:
     return [int(i) for i in places] if only_squares else []
 
 
-def _full_turns(problem: Statement, leg: Phase) -> Turns:
+def _find_full_turns(problem: Statement, leg: Phase) -> Turns:
     box = leg.numbers.controls
     room, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = Turns(none - np.inf, none + np.inf, none)
     bounded = np.isfinite(room) & (room > 0)
     if not np.any(bounded) or leg.numbers.arcs is not None:
         return turns
-    if not _TURNING & problem.once(("operations", leg.name), lambda: operations_in(along(leg))):
+    if not _TURNING & problem.once(("operations", leg.name), lambda: operations_in(phase_terms(leg))):
         return turns
     probe = angle_probe(problem, leg)
     if not np.all(np.any(np.isfinite(probe.here), axis=1)):
@@ -127,7 +134,9 @@ def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> A
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
-    function = problem.once(("along", leg.name), lambda: function_along(problem, leg, "along", along(leg)))
+    function = problem.once(
+        ("along", leg.name), lambda: function_along(problem, leg, "along", phase_terms(leg))
+    )
     values = leg.model.parameter_values
     if of_states:
         return AngleProbe(lambda x: evaluate(function, times[0], x, controls, values, free), states)
@@ -142,19 +151,21 @@ def restated(problem: P) -> P:
 
     Variations of a problem with other numbers are reformulated as variations of one another.
     """
-    return without_full_turns(without_implied_bounds(_without_norms(with_algebraic_states(problem))))
+    return drop_full_turn_bounds(
+        drop_implied_bounds(_restate_norms_and_kinks(with_algebraic_states(problem)))
+    )
 
 
-def _without_norms(problem: P) -> P:
+def _restate_norms_and_kinks(problem: P) -> P:
     kinked_ends = has_end_kinks(problem)
     if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        rootless = problem.once(("rootless", leg.name), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
+        rootless = problem.once(("rootless", leg.name), lambda leg=leg: remove_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes(), *rootless)
-        while (form := _next_form(problem, leg, key)) is not None:
+        while (form := _find_next_form(problem, leg, key)) is not None:
             key = (*key, *form.names, *form.apply(problem, leg))
         keys.append((*key, *_restate_kinks(problem, leg, key)))
     ends = _restate_ends(problem, twin) if kinked_ends else ()
@@ -176,15 +187,15 @@ def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.once(("operations", leg.name), lambda: operations_in(along(leg)))
+    operations = problem.once(("operations", leg.name), lambda: operations_in(phase_terms(leg)))
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
-def _next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> NormForm | None:
+def _find_next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> NormForm | None:
     """The next form of a phase, which is the same for all variations."""
 
     def build() -> NormForm | None:
-        names = norm_by_hand(leg)
+        names = find_norm_vector(leg)
         return None if names is None else NormForm.of(leg, names)
 
     return problem.once(("form", *key), build)
@@ -196,10 +207,10 @@ def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tupl
     if not _has_kinks(problem, leg, told):
         return ()
     domain = Domain.along(problem, leg)
-    bounds = problem.once(("bounds", *told, domain.key), lambda: bounds_by_hand(leg, domain))
+    bounds = problem.once(("bounds", *told, domain.key), lambda: find_stated_bounds(leg, domain))
     if bounds:
         told = (*told, *bounds)
-        bound_controls(leg, bounds)
+        apply_stated_bounds(leg, bounds)
         domain = Domain.along(problem, leg)
     bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:
@@ -216,4 +227,4 @@ def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tupl
 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
-    return bool({*KINKED} & problem.once(("operations", *key), lambda: operations_in(along(leg))))
+    return bool({*KINKED} & problem.once(("operations", *key), lambda: operations_in(phase_terms(leg))))

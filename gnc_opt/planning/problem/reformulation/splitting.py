@@ -15,15 +15,20 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.composed_controls import SplitControl
-from gnc_opt.model.expressions import replaced
+from gnc_opt.model.expressions import replace_in
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval import Interval, by_name, free, from_names, intersect
-from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
+from gnc_opt.planning.problem.interval import Interval, by_name, free, intersect, stack_ranges
+from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import Restatement
-from gnc_opt.planning.problem.reformulation.epigraph import Extremum, kinks_that_cost, meeting, smooth_limits
-from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
+from gnc_opt.planning.problem.reformulation.epigraph import (
+    Extremum,
+    kinks_that_cost,
+    meeting_point,
+    split_limits,
+)
+from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, unused_name
 from gnc_opt.planning.problem.reformulation.vector_norms import stated_controls
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
@@ -49,7 +54,7 @@ class Bend:
         for place, u in controls.items():
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
-                corners, sign = drawn(meeting(gap, u))[0], kink.sense * domain.sign(slope)
+                corners, sign = draw_values(meeting_point(gap, u))[0], kink.sense * domain.sign(slope)
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
                     base, factor = (first, slope) if sign > 0 else (second, -slope)
@@ -61,16 +66,18 @@ BoundsByHand: TypeAlias = dict[str, Interval]
 """Of all controls, by the path constraint that says them."""
 
 
-def bounds_by_hand(leg: Phase, domain: Domain) -> BoundsByHand:
+def find_stated_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
     """Return the bounds of controls that path constraints with kinks amount to, and nothing else."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
     controls = {place: symbols[place] for place in stated_controls(leg).values()}
-    smooth = {name: smooth_limits(c, domain) for name, c in leg.paths.items()}
-    found = {name: _bounds_of(c, controls, free(len(symbols))) for name, c in smooth.items() if c is not None}
+    smooth = {name: split_limits(c, domain) for name, c in leg.paths.items()}
+    found = {
+        name: _read_bounds(c, controls, free(len(symbols))) for name, c in smooth.items() if c is not None
+    }
     return {name: box for name, box in found.items() if box is not None}
 
 
-def bound_controls(leg: Phase, found: BoundsByHand) -> None:
+def apply_stated_bounds(leg: Phase, found: BoundsByHand) -> None:
     """Give controls the bounds that path constraints amount to, in place of those."""
     box = leg.numbers.controls
     for own in found.values():
@@ -81,14 +88,14 @@ def bound_controls(leg: Phase, found: BoundsByHand) -> None:
     leg.restatement = Restatement.of_limits(leg.model, texts).after(leg.restatement)
 
 
-def _bounds_of(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
+def _read_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
     """Return the bounds that a constraint amounts to if each row is affine in one control alone, else None."""
     for i, row in enumerate(ca.vertsplit(constraint.expression)):
         own = ca.symvar(row)
         place = next((k for k, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
         if place is None or not is_affine(row, own[0]):
             return None
-        rest, slope = drawn(ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0])))[:, 0]
+        rest, slope = draw_values(ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0])))[:, 0]
         limits = constraint.interval.row(i)
         lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
         box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
@@ -145,7 +152,7 @@ class SplitForm(PhaseForm):
                 values.append(symbol)
                 continue
             plus, minus = (
-                Symbol(replace(v, name=free_name(old, f"{v.name}_{what}"))) for what in ("plus", "minus")
+                Symbol(replace(v, name=unused_name(old, f"{v.name}_{what}"))) for what in ("plus", "minus")
             )
             split = SplitControl(v, (plus.variable.name, minus.variable.name), _corners_at(bends, places))
             splits.append(split)
@@ -162,23 +169,23 @@ class SplitForm(PhaseForm):
             known = {
                 b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in bends.at.get(name, ())
             }
-            return replaced(replaced(expression, known), instead)
+            return replace_in(replace_in(expression, known), instead)
 
         stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
         lengths = {v.length for v in leg.vectors}
         return cls(
             old.in_controls(
                 controls,
-                [(c, replaced(ca.SX(old.symbol(c.name)), instead)) for c in splits],
-                lambda expression: replaced(expression, instead),
+                [(c, replace_in(ca.SX(old.symbol(c.name)), instead)) for c in splits],
+                lambda expression: replace_in(expression, instead),
             ),
             {
-                name: c if name in lengths else replace(c, expression=replaced(c.expression, instead))
+                name: c if name in lengths else replace(c, expression=replace_in(c.expression, instead))
                 for name, c in leg.paths.items()
             },
             {name: (symbol, straight(name, e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(
-                old, stated, replaced(stated, instead), ca.vertcat(*values), tuple(map(_split_text, splits))
+                old, stated, replace_in(stated, instead), ca.vertcat(*values), tuple(map(_split_text, splits))
             ),
             tuple(splits),
         )
@@ -197,7 +204,7 @@ class SplitForm(PhaseForm):
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
-        self.give(leg, replace(old, controls=from_names(boxes, self.model.controls), scales=scales))
+        self.give(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
 def _corners_at(bends: Bends, places: range) -> tuple[float, ...]:

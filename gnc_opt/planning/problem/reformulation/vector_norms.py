@@ -15,23 +15,28 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
-from gnc_opt.model.expressions import ROOTS, NormNodes, nodes_of, rebuilt
+from gnc_opt.model.expressions import ROOTS, NormNodes, nodes_of, rebuild
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import along
-from gnc_opt.planning.problem.interval import Interval, by_name, from_names, stacked
-from gnc_opt.planning.problem.interval_arithmetic import drawn, is_affine
+from gnc_opt.planning.problem.expressions import phase_terms
+from gnc_opt.planning.problem.interval import Interval, by_name, stack_all, stack_ranges
+from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
-from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, along_guess, free_name, taken_names
+from gnc_opt.planning.problem.reformulation.phase_form import (
+    PhaseForm,
+    guess_column,
+    taken_names,
+    unused_name,
+)
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
 Names: TypeAlias = tuple[str, ...]
 
 
-def norm_by_hand(leg: Phase) -> Names | None:
+def find_norm_vector(leg: Phase) -> Names | None:
     """Return the controls of the largest vector of which a root is the norm, or whose norm is limited by a control."""
     return max(
         [*_root_vectors(leg), *(names for names, _, _ in _limiting_controls(leg))], key=len, default=None
@@ -50,10 +55,10 @@ def stated_controls(leg: Phase) -> dict[int, int]:
 def _root_vectors(leg: Phase) -> Iterator[Names]:
     """Yield vectors, whole controls, of which a root is the norm: there it has no derivative at zero."""
     stated, controls = stated_controls(leg), leg.model.controls
-    for node in nodes_of(along(leg)):
+    for node in nodes_of(phase_terms(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
-            names = tuple(v.name for v in controls.variables if places & _places_of(controls, v.name))
+            names = tuple(v.name for v in controls.variables if places & _control_places(controls, v.name))
             whole = sum(controls[name].size for name in names) == len(places)
             if whole and len(places) > 1:
                 vector = ca.vertcat(*map(leg.model.symbol, names))
@@ -97,14 +102,14 @@ def _path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
             yield label, c.expression[i], c.interval.row(i)
 
 
-def _places_of(layout: Layout, name: str) -> set[int]:
+def _control_places(layout: Layout, name: str) -> set[int]:
     return set(range(*layout.slice(name).indices(layout.size)))
 
 
 _SIZES = (0.7, 1.3, 2.1)
 
 
-def limits_of(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
+def norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
     """Return the range of a norm that limits of a linear or quadratic expression of it alone amount to, else None."""
     if any(s.element_hash() != size.element_hash() for s in ca.symvar(expression)):
         return None
@@ -119,11 +124,11 @@ def limits_of(expression: Any, size: Any, limits: Interval) -> tuple[float, floa
     return (float(least), float(most)) if ends[1] >= 0 else None
 
 
-def without_roots(leg: Phase) -> dict[str, Constraint]:
+def remove_roots(leg: Phase) -> dict[str, Constraint]:
     """Return those constraints of a phase that have rows ``root <= c``, as they are without the root."""
     changed = {}
     for name, c in leg.paths.items():
-        rows = [_without_root(row, c.interval.row(i)) for i, row in enumerate(ca.vertsplit(c.expression))]
+        rows = [_remove_root(row, c.interval.row(i)) for i, row in enumerate(ca.vertsplit(c.expression))]
         if any(row is not None for row in rows):
             kept = ca.vertsplit(c.expression)
             both = [old if new is None else new for new, old in zip(rows, kept, strict=True)]
@@ -131,19 +136,19 @@ def without_roots(leg: Phase) -> dict[str, Constraint]:
     return changed
 
 
-def _without_root(row: Any, limits: Interval) -> Any | None:
+def _remove_root(row: Any, limits: Interval) -> Any | None:
     """Return a row that is a function of a root alone, with a limit from above, without it; else None."""
     root = next((node for node in nodes_of(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
     if root is None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
-    of_size = rebuilt(row, lambda node: size if node.element_hash() == place else None)
-    found = limits_of(of_size, size, limits)
+    of_size = rebuild(row, lambda node: size if node.element_hash() == place else None)
+    found = norm_limits(of_size, size, limits)
     if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _root_vanishes(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
-    return rebuilt(row, lambda node: tangent if node.element_hash() == place else None)
+    return rebuild(row, lambda node: tangent if node.element_hash() == place else None)
 
 
 def _root_vanishes(root: Any) -> bool:
@@ -178,7 +183,7 @@ class NormForm(PhaseForm):
         """Restate a phase in the norm of some of its controls."""
         old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
-        norms = NormNodes.of(ca.vertcat(along(leg), *outputs), vector)
+        norms = NormNodes.of(ca.vertcat(phase_terms(leg), *outputs), vector)
         found = _NormLimits.of(leg, names, norms)
         name, magnitude, direction = _new_symbols(old, names)
         if found.control is not None:
@@ -192,7 +197,7 @@ class NormForm(PhaseForm):
 
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
-        paths, on_sphere = _restated_paths(found.kept, express, magnitude)
+        paths, on_sphere = _restate_paths(found.kept, express, magnitude)
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if found.control is None else magnitude
         for v in old.controls.variables:
@@ -230,8 +235,8 @@ class NormForm(PhaseForm):
         if len(self.names) > 1 and guess.values.keys() & set(self.names):
             kept = {name: value for name, value in guess.values.items() if name not in self.names}
             vector = ca.vertcat(*map(stated.model.symbol, self.names))
-            guess = PhaseGuess(guess.time, {**kept, self.control.name: along_guess(problem, stated, vector)})
-        controls = from_names(boxes, self.model.controls)
+            guess = PhaseGuess(guess.time, {**kept, self.control.name: guess_column(problem, stated, vector)})
+        controls = stack_ranges(boxes, self.model.controls)
         self.give(leg, replace(old, controls=controls, scales=scales, guess=guess))
         leg.paths |= rows
         leg.add_vector(self.control, on_sphere=self.on_sphere)
@@ -240,7 +245,10 @@ class NormForm(PhaseForm):
     def _component_limits(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
         boxes, layout = by_name(stated.numbers.controls, stated.model.controls), stated.model.controls
-        box, labels = stacked(boxes[n] for n in self.names), [k for n in self.names for k in layout[n].labels]
+        box, labels = (
+            stack_all(boxes[n] for n in self.names),
+            [k for n in self.names for k in layout[n].labels],
+        )
         magnitude, rows = self.model.symbol(self.control.magnitude), {}
         most = boxes[magnitude.variable.name].upper[0] if magnitude.variable.name in boxes else self.limits[1]
         for i, value in enumerate(ca.vertsplit(self.product)):
@@ -250,7 +258,7 @@ class NormForm(PhaseForm):
             )
             if np.any(np.isfinite([limits.lower, limits.upper])):
                 name = f"bounds of {labels[i]}"
-                rows[name] = Constraint(name, _without_factor(value, limits, magnitude), limits)
+                rows[name] = Constraint(name, _drop_cone_magnitude(value, limits, magnitude), limits)
         return rows
 
 
@@ -266,8 +274,8 @@ def _new_symbols(model: Model, names: Names) -> tuple[str, Symbol, Symbol]:
     name = common if usable else "_".join(names)
     known = [max(v.nominal) for v in variables if v.nominal is not None]
     nominal, size = (max(known),) if known else None, sum(v.size for v in variables)
-    magnitude = Variable(free_name(model, f"{name}_magnitude"), 1, variables[0].unit, nominal)
-    direction = Variable(free_name(model, f"{name}_direction"), size, "", (1.0,) * size)
+    magnitude = Variable(unused_name(model, f"{name}_magnitude"), 1, variables[0].unit, nominal)
+    direction = Variable(unused_name(model, f"{name}_direction"), size, "", (1.0,) * size)
     return name, Symbol(magnitude), Symbol(direction)
 
 
@@ -304,7 +312,7 @@ class _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
         for label, row, limits in _path_rows(leg):
-            own = limits_of(norms.replaced(row, size, {}), size, limits)
+            own = norm_limits(norms.replaced(row, size, {}), size, limits)
             if own is None:
                 kept.append(Constraint(label, row, limits))
             else:
@@ -328,25 +336,25 @@ def _removed_limits_text(labels: list[str]) -> str:
     return f", whose magnitude {' and '.join(map(repr, labels))} limit{'s' * (len(labels) == 1)}"
 
 
-def _restated_paths(
+def _restate_paths(
     rows: list[Constraint], express: Callable[[Any], Any], magnitude: Symbol
 ) -> tuple[dict[str, Constraint], bool]:
     """Return constraints of magnitude and direction, and whether one of them requires the norm to be the magnitude."""
     paths: dict[str, Constraint] = {}
     on_sphere = False
     for row in rows:
-        expression = _without_factor(express(row.expression), row.interval, magnitude)
+        expression = _drop_cone_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
             on_sphere |= not _allows_shorter(expression, magnitude, row.interval)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
 
 
-def _without_factor(expression: Any, limits: Interval, magnitude: Any) -> Any:
+def _drop_cone_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
     """Return a row whose limits are zero, that of a cone, without the magnitude if that is a factor of it."""
     ends = np.array([limits.lower[0], limits.upper[0]])
     is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)
-    is_cone = is_cone and not np.any(drawn(ca.substitute(expression, magnitude, 0.0)))
+    is_cone = is_cone and not np.any(draw_values(ca.substitute(expression, magnitude, 0.0)))
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
