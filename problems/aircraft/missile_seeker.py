@@ -62,7 +62,7 @@ def build(field_of_view: float = FIELD_OF_VIEW) -> go.Problem:
     hit = flight.final_state("x") - TARGET[0] - TARGET_SPEED * flight.final_time
     problem.constrain("hit along", hit, equals=0.0)
     problem.constrain("hit across", flight.final_state("y") - TARGET[1], equals=0.0)
-    problem.minimize(flight.integral(a**2))
+    problem.minimize(flight.integral(a**2), unit="g^2 s")
     return problem
 
 

@@ -73,7 +73,7 @@ def build() -> go.Problem:
     flight.bounds(rate=(-MAX_RATE, MAX_RATE), vx=(0.0, 10.0), vz=(-5.0, 5.0), q=(-20.0, 20.0))
     flight.guess([0.0, 0.8], vx=(7.0, 2.0), theta=(0.0, 1.0), vz=0.0)
     vx_f, vz_f = flight.final_state("vx"), flight.final_state("vz")
-    problem.minimize(vx_f**2 + vz_f**2 + 0.01 * flight.integral(rate**2 / MAX_RATE**2))
+    problem.minimize(vx_f**2 + vz_f**2 + 0.01 * flight.integral(rate**2 / MAX_RATE**2), unit="m^2/s^2")
     return problem
 
 

@@ -55,7 +55,7 @@ def build() -> go.Problem:
     orbit.time(initial=0.0, final=DURATION)
     orbit.initial(h=START)
     orbit.final(h=np.zeros(3))
-    problem.minimize(0.5 * orbit.integral(ca.dot(m, m)))
+    problem.minimize(0.5 * orbit.integral(ca.dot(m, m)), unit="A^2 m^4 s")
     return problem
 
 

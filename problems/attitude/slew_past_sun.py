@@ -69,7 +69,7 @@ def build() -> go.Problem:
     slew.path("Sun", cosine, upper=np.cos(CONE))
     past = [0.7, 0.1, -0.3, 0.6]
     slew.guess([0.0, DURATION / 2, DURATION], q=np.array([[1.0, 0.0, 0.0, 0.0], past, END]).T)
-    problem.minimize(slew.integral(ca.dot(u, u)))
+    problem.minimize(slew.integral(ca.dot(u, u)), unit="N^2 m^2 s")
     return problem
 
 

@@ -72,7 +72,7 @@ def build() -> go.Problem:
     at_rest = rates(turn.final_state("omega"), turn.final_state("r"), turn.final_state("h"), ca.SX.zeros(3))
     problem.constrain("torques in equilibrium", at_rest[0] * 1e6, equals=[0.0, 0.0, 0.0])
     problem.constrain("attitude at rest", at_rest[1] * 1e3, equals=[0.0, 0.0, 0.0])
-    problem.minimize(0.5 * turn.integral(ca.sumsqr(u)))
+    problem.minimize(0.5 * turn.integral(ca.sumsqr(u)), unit="ft^2 lbf^2 s")
     return problem
 
 

@@ -58,7 +58,7 @@ def build() -> go.Problem:
         east, north, half = np.radians(angles)
         axis = ca.DM([np.cos(east) * np.cos(north), np.sin(east) * np.cos(north), np.sin(north)])
         slew.path(f"cone {i}", ca.dot(tracker, axis), upper=np.cos(half))
-    problem.minimize(slew.integral(ca.dot(u, u)))
+    problem.minimize(slew.integral(ca.dot(u, u)), unit="N^2 m^2 s")
     return problem
 
 

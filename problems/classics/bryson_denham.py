@@ -50,7 +50,7 @@ def build(limit: float = LIMIT) -> go.Problem:
     bounce.initial(x=0.0, v=1.0)
     bounce.final(x=0.0, v=-1.0)
     bounce.bounds(x=(None, limit))
-    problem.minimize(bounce.integral(a**2 / 2, "effort"))
+    problem.minimize(bounce.integral(a**2 / 2, "effort"), unit="m^2/s^3")
     return problem
 
 

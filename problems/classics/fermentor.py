@@ -54,7 +54,7 @@ def build() -> go.Problem:
     batch.initial(X=1.5, P=0.0, S=0.0, V=7.0)
     batch.bounds(X=(0.0, 40.0), P=(0.0, 50.0), S=(0.0, 100.0), V=(0.0, 10.0), u=(0.0, 50.0))
     batch.guess([0.0, 130.0], X=(1.5, 30.0), P=(0.0, 8.5), S=(0.5, 0.1), V=(7.0, 10.0), u=10.0)
-    problem.maximize(batch.final_state("P") * batch.final_state("V"))
+    problem.maximize(batch.final_state("P") * batch.final_state("V"), unit="g")
     return problem
 
 

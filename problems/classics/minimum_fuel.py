@@ -50,7 +50,7 @@ def build(duration: float = DURATION) -> go.Problem:
     move.initial(x=0.0, v=0.0)
     move.final(x=1.0, v=0.0)
     move.bounds(forward=(0.0, 1.0), backward=(0.0, 1.0))
-    problem.minimize(move.integral(forward + backward, "impulse"))
+    problem.minimize(move.integral(forward + backward, "impulse"), unit="m/s")
     return problem
 
 

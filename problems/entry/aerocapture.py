@@ -68,7 +68,7 @@ def build() -> go.Problem:
     tangential = near * speed * ca.cos(slope) / far  # at the apoapsis, by the angular momentum
     energy = (speed**2 - tangential**2) / 2 - MU / near + MU / far
     problem.constrain("apoapsis", energy / (MU / far), equals=0.0)
-    problem.minimize(np.sqrt(MU / far) - tangential)
+    problem.minimize(np.sqrt(MU / far) - tangential, unit="m/s")
     return problem
 
 

@@ -53,7 +53,7 @@ def build(limit: float = LIMIT, j2: bool = True, duration: float = PERIOD) -> go
     leg.final(r=end[:3], v=end[3:])
     leg.bounds(push=(0.0, limit), pull=(0.0, limit), r=(-FAR, FAR), v=(-FAST, FAST))
     leg.guess(r=(START[:3], end[:3]), v=(START[3:], end[3:]))
-    problem.minimize(leg.integral(ca.sum1(model.symbols("control")), "delta_v"))
+    problem.minimize(leg.integral(ca.sum1(model.symbols("control")), "delta_v"), unit="m/s")
     return problem
 
 

@@ -58,7 +58,7 @@ def build(altitude: float = ALTITUDE, speed: float = SPEED) -> go.Problem:
     descent.initial(h=altitude, v=speed)
     descent.final(h=0.0, v=0.0)
     descent.bounds(thrust=(0.0, MAX_THRUST))
-    problem.minimize(descent.integral(thrust, "fuel"))
+    problem.minimize(descent.integral(thrust, "fuel"), unit="m/s")
     return problem
 
 

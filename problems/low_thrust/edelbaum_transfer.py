@@ -52,7 +52,7 @@ def build(turn: float = TURN) -> go.Problem:
     transfer.initial(V=LOW, i=0.0)
     transfer.final(V=HIGH, i=turn)
     transfer.bounds(V=(1.0, 20.0), yaw=(0.0, np.pi))
-    problem.minimize(transfer.final_time)
+    problem.minimize(transfer.final_time, unit="km/s")
     return problem
 
 

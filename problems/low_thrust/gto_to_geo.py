@@ -93,7 +93,7 @@ def build(revolutions: float = 2.5) -> go.Problem:
         m=(START["m"], 1350.0),
         u=[0.0, 1.0, 0.0],
     )
-    problem.minimize(leg.final_time)
+    problem.minimize(leg.final_time, unit="h")
     return problem
 
 

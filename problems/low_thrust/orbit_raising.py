@@ -54,7 +54,7 @@ def build(duration: float = 3.32) -> go.Problem:
     transfer.guess(r=(1.0, 1.5), v_t=(1.0, 0.8), direction=([0.0, 1.0], [1.0, 0.0]))
     r_f, v_f = transfer.final_state("r"), transfer.final_state("v_t")
     problem.constrain("circular at the end", v_f - 1 / ca.sqrt(r_f), equals=0.0)
-    problem.maximize(r_f)
+    problem.maximize(r_f, unit="AU")
     return problem
 
 

@@ -61,7 +61,7 @@ def build(acceleration: float = ACCELERATION) -> go.Problem:
     transfer.final(r=TARGET, v_r=0.0, v_t=TARGET**-0.5)
     transfer.bounds(r=(0.5, 2.0), alpha=(-1.2, 1.2))
     transfer.guess(alpha=0.6)
-    problem.minimize(transfer.final_time * DAY)
+    problem.minimize(transfer.final_time * DAY, unit="days")
     return problem
 
 

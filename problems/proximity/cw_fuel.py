@@ -55,7 +55,7 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
     approach.initial(**START)
     approach.final(r=[0.0, 0.0, 0.0], v=[0.0, 0.0, 0.0])
     approach.bounds(a=(-limit, limit))
-    problem.minimize(approach.integral(ca.sum1(size), "fuel"))
+    problem.minimize(approach.integral(ca.sum1(size), "fuel"), unit="m/s")
     return problem
 
 

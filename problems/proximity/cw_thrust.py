@@ -55,7 +55,7 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
     approach.initial(**START)
     approach.final(r=[0.0, 0.0, 0.0], v=[0.0, 0.0, 0.0])
     approach.norm_bounds(a=(0.0, limit))
-    problem.minimize(approach.integral(size, "fuel"))
+    problem.minimize(approach.integral(size, "fuel"), unit="m/s")
     return problem
 
 

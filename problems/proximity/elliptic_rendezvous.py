@@ -74,7 +74,7 @@ def build(eccentricity: float = ECCENTRICITY) -> go.Problem:
     approach.time(initial=FIRST, final=LAST)
     approach.initial(**dict(zip(STATES, START, strict=True)))
     approach.final(**dict.fromkeys(STATES, 0.0))
-    problem.minimize(0.5 * approach.integral(ca.dot(a, a)))
+    problem.minimize(0.5 * approach.integral(ca.dot(a, a)), unit="m^2")
     return problem
 
 

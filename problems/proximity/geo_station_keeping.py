@@ -69,7 +69,7 @@ def build() -> go.Problem:
     for name in satellite.states.names:
         change = cycle.final_state(name) - cycle.initial_state(name)
         problem.constrain(f"{name} repeats", change, equals=0.0)
-    problem.minimize(cycle.integral(ca.fabs(a)) * MAX_ACCELERATION * DAY)
+    problem.minimize(cycle.integral(ca.fabs(a)) * MAX_ACCELERATION * DAY, unit="m/s")
     return problem
 
 

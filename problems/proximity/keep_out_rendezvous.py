@@ -52,7 +52,7 @@ def build(radius: float = RADIUS) -> go.Problem:
     leg.path("keep-out sphere", ca.dot(r, r), lower=radius**2)
     past = np.array([300.0, 0.0, 0.0])
     leg.guess([0.0, DURATION / 2, DURATION], r=np.array([START, past, END]).T)
-    problem.minimize(leg.integral(ca.dot(a, a)))
+    problem.minimize(leg.integral(ca.dot(a, a)), unit="mm^2/s^3")
     return problem
 
 

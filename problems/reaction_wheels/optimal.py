@@ -119,7 +119,7 @@ def build(
         problem.minimize(slew.final_time)
     else:
         torques = craft.symbol("T")
-        problem.minimize(slew.integral(ca.sumsqr(torques), "energy"))
+        problem.minimize(slew.integral(ca.sumsqr(torques), "energy"), unit="N^2 m^2 s")
     return problem
 
 

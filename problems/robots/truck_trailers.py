@@ -65,7 +65,7 @@ def build() -> go.Problem:
     park.path("first hitch", hitch_1, lower=-quarter, upper=quarter)
     park.path("second hitch", hitch_2, lower=-quarter, upper=quarter)
     park.guess(v0=-MAX_SPEED)
-    problem.minimize(park.final_time + park.integral(hitch_1**2 + hitch_2**2))
+    problem.minimize(park.final_time + park.integral(hitch_1**2 + hitch_2**2), unit="s")
     return problem
 
 
