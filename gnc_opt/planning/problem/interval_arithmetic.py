@@ -14,9 +14,8 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.expressions import nodes_of, replace_in
-from gnc_opt.planning.problem.expressions import phase_terms
+from gnc_opt.arrays import Array
+from gnc_opt.model.expressions import replace_in
 from gnc_opt.planning.problem.interval import Interval, free, intersect
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -127,9 +126,6 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
 
 _RANGE_DRAWS = 6
 
-_QUOTIENTS = (ca.OP_DIV, ca.OP_INV, ca.OP_LOG)
-_FACTORS = (ca.OP_MUL, ca.OP_SQ, ca.OP_TWICE, ca.OP_NEG)
-
 
 @dataclass(frozen=True, eq=False)
 class Domain:
@@ -151,7 +147,7 @@ class Domain:
         time = Interval(initial.lower, final.upper)
         boxes = (
             time,
-            _state_ranges(problem, leg),
+            leg.numbers.states,
             leg.numbers.controls,
             values,
             problem.parameter_interval(),
@@ -227,36 +223,4 @@ def draw_values(column: Any) -> Array:
     function = ca.Function("drawn", [symbols if symbols.numel() else ca.SX(0, 1)], [ca.densify(column)])
     return np.asarray(
         function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _RANGE_DRAWS)
-    )
-
-
-def _divisor_states(problem: Statement, leg: Phase) -> Mask:
-    """Which states something is divided by along a phase, so that they keep their signs."""
-
-    def find() -> Mask:
-        found: set[int] = set()
-        waiting = [
-            node.dep(node.n_dep() - 1) for node in nodes_of(phase_terms(leg)) if node.op() in _QUOTIENTS
-        ]
-        while waiting:
-            node = waiting.pop()
-            if node.is_symbolic():
-                found.add(node.element_hash())
-            elif node.op() in _FACTORS:
-                waiting += [node.dep(i) for i in range(node.n_dep())]
-        return np.array([s.element_hash() in found for s in ca.vertsplit(leg.model.symbols("state"))])
-
-    return problem.once(("divisors", leg.name), find)
-
-
-def _state_ranges(problem: Statement, leg: Phase) -> Interval:
-    """The bounds of states; those that are divisors keep the sign that both ends have, as masses do."""
-    box, numbers, divisors = leg.numbers.states, leg.numbers, _divisor_states(problem, leg)
-    known = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
-    ends = np.where(np.isfinite(known), known, 0.0)
-    above = divisors & np.all(ends >= 0, axis=0) & np.any(ends > 0, axis=0)
-    below = divisors & np.all(ends <= 0, axis=0) & np.any(ends < 0, axis=0)
-    return Interval(
-        np.where(above, np.maximum(box.lower, 0.0), box.lower),
-        np.where(below, np.minimum(box.upper, 0.0), box.upper),
     )

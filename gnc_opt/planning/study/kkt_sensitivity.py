@@ -27,7 +27,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
@@ -45,7 +45,7 @@ from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.extract import extract_phases
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
-from gnc_opt.planning.transcription.scaling import Scaling, scale_variables
+from gnc_opt.planning.transcription.scaling import scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
@@ -107,7 +107,7 @@ def _predict_change(problem: Problem, last: Solution) -> Array | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ProblemWarning)  # one-sided derivatives predict, too
             point = KktPoint(last)
-            return point.respond(_data_difference(point.transcription, old, problem)).variables
+            return point.respond(_data_difference(point.program.transcription, old, problem)).variables
     except GncOptError:
         return None
 
@@ -183,7 +183,7 @@ class KktPoint:
 
     def _solve_conditions(self, solution: Solution) -> str:
         """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
-        self._point = ProgramPoint.of(solution, held=add_constraint_contacts)
+        self.program = ProgramPoint.of(solution, held=add_constraint_contacts)
         return self._solve_newton() or self._find_wrong_limit()
 
     def _solve_newton(self) -> str:
@@ -191,27 +191,26 @@ class KktPoint:
         best = np.inf
         for _ in range(8):
             self._factorise()
-            residual = self._point.residual
+            residual = self.program.residual
             size = float(np.max(np.abs(residual), initial=0.0))
             if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
-            self._point = self._point.moved(self._system.solve(-residual))
+            self.program = self.program.moved(self._system.solve(-residual))
         if not best <= _RESIDUAL and not size <= _RESIDUAL:
-            worst = int(np.argmax(np.abs(residual)))
+            worst = self._system.labels[int(np.argmax(np.abs(residual)))]
             return (
-                f"the first-order conditions of '{self.problem.name}' do not hold at '{self._system.labels[worst]}' "
-                f"(residual {size:.1e}): solve with a tighter tolerance, or refine the solution, before you ask for "
-                "sensitivities."
+                f"the first-order conditions of '{self.program.problem.name}' do not hold at '{worst}' (residual "
+                f"{size:.1e}): solve with a tighter tolerance, or refine the solution, before asking for sensitivities."
             )
         return ""
 
     def _factorise(self) -> None:
-        point = self._point
-        free, held = np.flatnonzero(~self.pinned), np.flatnonzero(self.held)
+        point = self.program
+        free, held = np.flatnonzero(~self.program.variables.active), np.flatnonzero(self.program.rows.active)
         matrix = saddle_matrix(point.hessian[free][:, free], point.jacobian[held][:, free])
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
-        self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
+        self._system = SaddlePoint(matrix, free.size, labels, self.program.problem.name)
 
     def _find_wrong_limit(self) -> str:
         """Return which multiplier has the wrong sign or which limit is violated now; else an empty text."""
@@ -226,9 +225,9 @@ class KktPoint:
         if not culprits:
             return ""
         return (
-            f"the limit of '{culprits[0]}' of '{self.problem.name}' is neither kept nor left when the first-order "
-            "conditions are solved exactly: refine the solution (bang-bang arcs with structure='auto') before "
-            "you ask for sensitivities."
+            f"the limit of '{culprits[0]}' of '{self.program.problem.name}' is neither kept nor left when the "
+            "first-order conditions are solved exactly: refine the solution (bang-bang arcs with structure='auto') "
+            "before you ask for sensitivities."
         )
 
     def _warn_of_weak_limits(self) -> None:
@@ -240,13 +239,13 @@ class KktPoint:
         if weak:
             others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""
             warn_user(
-                f"'{weak[0]}'{others} of '{self.problem.name}' is only just at its limit (weakly active), where "
-                "the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
+                f"'{weak[0]}'{others} of '{self.program.problem.name}' is only just at its limit (weakly active), "
+                "where the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
             )
 
     def _limits_and_multipliers(self) -> list[tuple[ProgramLimits, Array, Array]]:
         """Limits of variables and of rows, each with values and multipliers."""
-        point = self._point
+        point = self.program
         # Multipliers that are not unique tell nothing by their signs.
         unique = np.nan if self._system.redundant else 1.0
         bounds, rows = point.multiplier_densities
@@ -256,18 +255,18 @@ class KktPoint:
 
     def respond(self, change: Change) -> Response:
         """Return the derivative of the minimum in a direction of the data."""
-        point, scales, rows = self._point, self.scaling.variables, self.scaling.rows
+        point, scales, rows = self.program, self.program.scaling.variables, self.program.scaling.rows
         n_rest = point.numbers.size - change.numbers.size
         direction = np.concatenate([change.numbers, np.zeros(n_rest)])
-        moved = np.where(self.pinned, change.limits, 0.0) / scales
-        shifted = np.where(self.held, change.row_limits, 0.0) * rows
+        moved = np.where(self.program.variables.active, change.limits, 0.0) / scales
+        shifted = np.where(self.program.rows.active, change.row_limits, 0.0) * rows
         of_lagrangian, of_gradient, of_rows = (
             v.full().ravel()
-            for v in _directional_derivatives(self.transcription)(
+            for v in _directional_derivatives(self.program.transcription)(
                 point.x, point.numbers, point.lam, direction
             )
         )
-        free, held = ~self.pinned, self.held
+        free, held = ~self.program.variables.active, self.program.rows.active
         right = np.concatenate(
             [
                 (of_gradient + point.hessian @ moved)[free],
@@ -278,37 +277,7 @@ class KktPoint:
         variables = moved.copy()
         variables[free] = solved[: int(np.sum(free))]
         objective = float(of_lagrangian[0] + point.gradient @ moved - point.lam @ shifted)
-        return Response(objective / self.scaling.objective, variables * scales)
-
-    @property
-    def problem(self) -> Problem:
-        """Of the solution."""
-        return self._point.problem
-
-    @property
-    def transcription(self) -> Transcription:
-        """The program, on the solution's mesh."""
-        return self._point.transcription
-
-    @property
-    def scaling(self) -> Scaling:
-        """Of the program."""
-        return self._point.scaling
-
-    @property
-    def pinned(self) -> Mask:
-        """Variables on their limits (n_variables,)."""
-        return self._point.variables.active
-
-    @property
-    def held(self) -> Mask:
-        """Rows on their limits (n_constraints,)."""
-        return self._point.rows.active
-
-    @property
-    def variables(self) -> Array:
-        """The variables (n_variables,) at the minimum, physical."""
-        return self._point.x * self.scaling.variables
+        return Response(objective / self.program.scaling.objective, variables * scales)
 
 
 def _directional_derivatives(transcription: Transcription) -> Any:

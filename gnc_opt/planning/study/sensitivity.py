@@ -20,6 +20,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.model.variables import Layout
+from gnc_opt.planning.optimality.program_point import ProgramPoint
 from gnc_opt.planning.problem.functions import phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -210,9 +211,9 @@ def sensitivity(
     _check_solution(solution)
     point = _factorise_once(solution)
     kind, name = chosen[0]
-    quantity, changes = _quantity_changes(point, solution, kind, name, phase)
+    quantity, changes = _quantity_changes(point.program, solution, kind, name, phase)
     responses = [point.respond(change) for change in changes]
-    return _collect_derivatives(point, solution, quantity, changes, responses)
+    return _collect_derivatives(point.program, solution, quantity, changes, responses)
 
 
 def _check_solution(solution: Solution) -> None:
@@ -228,27 +229,25 @@ def _factorise_once(solution: Solution) -> KktPoint:
     """Factorise once per solution."""
     if solution not in _POINTS:
         _POINTS[solution] = KktPoint(solution)
-        _warn_of_singular_controls(_POINTS[solution], solution)
+        _warn_of_singular_controls(_POINTS[solution].program, solution)
     return _POINTS[solution]
 
 
-def _warn_of_singular_controls(point: KktPoint, solution: Solution) -> None:
+def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> None:
     """A control between its limits needs curvature of H; else the mesh decides on its derivative."""
-    for name, part in point.transcription.parts.items():
+    for name, part in program.transcription.parts.items():
         leg, collocation = solution.phases[name], part.collocation
-        free = ~point.pinned[collocation.point_controls]
-        free &= ~np.any(point.held[collocation.path_rows], axis=0)
+        free = ~program.variables.active[collocation.point_controls]
+        free &= ~np.any(program.rows.active[collocation.path_rows], axis=0)
         if not free.any():
             continue
-        times = leg.point_times
-        states, controls = (
-            point.variables[p] for p in (collocation.point_states, collocation.point_controls)
-        )
+        times, variables = leg.point_times, program.x * program.scaling.variables
+        states, controls = (variables[p] for p in (collocation.point_states, collocation.point_controls))
         functions = solution.functions(name)
         curvature = functions.control_hessian(
             times, states, controls, leg.point_costates, leg.path_multipliers
         )
-        sizes = point.scaling.variables[collocation.point_controls[:, 0]]
+        sizes = program.scaling.variables[collocation.point_controls[:, 0]]
         curvature = curvature * (sizes[:, None] * sizes)[:, :, None]
         largest = float(np.max(np.abs(curvature)))
         for j in np.flatnonzero(free.any(axis=0)):
@@ -269,35 +268,35 @@ def _warn_of_singular_controls(point: KktPoint, solution: Solution) -> None:
 
 
 def _quantity_changes(
-    point: KktPoint, solution: Solution, kind: str, name: str, phase: str | None
+    program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[Change]]:
     """Name the quantity and return one direction per component."""
     if kind == "parameter":
-        return f"parameter '{name}'", _parameter_changes(point, name, phase)
+        return f"parameter '{name}'", _parameter_changes(program, name, phase)
     if kind == "constraint":
-        return f"boundary constraint '{name}'", _constraint_changes(point, solution, name)
+        return f"boundary constraint '{name}'", _constraint_changes(program, solution, name)
     leg = solution.phase(phase)
     if kind == "time":
         if name not in ("initial", "final"):
             raise ProblemError(
                 f"sensitivity() knows no time {name!r}: {did_you_mean(str(name), ('initial', 'final'))}"
             )
-        return f"{name} time of phase '{leg.name}'", [_time_change(point, leg.name, name)]
-    return f"{kind} value of '{name}' in phase '{leg.name}'", _state_changes(point, leg, kind, name)
+        return f"{name} time of phase '{leg.name}'", [_time_change(program, leg.name, name)]
+    return f"{kind} value of '{name}' in phase '{leg.name}'", _state_changes(program, leg, kind, name)
 
 
-def _zero_change(point: KktPoint) -> Change:
-    transcription = point.transcription
+def _zero_change(program: ProgramPoint) -> Change:
+    transcription = program.transcription
     return Change(
-        np.zeros(transcription.numbers(point.problem).size),
+        np.zeros(transcription.numbers(program.problem).size),
         np.zeros(transcription.n_variables),
         np.zeros(transcription.n_constraints),
     )
 
 
-def _parameter_changes(point: KktPoint, name: str, phase: str | None) -> list[Change]:
+def _parameter_changes(program: ProgramPoint, name: str, phase: str | None) -> list[Change]:
     """Model parameters, in every phase that has them (or in one)."""
-    problem = point.problem
+    problem = program.problem
     if name in problem.parameters:
         raise ProblemError(
             f"parameter '{name}' of problem '{problem.name}' is optimised, so that nothing depends on its value: ask "
@@ -314,58 +313,58 @@ def _parameter_changes(point: KktPoint, name: str, phase: str | None) -> list[Ch
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _zero_change(point)
+        change = _zero_change(program)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
 
 
-def _state_changes(point: KktPoint, leg: PhaseSolution, end: str, name: str) -> list[Change]:
+def _state_changes(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[Change]:
     rows = leg.states.slice(name)
-    collocation = point.transcription.parts[leg.name].collocation
+    collocation = program.transcription.parts[leg.name].collocation
     places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
     changes = []
     for place, label in zip(places, leg.states.labels[rows], strict=True):
-        if not point.pinned[place]:
+        if not program.variables.active[place]:
             raise ProblemError(
-                f"the {end} value of '{label}' in phase '{leg.name}' of '{point.problem.name}' is not held by a given "
-                "value or limit, so that there is nothing to differentiate by: choose a state that is."
+                f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not held by a "
+                "given value or limit, so that there is nothing to differentiate by: choose a state that is."
             )
-        change = _zero_change(point)
+        change = _zero_change(program)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
 
 
-def _time_change(point: KktPoint, phase: str, end: str) -> Change:
-    transcription = point.transcription
+def _time_change(program: ProgramPoint, phase: str, end: str) -> Change:
+    transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _zero_change(point)
+    change = _zero_change(program)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
-    elif point.pinned[place]:
+    elif program.variables.active[place]:
         change.limits[place] = 1.0
     else:
         raise ProblemError(
-            f"the {end} time of phase '{phase}' of '{point.problem.name}' is optimised, so that nothing depends on its "
-            "value: fix it with time() first."
+            f"the {end} time of phase '{phase}' of '{program.problem.name}' is optimised, so that nothing depends on "
+            "its value: fix it with time() first."
         )
     return change
 
 
-def _constraint_changes(point: KktPoint, solution: Solution, name: str) -> list[Change]:
+def _constraint_changes(program: ProgramPoint, solution: Solution, name: str) -> list[Change]:
     solution.multiplier(name)  # refuses unknown names
-    rows = point.transcription.constraint_rows
+    rows = program.transcription.constraint_rows
     changes = []
     for label, row in zip(solution.constraint_labels, rows, strict=True):
         if label.split("[")[0] != name:
             continue
-        if not point.held[row]:
+        if not program.rows.active[row]:
             raise ProblemError(
-                f"boundary constraint '{label}' of '{point.problem.name}' is not active: its limit changes nothing."
+                f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit changes nothing."
             )
-        change = _zero_change(point)
+        change = _zero_change(program)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes
@@ -375,14 +374,14 @@ def _constraint_changes(point: KktPoint, solution: Solution, name: str) -> list[
 
 
 def _collect_derivatives(
-    point: KktPoint, solution: Solution, quantity: str, changes: list[Change], responses: list[Response]
+    program: ProgramPoint, solution: Solution, quantity: str, changes: list[Change], responses: list[Response]
 ) -> Sensitivity:
-    problem, transcription = point.problem, point.transcription
+    problem, transcription = program.problem, program.transcription
     layout = problem.parameters
     values = np.stack([r.variables[transcription.parameter_places] for r in responses])
     parameters = {name: _stacked_values(list(values[:, layout.slice(name)])) for name in layout.names}
     phases = {
-        name: _phase_sensitivity(point, part, solution.phases[name], changes, responses)
+        name: _phase_sensitivity(program, part, solution.phases[name], changes, responses)
         for name, part in transcription.parts.items()
     }
     objective = _stacked_values([np.array([problem.sense * r.objective]) for r in responses])
@@ -398,9 +397,13 @@ def _stacked_values(components: list[Array]) -> Array | float:
 
 
 def _phase_sensitivity(
-    point: KktPoint, part: PhasePart, leg: PhaseSolution, changes: list[Change], responses: list[Response]
+    program: ProgramPoint,
+    part: PhasePart,
+    leg: PhaseSolution,
+    changes: list[Change],
+    responses: list[Response],
 ) -> PhaseSensitivity:
-    pieces = [_differentiate(point, part, leg, c, r) for c, r in zip(changes, responses, strict=True)]
+    pieces = [_differentiate(program, part, leg, c, r) for c, r in zip(changes, responses, strict=True)]
     anchors = [piece[0] for piece in pieces]
     scalar = len(pieces) == 1
 
@@ -426,14 +429,14 @@ def _phase_sensitivity(
 
 
 def _differentiate(
-    point: KktPoint, part: PhasePart, leg: PhaseSolution, change: Change, response: Response
+    program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, response: Response
 ) -> tuple[Array, PiecewisePolynomial, PiecewisePolynomial]:
     """Derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
-    transcription, collocation = point.transcription, part.collocation
+    transcription, collocation = program.transcription, part.collocation
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
-    rates = _rate_changes(point, part, leg, change, moved)
+    rates = _rate_changes(program, part, leg, change, moved)
     states = state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = piecewise(leg.breaks, leg.rules, response.variables[collocation.point_controls])
     shifts = _break_changes(transcription, part, anchors)
@@ -462,13 +465,14 @@ def _remove_node_motion(
 
 
 def _rate_changes(
-    point: KktPoint, part: PhasePart, leg: PhaseSolution, change: Change, moved: Array
+    program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, moved: Array
 ) -> Array:
     """Derivatives of dx/dt times the arc's duration at the points, (n_states, N)."""
-    collocation, problem = part.collocation, point.problem
+    collocation, problem = part.collocation, program.problem
     own = problem.phases[part.name]
-    q = point.variables[point.transcription.parameter_places]
-    extended = np.concatenate([point.variables, point.transcription.fixed_times(problem)])
+    variables = program.x * program.scaling.variables
+    q = variables[program.transcription.parameter_places]
+    extended = np.concatenate([variables, program.transcription.fixed_times(problem)])
     here, there = extended[part.times], moved[part.times]
     arcs, fractions = collocation.point_arcs, collocation.arc_fractions
     spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]
@@ -484,7 +488,7 @@ def _rate_changes(
         moved[collocation.point_states],
         moved[collocation.point_controls],
         change.numbers[offset : offset + p.size],
-        moved[point.transcription.parameter_places],
+        moved[program.transcription.parameter_places],
     ]
     derivative = _rate_derivative(problem, own)
     change_of_f = evaluate_columns(derivative, times.size, times[None, :], x, u, p, q, *directions)

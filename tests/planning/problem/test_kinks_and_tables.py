@@ -25,19 +25,6 @@ def test_signs_that_are_only_presumed_leave_no_kink_of_a_state(final: float | No
     assert list(restated(problem).phases["leg"].paths) == ["epigraph"]
 
 
-def test_divisors_keep_their_signs() -> None:
-    """What is divided by a mass has its sign: ``fabs(m)`` is m, and no control is made for it."""
-    model = go.Model("rocket")
-    v, m, thrust = model.state("v"), model.state("m"), model.control("T")
-    model.ode({v: thrust / (2 * m), m: -ca.fabs(thrust)})
-    problem, leg = one_phase("rocket", model, initial=0.0, final=3.0)
-    leg.initial(v=0.0, m=2.0)
-    leg.final(v=1.0)
-    leg.bounds(T=(-3.0, 3.0))
-    problem.minimize(leg.integral(ca.fabs(m * 2.0)))
-    assert list(restated(problem).phases["leg"].model.controls.names) == ["T"]
-
-
 def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:
     """Of ``a**2 + fabs(a + v)`` H curves along the limit: v'' = 1/2 while a + v > 0, and it is a minimum."""
     model, v, a = dynamics("speed", "v", "a", lambda v, a: {v: a})

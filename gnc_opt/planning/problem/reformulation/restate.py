@@ -16,6 +16,7 @@ from gnc_opt.planning.problem.expressions import function_along, phase_terms
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_data import PhaseNumbers
 from gnc_opt.planning.problem.reformulation.algebraic import with_algebraic_states
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
@@ -40,47 +41,35 @@ FULL_TURN_BOUND_TOLERANCE = 1e-6
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
-def drop_full_turn_bounds(problem: P) -> P:
-    """Return a problem whose angles are free where their bounds leave out no direction; itself if it has none."""
-    found = {
-        name: turns
-        for name, leg in problem.phases.items()
-        if np.any((turns := _find_full_turns(problem, leg)).free)
-    }
-    if not found:
+def _without_redundant_bounds(problem: P) -> P:
+    """Return a problem without bounds of controls that exclude nothing; itself if it has none."""
+    found = {name: _without_redundant_numbers(problem, leg) for name, leg in problem.phases.items()}
+    if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
         return problem
     twin = problem.clone()
-    for name, turns in found.items():
-        leg = twin.phases[name]
-        old, free = leg.numbers.controls, turns.free
-        box = Interval(np.where(free, -np.inf, old.lower), np.where(free, np.inf, old.upper))
-        leg.numbers = replace(leg.numbers, controls=box, turns=turns)
+    for name, numbers in found.items():
+        twin.phases[name].numbers = numbers
     return twin
 
 
-def drop_implied_bounds(problem: P) -> P:
-    """Return a problem without the bounds of controls that a vector of given length implies; itself if it has none.
+def _without_redundant_numbers(problem: Statement, leg: Phase) -> PhaseNumbers:
+    """Return the numbers of a phase without the bounds of whole turns, and those that a length implies."""
+    if leg.numbers.arcs is not None:
+        return leg.numbers
+    old, box = leg.numbers.controls, _bounds_beyond_length(problem, leg)
+    turns = _find_full_turns(problem, leg, box)
+    free = turns.free
+    lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
+    if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
+        return leg.numbers
+    return replace(leg.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
+
+
+def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
+    """Return the bounds of controls without those that a vector of given length implies.
 
     Where a component is the length, the gradients of both limits are one, and their multipliers are not unique.
     """
-    implied = {
-        name: bounds
-        for name, leg in problem.phases.items()
-        if (bounds := _bounds_beyond_length(problem, leg))
-    }
-    if not implied:
-        return problem
-    twin = problem.clone()
-    for name, bounds in implied.items():
-        leg = twin.phases[name]
-        leg.numbers = replace(leg.numbers, controls=bounds)
-    return twin
-
-
-def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval | None:
-    """Return the bounds of controls without those that a vector of given length implies; None if there are none."""
-    if leg.numbers.arcs is not None:
-        return None
     lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
     for name, constraint in leg.paths.items():
         square = constraint.interval.upper
@@ -91,8 +80,7 @@ def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval | None:
         length = np.sqrt(square[0]) * (1.0 - ROUNDING)
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
-    changed = np.any(lower != leg.numbers.controls.lower) or np.any(upper != leg.numbers.controls.upper)
-    return Interval(lower, upper) if changed else None
+    return Interval(lower, upper)
 
 
 def _squared_controls(leg: Phase, expression: Any) -> list[int]:
@@ -109,12 +97,12 @@ def _squared_controls(leg: Phase, expression: Any) -> list[int]:
     return [int(i) for i in places] if only_squares else []
 
 
-def _find_full_turns(problem: Statement, leg: Phase) -> Turns:
-    box = leg.numbers.controls
+def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
+    """Return the angles whose bounds leave out no direction."""
     room, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = Turns(none - np.inf, none + np.inf, none)
     bounded = np.isfinite(room) & (room > 0)
-    if not np.any(bounded) or leg.numbers.arcs is not None:
+    if not np.any(bounded):
         return turns
     if not _TURNING & problem.once(("operations", leg.name), lambda: operations_in(phase_terms(leg))):
         return turns
@@ -151,9 +139,7 @@ def restated(problem: P) -> P:
 
     Variations of a problem with other numbers are reformulated as variations of one another.
     """
-    return drop_full_turn_bounds(
-        drop_implied_bounds(_restate_norms_and_kinks(with_algebraic_states(problem)))
-    )
+    return _without_redundant_bounds(_restate_norms_and_kinks(with_algebraic_states(problem)))
 
 
 def _restate_norms_and_kinks(problem: P) -> P:
