@@ -8,7 +8,6 @@ verified and merged again.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -30,7 +29,7 @@ from gnc_opt.planning.refinement.engine import StructureChoice
 from gnc_opt.planning.refinement.engine import refine as refine_solution
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.study.minima import Minimum, is_same_objective, merge_minima
+from gnc_opt.planning.study.minima import Minimum, merge_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.engine import verify
 from gnc_opt.text import Printed
@@ -41,20 +40,16 @@ MOST_POINTS = 1000
 MOST_PASSES = 20
 """Of one refinement."""
 
-WORTHWHILE = 4
-"""Growth of the mesh beyond which a minimum without an accepted structure of its switches is left unrefined."""
-
 MISS = 0.1
 """Relative propagation error and defect that both mark a spurious solution (rendezvous: from 0.3 and 0.8)."""
 
 
 @dataclass(frozen=True)
 class Refining:
-    """Refine and verify a minimum, to exact switch times first; return it unchanged if that fails."""
+    """Refine and verify a minimum; return it unchanged if that fails."""
 
     structure: StructureChoice
     tol: float
-    options: SolverOptions
 
     def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
         known = set(problem.builds)
@@ -65,49 +60,9 @@ class Refining:
                 del problem.builds[key]
 
     def _refine(self, problem: Problem, minimum: Minimum) -> Minimum:
+        limits = RefinementLimits(max_passes=MOST_PASSES, max_points=MOST_POINTS)
         coarse = minimum.solution.with_problem(problem)
-        if self.structure == "none":
-            return self._refine_mesh(minimum, coarse, "none")
-        try:
-            found = self._refine_switches(minimum, coarse)
-        except ProblemError:
-            if self.structure == "bang-bang":
-                raise
-            return self._refine_mesh(minimum, coarse, "none")  # no control switches
-        if self.structure == "bang-bang" or found.verdict_ok:
-            return found
-        points = max(leg.mesh.size for leg in coarse.phases.values())
-        by_mesh = self._refine_mesh(minimum, coarse, "none", max_points=WORTHWHILE * points)
-        return (
-            by_mesh if by_mesh.verdict_ok or _refinement_error(by_mesh) < _refinement_error(found) else found
-        )
-
-    def _refine_switches(self, minimum: Minimum, coarse: Solution) -> Minimum:
-        """Refine to exact switch times: from the coarse solution, from halved segments, and from the first result."""
-        first = self._refine_mesh(minimum, coarse, "bang-bang")
-        problem = coarse.problem
-        if first.verdict_ok or problem is None:
-            return first
-        meshes = {name: leg.mesh for name, leg in coarse.phases.items()}
-        halved = {name: _halved_mesh(mesh) for name, mesh in meshes.items()}
-        places = [(coarse, halved), (first.solution.with_problem(problem), meshes)]
-        for guess, mesh in places if first.refined else places[:1]:
-            solution = solve_mesh(problem, mesh, guess=guess, options=self.options)
-            raise_interrupt(solution, self.options)
-            if not solution.status.solved or is_spurious(solution):
-                continue
-            if mesh is meshes and is_same_objective(solution.objective, coarse.objective):
-                continue  # back where it came from
-            second = self._refine_mesh(minimum, solution, "bang-bang")
-            if second.verdict_ok:
-                return second
-        return first
-
-    def _refine_mesh(
-        self, minimum: Minimum, coarse: Solution, structure: StructureChoice, max_points: int = MOST_POINTS
-    ) -> Minimum:
-        limits = RefinementLimits(max_passes=MOST_PASSES, max_points=max_points)
-        solution = refine_solution(coarse, structure=structure, tol=self.tol, limits=limits)
+        solution = refine_solution(coarse, structure=self.structure, tol=self.tol, limits=limits)
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
         if not solution.status.solved or is_spurious(solution):
@@ -119,12 +74,6 @@ class Refining:
             refined=True,
             verdict_ok=verify(solution).ok,
         )
-
-
-def _refinement_error(minimum: Minimum) -> float:
-    """Return the error that refining left; infinite if it has not been refined."""
-    history = minimum.solution.history
-    return math.inf if history is None or not minimum.refined else history.final.error
 
 
 def _halved_mesh(mesh: Mesh) -> Mesh:
@@ -328,7 +277,7 @@ def multistart(
         minima = merge_minima(_first_minima(endings))
         if refine and not pool.interrupted:
             count = _count_worth_refining(minima, within)
-            refined = search.refined(Refining(structure, tol, chosen), minima[:count], max_refined)
+            refined = search.refined(Refining(structure, tol), minima[:count], max_refined)
             minima = merge_minima([*refined, *minima[count:]])
     return Multistart(
         stated.name,
