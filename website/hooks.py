@@ -40,6 +40,7 @@ SEARCH_WEIGHTS = {
     "start": 8.0,
     "stating_problems.md": 8.0,
     "howto/when_it_does_not_solve.md": 30.0,
+    "howto/results.md": 16.0,
     "reference/solver_options.md": 12.0,
     "refinement.md": 7.0,
     "verdict.md": 7.0,
