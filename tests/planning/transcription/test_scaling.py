@@ -102,38 +102,6 @@ def test_wheels_that_cancel_each_other_at_their_bounds_tell_how_fast_the_body_tu
     np.testing.assert_allclose(states, 0.5 * 10.0 * 0.2 * about / inertia, rtol=1e-12)
 
 
-def test_path_constraints_tell_how_large_a_control_may_be() -> None:
-    """|u| <= 40, and from 0 to 40 at once; what is broken without the control, or holds with any, tells nothing."""
-    _, leg = double_integrator()
-    leg.initial(x=1.0, v=0.0)
-    x, u = leg.model.symbol("x"), leg.model.symbol("u")
-    leg.path("broken", u, lower=5.0)
-    leg.path("always", u**2, lower=-1.0)
-    np.testing.assert_array_equal(phase_magnitudes(leg)[1], [1.0])
-    leg.path("circle", u**2 / x, upper=1600.0)
-    assert phase_magnitudes(leg)[1][0] == pytest.approx(40.0, rel=0.34)  # tried in steps of 10^(1/8)
-    leg.path("one side", -3 * u, upper=6.0)
-    assert phase_magnitudes(leg)[1][0] == pytest.approx(2.0, rel=0.34)
-    leg.guess(u=0.5)
-    assert phase_magnitudes(leg)[1][0] == 0.5
-
-
-def test_constraints_without_room_for_a_control_tell_no_magnitude() -> None:
-    """On a sphere the guess leaves the other components no room; where it starts, a limit may leave none either."""
-    model, v, d = dynamics("m", "v:3", "d:3", lambda v, d: {v: d})
-    problem, leg = one_phase("p", model, initial=0.0, final=1.0)
-    leg.path("unit", ca.sumsqr(d), equals=1.0)
-    leg.guess(d=[[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]], time=[0.0, 1.0])
-    np.testing.assert_array_equal(phase_magnitudes(leg)[1], [1.0, 1.0, 1.0])
-    leg.path("disc", ca.sumsqr(d), upper=1.0)
-    np.testing.assert_allclose(phase_magnitudes(leg)[1], [1.0, 1.0, 1.0], rtol=0.34)
-    slow = problem.phase("slow", model)
-    slow.time(initial=0.0, final=1.0)
-    slow.guess(v=[[0.0, 7.0], [0.0, 0.0], [0.0, 0.0]], time=[0.0, 1.0])
-    slow.path("by speed", d[0] - v[0], upper=0.0)
-    np.testing.assert_allclose(phase_magnitudes(slow)[1], [7.0, 1.0, 1.0], rtol=0.34)
-
-
 def test_a_path_constraint_of_a_free_parameter_tells_no_magnitude() -> None:
     problem, leg = double_integrator()
     most = problem.parameter("most", lower=1.0, upper=9.0)
