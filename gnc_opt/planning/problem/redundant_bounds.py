@@ -60,23 +60,6 @@ def _empty_state_mask(leg: Phase) -> Mask:
     return np.zeros(leg.model.states.size, dtype=bool)
 
 
-def inherited_monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which states that never fall, and never rise, a later phase takes over without a jump or a wider bound."""
-    kept = np.zeros((2, leg.model.states.size), dtype=bool)
-    for later in problem.phases.values():
-        for name in later.model.states.names:
-            before, jump = later.handed_over(name) or (None, np.zeros(0))
-            if before is None or before.name != leg.name or np.any(jump):
-                continue
-            ours, theirs = leg.model.states.slice(name), later.model.states.slice(name)
-            bounds, tighter = leg.numbers.states, later.numbers.states
-            ways = monotone_states(problem, later)
-            kept[0, ours] = ways[0][theirs] & (tighter.upper[theirs] <= bounds.upper[ours])
-            kept[1, ours] = ways[1][theirs] & (tighter.lower[theirs] >= bounds.lower[ours])
-    ways = monotone_states(problem, leg)
-    return ways[0] & kept[0], ways[1] & kept[1]
-
-
 def _rates_by_controls(problem: Statement, leg: Phase) -> tuple[Array, Any]:
     """Rows of the states whose rates depend on controls, and their rates as a function."""
     rates = leg.model.derivative()
@@ -116,20 +99,11 @@ def _vector_places(leg: Phase) -> list[Indices]:
 
 
 def _first_length(leg: Phase, places: Indices) -> float:
-    """Return the length that a vector begins with, here or in a phase that hands it over; NaN if that is open."""
+    """Return the length that a vector begins or ends with; NaN if neither is given."""
     for value in (leg.numbers.initial, leg.numbers.final):
         if np.all(value.fixed[places]):
             return float(np.linalg.norm(value.lower[places]))
-    names = {name for name in leg.model.states.names if np.isin(places, _state_places(leg, name)).any()}
-    if len(names) != 1:
-        return np.nan
-    (name,) = names
-    before, jump = leg.handed_over(name) or (None, np.zeros(0))
-    return np.nan if before is None or np.any(jump) else _first_length(before, _state_places(before, name))
-
-
-def _state_places(leg: Phase, name: str) -> Indices:
-    return np.arange(leg.model.states.size)[leg.model.states.slice(name)]
+    return np.nan
 
 
 def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:

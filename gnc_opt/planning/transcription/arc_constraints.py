@@ -16,7 +16,6 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.redundant_bounds import (
     implied_norm_bounds,
-    inherited_monotone_states,
     loosened_bounds,
     monotone_states,
 )
@@ -90,16 +89,13 @@ def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: Pha
     rising, falling = monotone_states(problem, leg)
     if not np.any(rising | falling):
         return
-    loose, kept = loosened_bounds(leg), inherited_monotone_states(problem, leg)
+    loose = loosened_bounds(leg)
     lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
     first, last = slice(None, -1), slice(1, None)
-    for ways, handed, with_it, against_it in (
-        (rising, kept[0], upper, lower),
-        (falling, kept[1], lower, upper),
-    ):
+    for ways, with_it, against_it in ((rising, upper, lower), (falling, lower, upper)):
         for i in np.flatnonzero(ways):
             boundaries, points = collocation.boundary_states[i], collocation.point_states[i]
-            for (limits, wider), idle in ((with_it, slice(None) if handed[i] else first), (against_it, last)):
+            for (limits, wider), idle in ((with_it, first), (against_it, last)):
                 limits[boundaries[idle]] = limits[points] = wider[i]
 
 

@@ -64,16 +64,3 @@ def test_a_quaternion_that_begins_on_its_bounds_is_no_harder_and_right() -> None
     assert abs(bounded.objective - 12.0 * ANGLE**2 / TIME**3) < 1e-6
     assert bounded.statistics.iterations <= 12  # on the bounds 21, and no solution of many others
     assert not [c for c in go.verify(bounded).open if c.name == "limits"]
-
-
-def test_a_phase_hands_the_length_to_the_next() -> None:
-    problem = slew()
-    first = problem.get_phase()
-    last = first.model
-    first.final(q=None, w=None)
-    second = problem.phase("then", last)
-    second.time(duration=1.0)
-    second.bounds(q=(-1.0, 1.0))
-    problem.sequence(first, second)
-    lower, upper = implied_norm_bounds(problem, second)
-    assert np.flatnonzero(lower).tolist() == np.flatnonzero(upper).tolist() == [0, 1, 2, 3]
