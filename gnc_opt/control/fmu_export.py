@@ -68,7 +68,7 @@ def export_fmu(
     span: tuple[float, float] | None = None,
     binary: bool | None = None,
 ) -> Fmu:
-    """Return where a controller was written as a functional mock-up unit, FMI 2.0 for co-simulation.
+    """Return the file of a controller, written as a functional mock-up unit (FMI 2.0 for co-simulation).
 
     Inputs are the measured states, outputs the commands, both Real with the names and units of the model; an alarm is
     a Boolean output. ``fmi2DoStep(t, h)`` runs the samples (start time plus multiples of dt) in [t, t + h).

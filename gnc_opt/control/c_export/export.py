@@ -31,7 +31,7 @@ _NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
 
 @dataclass(frozen=True)
 class CCode:
-    """Where the code was written.
+    """Files and properties of exported C code.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def export_c(
     precision: Literal["float64", "float32"] = "float64",
     samples: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CCode:
-    """Return where a controller was written as C99.
+    """Return the files of a controller, written as C99 code.
 
     ``<name>_start(t, x, z)`` sets the memory from the first measurement, ``<name>_step(t, x, z, u)`` returns the
     command and updates the memory. The row of the schedule is that of the control step that t (s) lies in.

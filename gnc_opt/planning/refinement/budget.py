@@ -26,7 +26,7 @@ FINISH_MIN_SECONDS = 10.0
 
 @dataclass(frozen=True)
 class RefinementLimits:
-    """Where solving and refining end if the tolerance has not been reached; the best answer is returned.
+    """Limits of solve and refinement; if one is reached before the tolerance, the best answer is returned.
 
     Parameters
     ----------

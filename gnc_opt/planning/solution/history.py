@@ -64,7 +64,7 @@ class Statistics:
 
 
 class RefinementStatus(StatusWord):
-    """How a refinement ended; `remedy` says what it means and what to do.
+    """Status at the end of a refinement; `remedy` gives its meaning and what to do.
 
     Examples
     --------
@@ -219,7 +219,7 @@ class RefinementIteration:
 
 @dataclass(frozen=True)
 class History(Printed):
-    """What a refinement did.
+    """Iterations and result of a refinement.
 
     Attributes
     ----------

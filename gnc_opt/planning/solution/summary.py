@@ -78,7 +78,7 @@ class SummarisedSolution(Protocol):
 
 
 def summary(solution: SummarisedSolution) -> str:
-    """Return seven lines on a converged solution whose optimality check passes, more on others.
+    """Return a summary: seven lines for a converged solution that passes the optimality check, more for others.
 
     Objective with unit and estimated error; optimality check; accuracy at the ends and of the limits; times;
     refinement; mesh; time spent. Further lines name open conditions of the check, the remedy after a failed solve, the
