@@ -14,18 +14,14 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase import Owner, Phase
+from gnc_opt.planning.problem.phase_data import read_duration
 
 
-class Divisible(Protocol):
+class Divisible(Owner, Protocol):
     """What a problem has whose phases are divided."""
 
-    phases: dict[str, Phase]
     cost: Any
-
-    def refuse_if_frozen(self) -> None: ...
-
-    def changed(self) -> None: ...
 
     def link(self, first: Phase, second: Phase, *, states: Iterable[str]) -> None: ...
 
@@ -52,7 +48,9 @@ def divide_phase(
     ]
     marks = [begin, *_division_times(leg, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
-        part.numbers = replace(part.numbers, initial_time=first, final_time=last, duration=any_duration())
+        part.numbers = replace(
+            part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.where)
+        )
         problem.phases[part.name] = part
     problem.changed()
     for one, other in pairwise(parts):
@@ -66,11 +64,6 @@ def divide_phase(
     if total.lower[0] > 0.0 or np.isfinite(total.upper[0]):
         problem.constrain(f"duration of {leg.name}", duration, lower=total.lower, upper=total.upper)
     return tuple(parts)
-
-
-def any_duration() -> Interval:
-    """Return the range of an unspecified duration."""
-    return Interval(np.zeros(1), np.full(1, np.inf))
 
 
 def _read_division_points(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:

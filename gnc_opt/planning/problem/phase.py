@@ -101,9 +101,9 @@ class Phase(Strict):
         self.name = name
         self.model = model
         self._owner = owner
-        n, positive = model.states.size, Interval(np.zeros(1), np.full(1, np.inf))
-        controls = default_control_bounds(model)
-        self.numbers = PhaseNumbers(None, None, positive, free(n), free(n), free(n), controls)
+        n, controls = model.states.size, default_control_bounds(model)
+        duration = read_duration(None, name)
+        self.numbers = PhaseNumbers(None, None, duration, free(n), free(n), free(n), controls)
         self.paths: dict[str, Constraint] = {
             f"equation of {z}": make_constraint(
                 f"equation of {z}", g, None, None, 0.0, f"the equation of '{z}'"
@@ -119,9 +119,8 @@ class Phase(Strict):
         self.follows: str | None = None
         self.told: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
-        self.own_states: frozenset[str] = (
-            frozenset()
-        )  # they begin anew in the next phase, unless a link names them
+        # These begin anew in the next phase, unless a link names them.
+        self.own_states: frozenset[str] = frozenset()
         self._name_ends()
         self._note_curved(model.derivative())
 
