@@ -133,6 +133,8 @@ class Candidate:
 
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Whether it belongs to a lower minimum; by far, if only the other passes the check."""
+        if not self.cost < other.cost:
+            return False
         ours, theirs = (max(c.estimate, c.loss) if c.solved else math.inf for c in (self, other))
         least = SMALL * abs(other.cost) if other.passes and not self.passes else 0.0
         return self.cost + max(margin * ours, least) < other.cost - margin * theirs

@@ -21,17 +21,6 @@ MAX_FURTHER_ITERATIONS = 10
 """If it falls so slowly that more passes than this would be needed, refining stops."""
 
 
-PROMISING_ERROR_RATIO, PROMISING_WORK_RATIO = 0.3, 2.0
-"""A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
-
-
-ITERATION_SHARE = 0.5
-"""Share of all that is allowed that a pass may take where the budget permits it, ..."""
-
-BUDGET_MIN_ITERATIONS = 25
-"""... and iterations: a warm start near its end takes no more, on however fine a mesh."""
-
-
 @dataclass(frozen=True)
 class PassLimits:
     """Where the passes of a refinement end, wherever it has come to.
@@ -43,11 +32,7 @@ class PassLimits:
     points : int
         At most so many collocation points in any phase.
     work : float
-        No pass begins after this much work, in iterations at one collocation point; see
-        `RefinementIteration.work` and `allowed`.
-        One that has begun may cost half as much more at most; see `of_solve`.
-    most : float
-        What all passes may cost in any case.
+        What all passes together may cost, in iterations at one collocation point; see `RefinementIteration.work`.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
     cpu_deadline : float
@@ -59,37 +44,21 @@ class PassLimits:
     passes: int = 40
     points: int = 1000
     work: float = math.inf
-    most: float = math.inf
     deadline: float = math.inf
     cpu_deadline: float = math.inf
     worst: float = math.inf
 
-    def allowed(self, records: Sequence[RefinementIteration], factor: float = 1.0) -> float:
-        """What all passes may cost after these: more where the last one says that few others will do."""
-        errors = [r.error for r in records[-2:]]
-        promising = bool(errors) and errors[-1] <= PROMISING_ERROR_RATIO * errors[0]
-        return min(self.work * max(factor, PROMISING_WORK_RATIO if promising else 1.0), self.most)
+    def are_spent(self, spent: float) -> bool:
+        """Return whether no pass begins after passes that cost so much work."""
+        return spent >= self.work or time.thread_time() > self.cpu_deadline
 
-    def are_spent(self, records: Sequence[RefinementIteration], spent: float, factor: float = 1.0) -> bool:
-        """Whether no pass begins after these, of which so much work counts."""
-        over = time.thread_time() > self.cpu_deadline or spent >= self.most
-        return over or spent > self.allowed(records, factor)
-
-    def of_solve(
-        self, meshes: Iterable[Mesh], records: Sequence[RefinementIteration] = (), spent: float = 0.0
-    ) -> SolveLimits:
-        """What a solve on some meshes may take, after passes of which so much work counts."""
+    def of_solve(self, meshes: Iterable[Mesh], spent: float = 0.0) -> SolveLimits:
+        """Return what a solve on some meshes may take, after passes that cost so much work."""
         within = SolveLimits(deadline=self.deadline, cpu_deadline=self.cpu_deadline)
         if math.isinf(self.work):
             return within
         points = sum(mesh.size for mesh in meshes)
-        left = max(
-            self.allowed(records) - spent, ITERATION_SHARE * self.work
-        )  # what it cannot finish would be lost
-        iterations = max(BUDGET_MIN_ITERATIONS, iterations_for(left, points))
-        if math.isfinite(self.most):
-            iterations = min(iterations, max(1, iterations_for(self.most - spent, points)))
-        return replace(within, iterations=iterations)
+        return replace(within, iterations=max(1, iterations_for(self.work - spent, points)))
 
 
 def pass_record(

@@ -48,26 +48,17 @@ from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
-MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS = 60, 20
-"""Segments of the middle stage in all phases, and the least in each: one step to the finest is slow."""
+MIDDLE_SEGMENTS, FINE_SEGMENTS, STAGE_DEGREE = 60, 200, 3
+"""Segments of the two finer stages in all phases together, a quarter of it in each at least, and points per segment."""
 
-FINE_SEGMENTS, FINE_MIN_SEGMENTS = 200, 40
-"""Segments of the fine stage in all phases together, and in each at least."""
-
-STAGE_DEGREE = 3
-"""Collocation points per segment of both."""
-
-PROGRAM_MAX_SHARE = 0.1
-"""Share of the budget that a switching-time formulation may cost."""
+STAGE_MAX_SHARE = 0.25
+"""Share of the budget that a switching-time formulation, or hp refinement on the first stage, may cost."""
 
 PROGRAM_MAX_PIECES = 80
 """Pieces of a phase up to which a switching-time formulation is tried."""
 
 PROGRAM_MAX_FAILURES = 4
 """Programs without a solution after which no other is tried."""
-
-HP_FIRST_MAX_SHARE = 0.25
-"""Share of the budget of hp refinement on the first stage."""
 
 TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)
 """Mesh tolerances, in shares, while the check is open and the objective's estimated error halves."""
@@ -199,7 +190,7 @@ class Stages:
         middle = yield from self._middle_stage(first)
         if not any(solved for _, solved in self._tried):
             yield from self._solve_arc_program(middle, structures_of(middle), f"{MIDDLE}, switching times")
-        fine = self._solve(FINE, self._meshes(FINE_SEGMENTS, FINE_MIN_SEGMENTS, middle), middle)
+        fine = self._solve(FINE, self._meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.solved:
             again = self._from_least_controls(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
@@ -219,11 +210,11 @@ class Stages:
         if stage == FIRST:
             yield candidate
         if not arcs or candidate.within(self.tol):
-            yield from self._refine_mesh(first, HP_FIRST_MAX_SHARE, f"{stage}, {HP}")
+            yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
     def _middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield what the middle stage finds; the generator returns the solution to go on with."""
-        meshes = self._meshes(MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS, first)
+        meshes = self._meshes(MIDDLE_SEGMENTS, first)
         found = self._solve(MIDDLE, meshes, first)
         yield found
         flown = with_simulated_guess(self.problem)
@@ -255,9 +246,9 @@ class Stages:
     def _mesh_candidate(self, solution: Solution) -> Candidate:
         return next(c for c in self.candidates if c.solved and c.solution is solution)
 
-    def _meshes(self, segments: int, least: int, like: Solution) -> dict[str, Mesh]:
+    def _meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
         """Return uniform meshes of so many segments in all phases together; finer ones that a solution has stay."""
-        each = max(segments // len(like.phases), least)
+        each = max(segments // len(like.phases), segments // 4)
         meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}
         return {
             name: leg.mesh if leg.mesh.size > meshes[name].size else meshes[name]
@@ -338,7 +329,7 @@ class Stages:
         start: Solution,
         found: Mapping[str, PhaseStructure],
         stage: str,
-        share: float = PROGRAM_MAX_SHARE,
+        share: float = STAGE_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
         """Yield what a switching-time formulation leads to, if it is promising."""
@@ -379,7 +370,6 @@ class Stages:
             self.limits.max_passes,
             self.limits.max_points,
             self.budget.work_left(like, share),
-            self.budget.work_left(like),
             self.budget.deadline,
             self.budget.cpu_deadline,
         )

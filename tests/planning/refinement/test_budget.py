@@ -19,7 +19,7 @@ from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.refinement.arcs import loop as switching
 from gnc_opt.planning.refinement.budget import WORK_PER_SECOND, WorkBudget, variables_per_point
 from gnc_opt.planning.refinement.candidates import CANDIDATE_ERROR_MARGIN
-from gnc_opt.planning.refinement.iterations import BUDGET_MIN_ITERATIONS, PassLimits
+from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.stages import Stages
 from gnc_opt.planning.solution.history import work_of
@@ -57,15 +57,15 @@ def cart() -> go.Solution:
 
 @pytest.mark.parametrize("way", [refine_mesh, switching.optimise_switches])
 @pytest.mark.parametrize("allowed", [2500.0, 6000.0])
-def test_programs_that_do_not_converge_cost_no_more_than_twice_what_is_allowed(
+def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
     cart: go.Solution, way: Callable[..., Any], allowed: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(switching, "settle", lambda *_: None)  # a start that is not the end already
     _, history = way(cart, tol=1e-10, limits=PassLimits(work=allowed), options=CRAWLING)
     tried = [p for p in history.passes if not p.solved]
     assert tried and not history.converged
-    assert allowed < sum(p.work for p in tried) + max(p.points for p in tried)
-    assert sum(p.work for p in tried) <= 2.0 * allowed + max(p.points for p in tried)
+    # A solve is charged for as many iterations as its derivatives take, and makes one at least.
+    assert abs(sum(p.work for p in tried) - allowed) <= 16 * max(p.points for p in tried)
 
 
 @pytest.mark.parametrize("most", [3, 8])
@@ -76,12 +76,14 @@ def test_all_tries_of_a_solve_share_its_iterations(cart: go.Solution, most: int)
     assert found.status is Status.ITERATION_LIMIT and found.statistics.iterations == most
 
 
-def test_a_solve_may_cost_what_is_left_half_of_all_and_some_iterations_on_however_many_points() -> None:
+def test_a_solve_may_cost_what_is_left_and_makes_one_iteration_at_least() -> None:
     limits = PassLimits(work=4000.0)
     assert limits.of_solve([Mesh.uniform(10, 4)]).iterations == 4000 // 40 - 15
-    assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 2000 // 40 - 15
-    assert limits.of_solve([Mesh.uniform(500, 4)]).iterations == BUDGET_MIN_ITERATIONS
+    assert limits.of_solve([Mesh.uniform(10, 4)], spent=2000.0).iterations == 2000 // 40 - 15
+    assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 1
     assert PassLimits().of_solve([Mesh.uniform(10, 4)]).iterations is None
+    assert limits.are_spent(4000.0) and not limits.are_spent(3999.0)
+    assert PassLimits(cpu_deadline=time.thread_time()).are_spent(0.0)
 
 
 @pytest.mark.parametrize("lost", [300, 3])
@@ -146,16 +148,6 @@ def test_no_iteration_begins_after_the_cpu_time() -> None:
     assert stopped.status is Status.ITERATION_LIMIT and stopped.statistics.iterations <= 1
     later = SolveLimits(cpu_deadline=now + 100.0)
     assert solve_mesh(van_der_pol.build(), "20x4", limits=later).status.solved
-
-
-def test_passes_end_with_the_budget_whatever_they_promise() -> None:
-    """A share may be exceeded where a pass is promising, the whole budget never."""
-    mesh = first_solve().phase().mesh
-    limits = PassLimits(work=4000.0, most=4800.0)
-    assert limits.of_solve([mesh]).iterations == math.ceil(4000.0 / mesh.size) - 15
-    assert limits.of_solve([mesh], spent=4700.0).iterations == 1
-    assert limits.are_spent((), 4800.0, 4.0) and not limits.are_spent((), 4799.0, 4.0)
-    assert PassLimits(cpu_deadline=time.thread_time()).are_spent((), 0.0)
 
 
 def test_work_is_counted_in_iterations_of_variables_at_points() -> None:

@@ -270,8 +270,7 @@ class Plan:
         n_controls, n_paths = len(structure.controls), len(structure.paths)
         # An interior control may leave its bounds: by how much tells where its arc has to end.
         controls = choose(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
-        paths = choose(structure.on_sphere(), ArcKind.UPPER, structure.paths)
-        kinds = np.vstack([controls, paths, structure.states])[:, segments]
+        kinds = np.vstack([controls, structure.paths, structure.states])[:, segments]
         free = kinds == ArcKind.INTERIOR
         kinds = choose(free & self._released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.state_constraints import ACTIVE_CONSTRAINT_SHARE, StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -19,8 +19,8 @@ from gnc_opt.tolerances import SMALL
 CONTACT_MIN_COST_SHARE = 1e-5
 """A multiplier counts from this share of the cost, and from a `SMALL` share of the largest one of its constraint."""
 
-CONTACT_MERGE_SEGMENTS = 2.0
-"""Closer than so many segments, an arc begins or ends where a control that holds it switches."""
+SHORT_ARC_SEGMENTS = 2.0
+"""An arc shorter than so many segments may be noise of the mesh, which tells times no better than that."""
 
 TOUCH_MAX_NODES = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
@@ -63,13 +63,7 @@ class Push:
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
             runs = _joined_runs(runs)
-            if len(structure.holders[self.row]) > 1:
-                runs = self._joined_along_singular_arcs(runs, structure, samples)
         for a, b in runs:
-            at_end = self._end_touched(structure, a, b, samples)
-            if at_end is not None:
-                structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
-                continue
             if order == 1:
                 start, end = self._midpoint_before(a, first), self._midpoint_before(b, last)
                 switches = [self._nearby_switch(structure, t, samples, k) for k, t in enumerate((start, end))]
@@ -83,28 +77,6 @@ class Push:
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
-
-    def _end_touched(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
-        """The end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
-
-        A mesh of Gauss points has no row there, so that its points beside the end push for it.
-        """
-        leg, path = samples.leg, self.row - len(structure.controls)
-        if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
-            return None
-        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
-        for end, given, node in ends:
-            slope = samples.functions.path_state_jacobian(
-                samples.times[end], samples.x[:, end], samples.u[:, end]
-            )
-            if self.times[node] == points[end] and np.any(slope[path] * samples.state_scale * ~given.fixed):
-                return end
-        return None
-
-    def known(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
-        end = self._end_touched(structure, 0, self.times.size, samples)
-        return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def beside_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Whether it is in the segments beside a touch of its own: the barrier pushes where points come close to it.
@@ -141,7 +113,7 @@ class Push:
         """
         breaks, holders = samples.leg.breaks, structure.holders[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
-        reach = CONTACT_MERGE_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
+        reach = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
         for k in range(1, structure.pieces):
             at = structure.times[k]
@@ -152,27 +124,6 @@ class Push:
             if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
-
-    def _segments(self, samples: PhaseSamples) -> Indices:
-        """The segments of the nodes."""
-        breaks = samples.leg.breaks
-        return np.clip(np.searchsorted(breaks, self.times) - 1, 0, breaks.size - 2)
-
-    def _joined_along_singular_arcs(
-        self, runs: list[tuple[int, int]], structure: PhaseStructure, samples: PhaseSamples
-    ) -> list[tuple[int, int]]:
-        """Join close runs between which a singular control may hold the limit: on a mesh it swings, as pushes do."""
-        reach = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
-        joined = runs[:1]
-        for a, b in runs[1:]:
-            before, after = self.times[joined[-1][1] - 1], self.times[a]
-            piece = int(np.searchsorted(structure.times[1:-1], 0.5 * (before + after)))
-            kinds = [structure.kinds[piece][i] for i in structure.holders[self.row]]
-            if after - before < reach and ArcKind.SINGULAR in kinds:
-                joined[-1] = (joined[-1][0], b)
-            else:
-                joined.append((a, b))
-        return joined
 
     def _midpoint_before(self, node: int, end: float) -> float:
         """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""

@@ -34,8 +34,8 @@ from gnc_opt.planning.refinement.arcs.contact_cleanup import (
     without_overlaps,
 )
 from gnc_opt.planning.refinement.arcs.contact_detection import (
-    CONTACT_MERGE_SEGMENTS,
     CONTACT_MIN_NODES,
+    SHORT_ARC_SEGMENTS,
     Push,
     contact_runs,
 )
@@ -118,10 +118,10 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         leans=(*((),) * first, *leans),
     )
     if not any(orders):
-        return without_oscillation_arcs(without_overlaps(structure), constraints, CONTACT_MERGE_SEGMENTS)
+        return without_oscillation_arcs(without_overlaps(structure), constraints, SHORT_ARC_SEGMENTS)
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
-    return without_overlaps(without_oscillation_arcs(structure, constraints, CONTACT_MERGE_SEGMENTS))
+    return without_overlaps(without_oscillation_arcs(structure, constraints, SHORT_ARC_SEGMENTS))
 
 
 def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
@@ -131,12 +131,7 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
         worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
-    return [
-        run
-        for run in found
-        if not run.known(structure, constraints.samples)
-        and not run.beside_touch(structure, constraints.samples)
-    ]
+    return [run for run in found if not run.beside_touch(structure, constraints.samples)]
 
 
 # --- mended ---------------------------------------------------------------------------------------------------

@@ -9,6 +9,9 @@ from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
+SINGULAR_SHARE_OF_H = 2e-2
+"""A switching function this small over whole segments, in shares of H, marks a singular arc."""
+
 
 def affine_channels(samples: PhaseSamples) -> Mask:
     """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,).

@@ -10,9 +10,10 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.contact_detection import CONTACT_MERGE_SEGMENTS
+from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
 from gnc_opt.planning.refinement.arcs.contacts import Determined, determined, with_contacts
 from gnc_opt.planning.refinement.arcs.curvature import (
+    SINGULAR_SHARE_OF_H,
     affine_channels,
     convex_channels,
     curvature,
@@ -34,15 +35,6 @@ STATE_LEFT_BOUND_RATIO = 2.0
 
 HELD_STATE_TOLERANCE = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
-
-SINGULAR_SHARE_OF_H = 2e-2
-"""A switching function this small over whole segments, in shares of H, marks a singular arc."""
-
-CROSSING_TIME_TOLERANCE = 1e-14
-"""Relative accuracy of a time at which a function crosses zero."""
-
-CROSSING_MAX_STEPS = 100
-"""Steps that find it in any case; a smooth function needs six or so."""
 
 
 def structures_of(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
@@ -71,7 +63,7 @@ def detect(
     rows = [
         _linear_labels(samples, i, held[i], sharp)
         if affine[i]
-        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else CONTACT_MERGE_SEGMENTS)
+        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
         for i in range(leg.controls.size)
     ]
     mixed = _mixed_paths(samples, regular)
@@ -197,7 +189,7 @@ def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
 
 
 def _extend_label(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
-    """Let arcs of a label swallow neighbours shorter than `CONTACT_MERGE_SEGMENTS` segments, if all
+    """Let arcs of a label swallow neighbours shorter than `SHORT_ARC_SEGMENTS` segments, if all
     of those are candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     grown = True
@@ -207,7 +199,7 @@ def _extend_label(samples: PhaseSamples, labels: KindArray, label: ArcKind, cand
         edges = [0, *(np.flatnonzero(changes) + 1), labels.size]
         for first, last in itertools.pairwise(edges):
             beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
-            short = samples.times[last - 1] - samples.times[first] < CONTACT_MERGE_SEGMENTS * np.max(
+            short = samples.times[last - 1] - samples.times[first] < SHORT_ARC_SEGMENTS * np.max(
                 lengths[first:last]
             )
             if labels[first] != label and candidates[first] and beside and short:
@@ -370,48 +362,20 @@ def _change_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[flo
     at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
     if polished:
         channels, places = np.array(polished).T
-        asked = np.arange(channels.size)
 
-        def own(t: Array) -> Array:
-            return np.asarray(switching(samples, t)[channels, asked])
+        def own(t: Array, channel: Array) -> Array:
+            return np.asarray(switching(samples, t)[channel, np.arange(t.size)])
 
-        at |= zip(polished, roots(own, times[places], times[places + 1]), strict=True)
+        at |= zip(polished, roots(own, times[places], times[places + 1], channels), strict=True)
     return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
 
 
-def roots(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
-    """Return zeros between left and right (n,), or the middle where the signs do not differ."""
-    differ, middle = function(left) * function(right) < 0, 0.5 * (left + right)
-    return crossings(function, np.where(differ, left, middle), np.where(differ, right, middle))
+def roots(function: Callable[..., Array], left: Array, right: Array, *arguments: Array) -> Array:
+    """Return zeros between times (s) (n,), to rounding, or the middle where the signs do not differ."""
+    from scipy.optimize.elementwise import find_root  # slow to import
 
-
-def crossings(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
-    """Return zeros between times (s) (n,) at which the signs differ, to the last digits of a time.
-
-    Chandrupatla's method, all intervals at once: inverse quadratic interpolation where it is safe, else bisection
-    (Advances in Engineering Software 28, 1997).
-    """
-    a, b = np.array(right, dtype=float), np.array(left, dtype=float)
-    at_a, at_b = function(a), function(b)
-    share, slack = np.full(a.size, 0.5), CROSSING_TIME_TOLERANCE * np.maximum(1.0, np.abs(a))
-    for _ in range(CROSSING_MAX_STEPS):
-        here = a + share * (b - a)
-        value = function(here)
-        beyond = np.sign(value) == np.sign(at_a)
-        c, at_c = np.where(beyond, a, b), np.where(beyond, at_a, at_b)
-        b, at_b = np.where(beyond, b, a), np.where(beyond, at_b, at_a)
-        a, at_a, b = here, value, np.where(value == 0, here, b)
-        width = np.abs(b - a)
-        if np.all(width <= 2 * slack):
-            break
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along, up = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
-            step = at_a / (at_b - at_a) * at_c / (at_b - at_c)
-            step += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
-            least = np.minimum(slack / width, 0.5)
-            safe = (up**2 < along) & ((1 - up) ** 2 < 1 - along) & np.isfinite(step)
-        share = np.clip(np.where(safe, step, 0.5), least, 1 - least)
-    return np.where(np.abs(at_a) < np.abs(at_b), a, b)
+    found = find_root(function, (left, right), args=arguments)
+    return np.where(found.success, found.x, 0.5 * (left + right))
 
 
 def _labels_at(labels: KindArray, changes: list[float], times: Array) -> KindArray:

@@ -21,7 +21,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.detection import crossings
+from gnc_opt.planning.refinement.arcs.detection import roots
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.polynomial import Side
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -140,4 +140,4 @@ def _violation_end(times: Array, violation: Callable[[Array], Array]) -> float |
     if np.all(over):
         return float(times[-1])
     k = int(np.argmin(over))
-    return float(crossings(violation, times[k - 1 : k], times[k : k + 1])[0])
+    return float(roots(violation, times[k - 1 : k], times[k : k + 1])[0])

@@ -49,12 +49,6 @@ UNSOLVED_MAX_ITERATIONS = 2
 SWITCHING_TIME_TOLERANCE = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
 
-LAST_ITERATION_WORK_RATIO = 4.0
-"""Passes that are, or may be, the last ones begin for up to so many times the work."""
-
-ROUNDING_ERROR_RATIO = 1.01
-"""Ratio of errors of passes that differ by rounding."""
-
 ARC_SOLVE_TOLERANCE, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
 
@@ -114,7 +108,7 @@ def optimise_switches(
                 status = loop.run(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
-    best = _best_try(tries, status)
+    best = _best_try(tries, status, tol)
     records = [t.record for t in tries] or [_record(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
@@ -157,18 +151,16 @@ class _Try:
     record: RefinementIteration
 
 
-def _best_try(tries: list[_Try], status: RefinementStatus) -> int | None:
+def _best_try(tries: list[_Try], status: RefinementStatus, tol: float) -> int | None:
     """Return the pass to keep: where the loop came to rest, or the one whose objective has the least estimated error.
 
-    None without any; of passes with the same error but for rounding the last one, which mended what it does not show.
+    None without any; of passes within the tolerance the one with the least local error.
     """
     solved = {k: t for k, t in enumerate(tries) if t.record.solved}
     if not solved or status is RefinementStatus.CONVERGED:
         return max(solved, default=None)
-    errors = {k: t.solution.objective_error.value for k, t in solved.items()}
-    least = min(errors.values())
-    return max(
-        (k for k, error in errors.items() if error <= ROUNDING_ERROR_RATIO * least), default=min(errors)
+    return min(
+        solved, key=lambda k: (max(solved[k].solution.objective_error.relative, tol), solved[k].record.error)
     )
 
 
@@ -219,9 +211,9 @@ class _Loop:
             if any(plan.mesh().size > self.limits.points for plan in plans.values()):
                 return RefinementStatus.POINT_LIMIT
             spent = sum(record.work for record in self.records)
-            if self.limits.are_spent(self.records, spent, self._allowed_factor):
+            if self.limits.are_spent(spent):
                 return RefinementStatus.BUDGET_LIMIT
-            within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
+            within = self.limits.of_solve((plan.mesh() for plan in plans.values()), spent)
             found = flown or _solve(self.problem, plans, solution, self.options, within)
             flown = None
             if not found.status.solved:
@@ -258,17 +250,6 @@ class _Loop:
     def records(self) -> list[RefinementIteration]:
         """Of all tries."""
         return [t.record for t in self.tries]
-
-    @property
-    def _allowed_factor(self) -> float:
-        """How much more passes may cost: where the last one is accurate, and only what it leaves idle is taken out.
-
-        And where the one before is, the last one being the first with another structure; or where the next one is
-        accurate if errors go on to fall as they did.
-        """
-        errors = [r.error for r in self.records[-2:] if r.solved]
-        finishing = bool(errors) and min(*errors, errors[-1] ** 2 / errors[0]) <= self.tol
-        return LAST_ITERATION_WORK_RATIO if finishing else 1.0
 
     def _add_try(self, tried: _Try) -> None:
         self.tries.append(tried)

@@ -225,20 +225,6 @@ class PhaseStructure:
         held = row >= self._n_free + self.n_paths and bool(self.holders[row]) and not self.orders[row]
         return self.orders[row] == 1 or held
 
-    def on_sphere(self) -> Mask:
-        """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).
-
-        Elsewhere H sees to that, but there it may as well be the direction's length that holds the constraint.
-        """
-        found = np.zeros((self.n_paths, self.pieces), dtype=bool)
-        contact = np.array([self.on_contact(k) for k in range(self.pieces)])
-        for path in range(self.n_paths):
-            row = self._n_free + path
-            if self.holders[row] and not (self.orders[row] or self.slopes[row] or self.regular[row]):
-                singular = np.any(self.matrix()[list(self.holders[row])] == ArcKind.SINGULAR, axis=0)
-                found[path] = contact & ~singular
-        return found
-
     def limited_by_paths(self) -> Mask:
         """Return where a path constraint is in the place of a control's bound, (n_controls, A)."""
         held = np.zeros((self._n_free, self.pieces), dtype=bool)

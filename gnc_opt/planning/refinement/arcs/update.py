@@ -145,7 +145,7 @@ def _with_worst_arc(
     if not violation.size or violation.max() < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
-    start, end = _wrong_interval(samples, violation[i])
+    start, end = violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
     mended = linear_limits(samples).with_arc(structure, i, j, (start, end), asked[i, j])
     return mended, f"arc of {label} added at {start:.4g} s"
@@ -258,10 +258,9 @@ def _leading_run(holds: Mask, places: range) -> list[int]:
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
 
-def _wrong_interval(samples: PhaseSamples, violation: Array) -> tuple[float, float]:
-    """Return where there is a violation around the largest one: its zeros, from the neighbouring samples."""
-    times, j = samples.times, int(np.argmax(violation))
-    fine = np.flatnonzero(violation <= 0)
+def violation_interval(times: Array, violation: Array) -> tuple[float, float]:
+    """Return where there is a violation around the largest one: its zeros, by straight lines between samples."""
+    j, fine = int(np.argmax(violation)), np.flatnonzero(violation <= 0)
     before, after = fine[fine < j], fine[fine > j]
     start = _linear_zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
     end = _linear_zero(times, violation, after[0] - 1, after[0]) if after.size else times[-1]

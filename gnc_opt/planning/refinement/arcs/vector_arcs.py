@@ -17,18 +17,15 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.curvature import SINGULAR_SHARE_OF_H
 from gnc_opt.planning.refinement.arcs.structure import KindArray, choose
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import EQUAL
 
-SINGULAR_SHARE_OF_H = 2e-2
-"""A mean of :math:`H_T` along a segment this small, times the limit of the norm and in shares of H, marks a singular
-arc, ..."""
-
 SINGULAR_MAX_NORM_SHARE = 0.95
-"""... if the mean of the vector is shorter than this share of the limit there."""
+"""A vector whose mean along a segment is longer than this share of its limit is no singular one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,14 +151,13 @@ class _Refinement:
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
-            allowed = self._limits.allowed(self._records)
-            if self._limits.are_spent(self._records, self._spent):
+            if self._limits.are_spent(self._spent):
                 return self._ending(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
             status = self._solve(meshes, actions)
             show(self._records[-1])
-            if status is Status.ITERATION_LIMIT and self._spent >= allowed:
+            if status is Status.ITERATION_LIMIT and self._limits.are_spent(self._spent):
                 return self._ending(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
                 return self.ending_without(status)
@@ -236,7 +235,7 @@ class _Refinement:
     def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes, warm, then cold; remember the pass."""
         begin = time.perf_counter()
-        within = self._limits.of_solve(meshes.values(), self._records, self._spent)
+        within = self._limits.of_solve(meshes.values(), self._spent)
         solution = solve_mesh(
             self._problem,
             meshes,

@@ -11,6 +11,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.update import violation_interval
 from gnc_opt.planning.refinement.switching.step import SwitchStep, simplified_newton_step
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -120,7 +121,11 @@ class SwitchFlight:
         for i in range(wrong.shape[0]):
             forgive(wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0])))
         i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
-        return None if wrong[i, j] < NEGLIGIBLE else (i, *wrong_interval(times, wrong[i], j))
+        if wrong[i, j] < NEGLIGIBLE:
+            return None
+        start, end = violation_interval(times, wrong[i])
+        inset = NEW_ARC_INSET_SHARE * (end - start)
+        return i, start + inset * (start > times[0]), end - inset * (end < times[-1])
 
 
 def _nodes() -> tuple[Array, Array]:
@@ -154,18 +159,3 @@ def forgive(wrong: Array, switches: Indices) -> None:
                 if not 0 < wrong[j] <= most:
                     break
                 wrong[j] = 0.0
-
-
-def wrong_interval(times: Array, wrong: Array, j: int) -> tuple[float, float]:
-    """Where the sign is wrong around a sample, by straight lines between the samples."""
-    fine = np.flatnonzero(wrong <= 0)
-    before, after = fine[fine < j], fine[fine > j]
-    start, end = times[0], times[-1]
-    if before.size:
-        k = before[-1]
-        start = times[k] - wrong[k] * (times[k + 1] - times[k]) / (wrong[k + 1] - wrong[k])
-    if after.size:
-        k = after[0]
-        end = times[k] - wrong[k] * (times[k] - times[k - 1]) / (wrong[k] - wrong[k - 1])
-    inset = NEW_ARC_INSET_SHARE * (end - start)
-    return float(start + inset * (before.size > 0)), float(end - inset * (after.size > 0))
