@@ -27,7 +27,8 @@ from gnc_opt.planning import (
     load,
 )
 from gnc_opt.planning.direct import solve_mesh as tries
-from gnc_opt.planning.direct.failure import bounds_to_give, failure_message
+from gnc_opt.planning.direct.failure import failure_message
+from gnc_opt.planning.problem.check import missing_bounds_text
 from gnc_opt.planning.solution.diagnosis import Violation, find_violations
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.study import kkt_sensitivity as again
@@ -389,19 +390,20 @@ def test_missing_bounds_in_least_time_are_named() -> None:
         return problem, leg
 
     problem, leg = least_time()
-    assert "neither bounds nor path constraints limit 'a' to both sides: give bounds()" in bounds_to_give(
-        problem
+    assert (
+        "neither bounds nor path constraints limit 'a' to both sides: give bounds()"
+        in missing_bounds_text(problem)
     )
-    assert "limit 'a' to both sides" in bounds_to_give(problem.with_bounds(a=(None, 1.0)))
-    assert bounds_to_give(problem.with_bounds(a=(-1.0, 1.0))) == ""
+    assert "limit 'a' to both sides" in missing_bounds_text(problem.with_bounds(a=(None, 1.0)))
+    assert missing_bounds_text(problem.with_bounds(a=(-1.0, 1.0))) == ""
     leg.path("thrust", leg.model.symbol("a") ** 2, upper=1.0)
-    assert bounds_to_give(problem) == ""
+    assert missing_bounds_text(problem) == ""
     problem, leg = least_time()
     problem.constrain("effort", leg.integral(leg.model.symbol("a") ** 2), upper=1.0)
-    assert bounds_to_give(problem) == ""
+    assert missing_bounds_text(problem) == ""
     problem, leg = least_time()
     problem.cost = leg.final_time + leg.final_state("w")
-    assert bounds_to_give(problem) == ""
+    assert missing_bounds_text(problem) == ""
 
 
 def test_missing_bounds_are_named_where_the_least_time_is_its_own_limit() -> None:
