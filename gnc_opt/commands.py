@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from gnc_opt.errors import GncOptError, ProblemWarning
 from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_setting
 from gnc_opt.templates import write_template
-from gnc_opt.text import json_text
+from gnc_opt.text import counted, json_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -209,22 +209,18 @@ def _description(file: ProblemFile, problem: Problem) -> str:
     for leg in problem.phases.values():
         states, controls = leg.model.states, leg.model.controls
         lines.append(
-            f"  phase {leg.name}: {_count(states.size, 'state')} ({', '.join(states.names)}), "
-            f"{_count(controls.size, 'control')} ({', '.join(controls.names)}), "
-            f"{_count(len(leg.path_labels), 'path constraint')}, {_count(len(leg.integrands), 'integral')}"
+            f"  phase {leg.name}: {counted(states.size, 'state')} ({', '.join(states.names)}), "
+            f"{counted(controls.size, 'control')} ({', '.join(controls.names)}), "
+            f"{counted(len(leg.path_labels), 'path constraint')}, {counted(len(leg.integrands), 'integral')}"
         )
     lines.append(
-        f"  {_count(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
-        f"{_count(problem.parameters.size, 'free parameter')}, "
+        f"  {counted(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
+        f"{counted(problem.parameters.size, 'free parameter')}, "
         f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
     options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.options.values())
     lines.append(f"  options of build(): {options or 'none'}")
     return "\n".join(lines)
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def _check_targets(args: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""Texts of results: pieces of HTML, in which every text that goes in is escaped, and JSON."""
+"""Texts of results: counts, pieces of HTML, in which every text that goes in is escaped, and JSON."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     lines = "".join(f"<tr>{_cells('td', row)}</tr>" for row in rows)
     head = f"<thead><tr>{_cells('th', titles)}</tr></thead>" if any(titles) else ""
     return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
+
+
+def counted(number: int, noun: str) -> str:
+    """Return "1 state", "2 states"."""
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def heading(text: str) -> str:

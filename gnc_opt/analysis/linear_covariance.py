@@ -31,7 +31,7 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text import Printed
+from gnc_opt.text import Printed, counted
 from gnc_opt.tolerances import TINY
 
 
@@ -41,7 +41,7 @@ def format_covariance_table(found: LinearCovariance) -> str:
     width = max([5, *map(len, layout.names)])
     units = max([1, *(len(v.unit) for v in layout.variables)])
     lines = [
-        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {len(found.sources)} sources",
+        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {counted(len(found.sources), 'source')}",
         f"  {'at the end':{width + units + 1}}  1 sigma   sources",
     ]
     for variable in layout.variables:

@@ -61,12 +61,12 @@ class Linearization:
     def __post_init__(self) -> None:
         if self.flight.replanner is not None:
             raise ArgumentError(
-                "the loop re-plans in flight, which has no derivative: leave the replanner out, or fly monte_carlo()."
+                "the loop re-plans in flight, which has no derivative: remove the replanner, or use monte_carlo()."
             )
         if self.flight.events.size:
             raise ArgumentError(
-                f"the loop has events ('{self.flight.events.names[0]}'), whose instants scatter: a linearization knows "
-                "fixed times alone; leave the events out, or fly monte_carlo()."
+                f"the loop has events ('{self.flight.events.names[0]}'), whose times vary, and a linearization needs "
+                "fixed times: remove the events, or use monte_carlo()."
             )
 
     @cached_property

@@ -27,6 +27,7 @@ from gnc_opt.model.variables import (
     as_vector,
     foreign_symbols,
 )
+from gnc_opt.text import counted
 
 
 class Differences:
@@ -200,8 +201,8 @@ class Model(Strict):
 
     def __repr__(self) -> str:
         return (
-            f"Model({self.name!r}: {self.states.size} states, {self.controls.size} controls, "
-            f"{self.parameters.size} parameters)"
+            f"Model({self.name!r}: {counted(self.states.size, 'state')}, {counted(self.controls.size, 'control')}, "
+            f"{counted(self.parameters.size, 'parameter')})"
         )
 
     # --- declarations -----------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.text import counted
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
@@ -176,12 +177,8 @@ def optimality_text(solution: SummarisedSolution) -> str:
 
 def _mesh_words(mesh: Mesh) -> str:
     low, high = min(mesh.degrees), max(mesh.degrees)
-    words = f"{_counted(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
-    return words + f", {_counted(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'s' * (number != 1)}"
+    words = f"{counted(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {counted(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
 def _headline(solution: SummarisedSolution) -> str:
@@ -242,7 +239,7 @@ def _refinement(solution: SummarisedSolution) -> Iterator[str]:
     yield _labelled_line(
         "refinement",
         f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
-        f"{_counted(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
+        f"{counted(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
     )
 
 
