@@ -152,6 +152,7 @@ def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Condit
     assert verdict.minimum == (result is ConditionResult.PASS)
 
 
+@pytest.mark.slow
 def test_limits_met_at_both_ends_are_found_once() -> None:
     # At constant speed from q - t = -1/5 to 1/5, which costs nothing and gains 3 (6/5 + 1/5).
     model, q, _, a = cart()

@@ -100,6 +100,7 @@ def test_oscillator_refined() -> None:
     assert go.verify(solution).ok
 
 
+@pytest.mark.slow
 def test_too_little_time_is_still_infeasible() -> None:
     """A displacement of 5 needs 7.9 s; the violation is that of the first attempt, its effort that of all."""
     problem = oscillator(5.0, (0.1, 7.0))

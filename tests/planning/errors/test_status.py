@@ -84,6 +84,7 @@ def test_the_iterate_of_a_failed_solve_can_be_looked_at(build: Build) -> None:
     assert not go.verify(solution).ok
 
 
+@pytest.mark.slow
 def test_violations_are_sorted_and_true() -> None:
     solution = ended(ill_posed.windows_apart)
     amounts = [v.amount for v in solution.violations]
@@ -93,6 +94,7 @@ def test_violations_are_sorted_and_true() -> None:
     assert sum(gaps) == pytest.approx(0.5, abs=1e-6)  # the least that the windows leave
 
 
+@pytest.mark.slow
 def test_slow_growth_counts_as_unbounded() -> None:
     """The objective of this one never gets large, so only its variables tell."""
     solution = ended(ill_posed.slowly_growing)
@@ -220,6 +222,7 @@ def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Pr
     return problem if speed is None else problem.with_guess("leg", v=[0.0, speed])
 
 
+@pytest.mark.slow
 def test_the_guess_that_helps_is_named() -> None:
     """Which kind, and the states of which no number tells the size; not beside a trajectory, which is the user's."""
     with pytest.raises(

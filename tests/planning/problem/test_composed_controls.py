@@ -110,6 +110,7 @@ def test_multiplier_of_the_upper_limit_is_what_a_larger_one_saves() -> None:
     assert np.sum((density * weights)[upper]) == pytest.approx(saved, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_annulus_pushes_down_before_it_brakes() -> None:
     """What must be burnt anyway shortens the fall: least thrust downwards, least upwards, then most.
 
@@ -164,6 +165,7 @@ def test_guess_of_the_vector_is_one_of_its_parts() -> None:
     np.testing.assert_allclose(start.controls[2], [1.0, 1.0, 0.0, -1.0, -1.0])
 
 
+@pytest.mark.slow
 def test_composed_controls_are_saved_and_exported(tmp_path: Path) -> None:
     solution = moved()
     again = go.load(solution.save(tmp_path / "move"))

@@ -22,6 +22,7 @@ def ride(name: str, final_time: object, distance: float) -> tuple[go.Problem, ob
     return problem, leg, a
 
 
+@pytest.mark.slow
 def test_fastest_ride_with_limited_acceleration_and_jerk() -> None:
     """At the limit of acceleration the ride takes j + sqrt(j^2 + 4 d / a), j the time from zero to that limit."""
     problem, leg, _ = ride("limited jerk", (0.1, 20.0), 8.0)
@@ -66,6 +67,7 @@ def test_straight_line_as_fastest_control() -> None:
     assert go.solve(problem).objective == pytest.approx(np.sqrt(6.0), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_constant_control() -> None:
     problem, leg, _ = ride("constant", (0.1, 10.0), 2.0)
     leg.final(q=2.0, v=None)
@@ -130,6 +132,7 @@ def test_polynomials_of_two_phases(degree: int, effort: float) -> None:
     assert go.solve(problem).objective == pytest.approx(effort, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_polynomial_over_a_divided_phase() -> None:
     """It is one over both parts: the fraction and the coefficients are handed over."""
     problem, leg, a = ride("divided", 2.0, 1.0)

@@ -22,6 +22,7 @@ def effort(span: float, start: float, end: float, distance: float) -> float:
     return 12.0 * (distance - 0.5 * (start + end) * span) ** 2 / span**3 + (end - start) ** 2 / span
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [{"times": [0.3, 0.6]}, {"fractions": [0.3, 0.6]}])
 def test_speed_limit_during_a_window(how: dict[str, list[float]]) -> None:
     """The speed stays at its limit in the window; what lies before and after shares the distance that is left."""

@@ -321,6 +321,7 @@ def test_a_flown_guess_follows_the_dynamics_through_all_phases() -> None:
     np.testing.assert_array_equal(first.controls, as_guessed)
 
 
+@pytest.mark.slow
 def test_ends_that_boundary_constraints_tell() -> None:
     """A stage of 9 t of fuel, 1 t of structure and a free payload p, by Tsiolkovsky: p = 9 t / (exp(dv / c) - 1) - 1 t.
 

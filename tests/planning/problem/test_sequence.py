@@ -18,6 +18,7 @@ def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase
     return leg
 
 
+@pytest.mark.slow
 def test_push_coast_brake_is_the_closed_form() -> None:
     """1 m from rest to rest in 3 s with |u| <= 1: fuel 3 - sqrt(5), coast from (3 - sqrt(5)) / 2 s."""
     problem = go.Problem("move")

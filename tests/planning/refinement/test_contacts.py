@@ -98,6 +98,7 @@ def test_the_order_is_the_first_derivative_with_a_control() -> None:
 # --- arcs -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "unit", "mesh"), [("bound", 1e3, "11x3"), ("ceiling", 1.0, "20x4"), ("curved", 1.0, "20x4")]
 )
@@ -132,6 +133,7 @@ def test_the_bound_s_impulses_are_the_atoms_at_entry_and_exit() -> None:
     np.testing.assert_allclose(leg.state_impulses[1, 1:-1], 0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_an_arc_of_first_order() -> None:
     """Least effort from rest to rest over 1 m in 1 s, v <= V = 5/4: on the limit from t1 = 3/2 (1 - 1/V) to 1 - t1.
 

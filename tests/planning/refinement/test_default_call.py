@@ -99,6 +99,7 @@ def test_limits_that_the_optimum_just_touches_are_no_arcs(unit: float) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_bound_reached_before_the_first_point_is_resolved() -> None:
     """From rest to rest with least effort: a = A at first, then on a line to -A, for as long as A is reached.
 

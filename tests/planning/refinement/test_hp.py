@@ -217,6 +217,7 @@ def test_tighter_tolerances_cost_points_and_bring_accuracy() -> None:
     assert errors[0] < 1e-4 and errors[1] < 1e-8 and points[0] < points[1]
 
 
+@pytest.mark.slow
 def test_state_constraint_from_both_sides() -> None:
     """Bryson & Denham with height 1/9: J = 4; node-only constraints make it too small, kinks too large."""
     solution, history = refine_mesh(go.solve(double_integrator(height=1 / 9), tol=None), tol=1e-8)
@@ -224,6 +225,7 @@ def test_state_constraint_from_both_sides() -> None:
     assert solution.objective == pytest.approx(4.0, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_switches_are_closed_in_upon() -> None:
     """From 0 to 3 m with accelerations in (-2, 1): t_f = 3 s, switch at 2 s."""
     solution, history = refine_mesh(go.solve(double_integrator(), tol=None), tol=1e-7)
@@ -260,6 +262,7 @@ def test_pass_limit() -> None:
     assert "max_passes" in history.message and solution.objective == history.final.objective
 
 
+@pytest.mark.slow
 def test_chatter_stalls() -> None:
     _, history = refine_mesh(go.solve(chatter(), tol=None), tol=1e-8)
     assert history.status is RefinementStatus.STALLED
@@ -367,6 +370,7 @@ def test_a_multiplier_that_points_elsewhere_leaves_the_whole_gap() -> None:
     assert _onset_interval(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
 
 
+@pytest.mark.slow
 def test_a_limit_on_a_path_is_left_at_a_boundary() -> None:
     """From 0 to 3 m with accelerations in (-2, 1) as a path constraint: t_f = 3 s, switch at 2 s."""
     model, _q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
@@ -436,6 +440,7 @@ def adjoint_residual(solution: go.Solution) -> float:
     return float(condition.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("final_time", [50.0, 1000.0])
 def test_smooth_problems_pass_the_adjoint_equation(final_time: float) -> None:
     solution, history = refine_mesh(go.solve(hypersensitive(final_time), tol=None), tol=1e-8)
@@ -476,6 +481,7 @@ def test_the_error_is_of_second_order_in_the_costates() -> None:
     assert all(old / new > 4**2 for old, new in itertools.pairwise(errors))
 
 
+@pytest.mark.slow
 def test_state_constraints_still_converge() -> None:
     solution, history = refine_mesh(go.solve(bounded_height(), tol=None), tol=1e-8)
     assert history.converged and solution.objective == pytest.approx(4.0, rel=1e-7)

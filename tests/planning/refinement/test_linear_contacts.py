@@ -88,6 +88,7 @@ def test_touches_between_bangs() -> None:
     np.testing.assert_allclose(jumps, strength * gradients, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_bang_within_a_singular_arc() -> None:
     """A mesh too coarse for it shows one singular arc, whose polynomial reaches the bound where the bang belongs.
 

@@ -79,6 +79,7 @@ def told(found: Multistart) -> list[Any]:
     return [minima, found.failures, found.finished]
 
 
+@pytest.mark.slow
 def test_both_wells_are_found_and_ranked() -> None:
     found = alone()
     # A quadratic cost and constant control: collocation is exact, the solver's tolerance of 1e-9 is what remains.
@@ -92,11 +93,13 @@ def test_both_wells_are_found_and_ranked() -> None:
     assert repr(found).startswith("Multistart(") and "2 minima, 12 of 12 starts, best=" in repr(found)
 
 
+@pytest.mark.slow
 def test_mirror_twins_are_one_minimum_with_two_trajectories() -> None:
     (minimum,) = search(wells(tilt=0.0)).minima
     assert (minimum.hits, minimum.trajectories) == (12, 2)
 
 
+@pytest.mark.slow
 def test_the_largest_payoff_comes_first() -> None:
     problem = wells()
     negative = go.Problem("two hills")
@@ -111,6 +114,7 @@ def test_the_largest_payoff_comes_first() -> None:
     assert not any(m.refined or m.verdict_ok for m in found.minima)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["threads", "processes", "default"])
 def test_the_answer_does_not_depend_on_the_executor(kind: str) -> None:
     expected = told(alone())
@@ -363,6 +367,7 @@ def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
     assert told["minima"] and {m["standing"] for m in told["minima"]} == {"coarse"}
 
 
+@pytest.mark.slow
 def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
     found = search(partial(_dies_elsewhere, os.getpid()), executor=ProcessPoolExecutor(1))
     assert [m.objective for m in found.minima] == [m.objective for m in alone().minima]
@@ -401,6 +406,7 @@ def _interrupting_solve(at: int) -> Any:
 # --- command line ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = Path(__file__)  # wells() and build(): this file is a problem file
     target = tmp_path / "found.json"

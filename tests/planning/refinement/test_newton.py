@@ -127,6 +127,7 @@ def fuller() -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 def test_a_few_bangs_stand_for_a_singular_arc_that_is_met_by_chattering() -> None:
     """The optimum switches on x = -z v|v| ever faster, z^2 = (sqrt(33) - 1) / 24, until it rests after 2.715 s.
 

@@ -87,6 +87,7 @@ def test_converged_means_that_error_and_verdict_pass(cart: go.Solution) -> None:
     assert f"{history.final.error:.1e}" in text and len(text.splitlines()) == 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["auto", "bang-bang", "none"])
 def test_a_verdict_that_fails_is_no_convergence(
     cart: go.Solution, monkeypatch: pytest.MonkeyPatch, structure: Any, tmp_path: Path
@@ -253,6 +254,7 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
     assert begin < ends[0] - 100.0 < begin + 1.0
 
 
+@pytest.mark.slow
 def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """A structure that does not convince leaves its passes in the record, beside those of the meshes."""
     import importlib

@@ -231,6 +231,7 @@ def test_a_smooth_guess_is_as_accurate_again() -> None:
     assert found.converged and found.objective == pytest.approx(cost, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_what_two_flights_have_in_common_does_not_depend_on_the_way(fast: Resolver) -> None:
     """Fifteen variations: each by the known matrices and by matrices of its own, equal to the closed form."""
     problem = fast.solution.need_problem("")

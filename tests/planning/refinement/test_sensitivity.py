@@ -221,6 +221,7 @@ def wall(form: str, v0: float = 1.0) -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["bound", "path"])
 @pytest.mark.filterwarnings("error")
 def test_trajectory_before_an_arc_on_a_state_limit(form: str) -> None:

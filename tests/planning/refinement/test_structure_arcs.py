@@ -120,6 +120,7 @@ def test_kink_of_a_saturated_regulator() -> None:
     assert verdict.ok, verdict.explain()
 
 
+@pytest.mark.slow
 def test_kink_does_not_depend_on_the_first_mesh() -> None:
     times = [
         junctions(go.refine(go.solve(saturated_regulator(), mesh=mesh, tol=None)), "u")
@@ -219,6 +220,7 @@ def test_a_control_in_which_h_bends_jumps_from_bound_to_bound(k: float) -> None:
     assert go.verify(found).minimum
 
 
+@pytest.mark.slow
 def test_short_arcs_where_h_is_convex_are_found() -> None:
     """Oscillator to rest, x' = v + e u^2, v' = u - x: costates turn with it, so that all times but one are known.
 

@@ -264,6 +264,7 @@ def power_limited(unit: float) -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
     """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""

@@ -107,6 +107,7 @@ def test_singular_arc_is_found() -> None:
 # --- the rendezvous -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "equation"), [(1, "printed"), (3, "printed"), (5, "exact")])
 def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equation) -> None:
     """Exact switch times, and a verdict of tolerance 1e-8, second-order conditions included."""
@@ -144,6 +145,7 @@ def test_refine_refuses_what_it_cannot_do() -> None:
         go.refine(replace(solution, problem=None))
 
 
+@pytest.mark.slow
 def test_arcs_held_by_hand_are_a_start() -> None:
     """They belong to the mesh of the first solution; the refined one is of the problem without them."""
     problem, leg = double_integrator(-1.0, 1.0)

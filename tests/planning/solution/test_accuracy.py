@@ -130,6 +130,7 @@ def test_a_violation_within_a_held_cell_is_found() -> None:
     assert solution.accuracy.violation == pytest.approx(np.max(loads) - 1.1, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_errors_of_equations_cancel_within_a_segment() -> None:
     """A norm of interpolated directions is off in both directions; the objective is off by far less."""
     best = go.solve(turning(), tol=1e-9).objective

@@ -15,6 +15,7 @@ def closed_form(k: float) -> float:
     return float(np.sqrt(k) * np.tanh(np.sqrt(k)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variations", [True, False])
 def test_every_solution_on_the_way_is_the_closed_form(variations: bool) -> None:
     problem = stiff()
@@ -160,6 +161,7 @@ def two_phases(duration: float = 4.0) -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 def test_several_phases() -> None:
     found = go.continuation(two_phases, [4.0, 3.0, 2.0], step=0.5, mesh="3x4")
     assert found.complete and not found.events

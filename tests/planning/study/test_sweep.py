@@ -41,6 +41,7 @@ def test_neighbours_help(swept: go.Sweep) -> None:
     assert np.all(swept.array("iterations")[:, 1:] <= swept.array("iterations")[:, :1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", [None, "threads"])
 def test_other_executors_give_the_same(swept: go.Sweep, executor: Any) -> None:
     with ThreadPoolExecutor(2) as threads:
@@ -69,6 +70,7 @@ def family(duration: float) -> go.Problem:
     return rest_to_rest(duration)
 
 
+@pytest.mark.slow
 def test_points_without_a_solution_cost_only_themselves() -> None:
     found = go.sweep(family, {"duration": [5.0, 1.0, 3.0, 4.0]}, mesh="10x4", executor="serial")
     assert found.solved.tolist() == [True, False, False, True]
@@ -106,6 +108,7 @@ def test_one_line_says_what_a_sweep_is() -> None:
     assert repr(found) == "Sweep(2 k, 2 of 2 solved)"
 
 
+@pytest.mark.slow
 def test_refined_sweeps() -> None:
     found = go.sweep(rest_to_rest, {"duration": [2.2, 2.1]}, tol=1e-8, executor="serial")
     assert all(len(solution.structure) == 3 for solution in found.solutions)

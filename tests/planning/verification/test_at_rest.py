@@ -152,6 +152,7 @@ def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise
         assert "flat" in condition.where
 
 
+@pytest.mark.slow
 def test_a_flight_that_needs_no_control_has_yardsticks() -> None:
     """Thrown by itself from floor to floor: controls, costates and the push of the floor are rounding."""
     model, _h, _v, a = dynamics("ball", "h v", "a", lambda h, v, a: {h: v, v: a - 1.0})
@@ -167,6 +168,7 @@ def test_a_flight_that_needs_no_control_has_yardsticks() -> None:
     assert not go.verify_trajectory(problem, t, pushed, {"a": 0 * t - 0.02}).ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead", [1.0, 10.0])
 def test_doing_nothing_in_an_orbit_reaches_no_target_ahead(ahead: float) -> None:
     """The end is missed by metres, 1e-7 of the radius: all that the control is for."""

@@ -245,6 +245,7 @@ def test_closed_form_is_for_affine_hamiltonians_without_other_limits(curve: str)
     assert find_vector_control(s, s.functions.coupled_controls[0]) is None
 
 
+@pytest.mark.slow
 def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> None:
     solution = go.refine(flight(0.0), tol=1e-7)
     verdict = go.verify(solution)
@@ -344,6 +345,7 @@ def second_order(solution: go.Solution) -> go.Condition:
     return go.verify(solution)["second order"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arc", "result", "phases"), [(0.98, PASS, 1), (1.02, FAIL, 1), (1.02, FAIL, 2)])
 def test_great_circle_is_shortest_up_to_half_the_sphere(
     arc: float, result: ConditionResult, phases: int
@@ -450,6 +452,7 @@ def test_an_inactive_constraint_takes_no_direction(at_rest: go.Solution) -> None
         assert condition.result is result, condition
 
 
+@pytest.mark.slow
 def test_curvature_does_not_depend_on_units_of_the_cost() -> None:
     """Nor does the sign depend on what is added to it."""
     values = []

@@ -113,6 +113,7 @@ def test_a_curvature_that_fails_or_cannot_be_told_says_that_the_problem_is_conve
     assert _pass_by_convexity(first) is first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("push", [1.0, 0.8])
 def test_the_least_peak_of_a_state_is_an_answer_and_a_higher_one_is_none(push: float) -> None:
     """Rest to rest over 1 in 3 s, pushed by at most 1: push, coast at the peak top, push; top (3 - top / push) = 1.
@@ -243,6 +244,7 @@ def priced(price: Any, order: int = 1, most: float = 1.0) -> go.Verdict:
     return go.verify_trajectory(problem, t, chain, -most + 0 * t)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 def test_one_bang_whose_costate_vanishes_at_a_free_end_is_the_only_minimum(order: int) -> None:
     """The switching function has a zero of that order at the end, which no curvature of switch times tells."""
@@ -251,6 +253,7 @@ def test_one_bang_whose_costate_vanishes_at_a_free_end_is_the_only_minimum(order
     assert not priced(lambda t, q, u: -q, order).ok
 
 
+@pytest.mark.slow
 def test_a_switching_function_that_touches_zero_leaves_nothing_open_and_one_that_rests_there_does() -> None:
     touching = priced(lambda t, q, u: (t - 1) ** 2 * u)
     assert touching.minimum and "one solution only" in touching["switching times"].where
@@ -315,6 +318,7 @@ def test_files_keep_no_bound(together: go.Solution, tmp_path) -> None:
     assert "bound" not in {line.split()[0] for line in str(known).splitlines()}
 
 
+@pytest.mark.slow
 def test_a_part_that_others_wait_for_leaves_a_gap() -> None:
     """The cart with drag is slower: no theorem speaks for it, but the other one's 2 s hold for both."""
     bounded = go.lower_bound(go.solve(two_carts(1.0, 4.0)))
@@ -418,6 +422,7 @@ def test_what_is_not_ok_is_not_certified() -> None:
     assert not theorem_of(late, go.verify(late))
 
 
+@pytest.mark.slow
 def test_a_payoff_is_bounded_from_above() -> None:
     """The swing's height limits the cart, not the other way round: alone it would rise to 1."""
     model, *_ = dynamics("riser", "y z", "u", lambda y, z, u: {y: u, z: y**2 + ca.sin(z)})
@@ -578,6 +583,7 @@ def test_costates_that_are_no_rounding_fail() -> None:
     assert not told & failed(go.verify(followed)) and told <= failed(go.verify(forged))
 
 
+@pytest.mark.slow
 def test_a_flight_beside_the_perfect_one_fails() -> None:
     beside = {"q": 0.51 * T**2, "v": 1.02 * T}
     assert not go.verify_trajectory(tracking(2.0), T, beside, {"a": 0 * T + 1.02}).ok

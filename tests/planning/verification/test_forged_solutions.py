@@ -209,6 +209,7 @@ def numeric(owner: Any) -> list[str]:
     return [name for name, value in found.items() if isinstance(value, kinds) and sizes[name]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("correct", "everywhere"), [(energy, False), (bang_bang, True)])
 def test_nan_in_any_number_of_the_phase_is_never_ok(
     correct: Callable[[], go.Solution], everywhere: bool
@@ -334,6 +335,7 @@ def limited(scheme: str = "LG") -> go.Solution:
     return go.solve(problem, scheme=scheme)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["LG", "LGL"])
 def test_multipliers_of_times_are_what_h_is_worth(scheme: str) -> None:
     solution = limited(scheme)

@@ -433,6 +433,7 @@ def test_a_coast_of_least_fuel_is_judged_however_its_cost_is_written(cost: str) 
     assert right.estimated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("price", "end", "rounding"), [(3.0, 1.0, 0.0), (3.0, 1.0, 1e-15), (1.2, 0.6, 0.0)])
 def test_an_end_on_or_beside_the_kink_of_its_cost_is_a_minimum(
     price: float, end: float, rounding: float

@@ -262,6 +262,7 @@ def test_soft_end_far_from_the_origin(origin: float) -> None:
         assert failed(wrong) & {"stationarity"}
 
 
+@pytest.mark.slow
 def test_constant_in_the_running_cost() -> None:
     """At a given final time it means nothing, and hides nothing."""
     found = []

@@ -640,6 +640,7 @@ def test_rounding_of_costates_that_vanish_is_no_violation(gradient: float, right
         assert told["second order"] is go.ConditionResult.INCONCLUSIVE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-8, 1e8])
 def test_a_path_constraint_that_determines_a_control_does_so_in_any_unit(factor: float) -> None:
     """x is to stay at 1 or above at the least of its integral: along the limit the slope of u is zero, and u no arc."""
@@ -710,6 +711,7 @@ def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
     np.testing.assert_array_equal(exclude_switches(times, inside)[1], inside[1])
 
 
+@pytest.mark.slow
 def test_a_dip_counts_if_it_lasts() -> None:
     times = np.linspace(0.0, 1.0, 100_001)
     values = 3.0 + np.abs(times - 0.5)

@@ -396,6 +396,7 @@ def test_a_better_heading_half_a_turn_away_is_seen(turn: float) -> None:
     assert go.verify_trajectory(problem, share / 2.1, {"x": share}, better).minimum
 
 
+@pytest.mark.slow
 def test_headings_within_a_turn_are_judged_as_they_run_on(crossing: go.Solution) -> None:
     t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
     x = {name: crossing.state(name)(t) for name in ("x", "y")}
@@ -457,6 +458,7 @@ def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
     assert not verdict.minimum  # it may take any way
 
 
+@pytest.mark.slow
 def test_the_other_boat_is_judged_all_the_same(waiting: go.Solution) -> None:
     leg = waiting.phase("leg")
     t = np.linspace(0.0, leg.final_time, 81)

@@ -119,6 +119,7 @@ def test_trigonometric_closed_form_passes_at_the_accuracy_of_its_samples() -> No
     assert 8 < worst[0] / worst[1] < 64
 
 
+@pytest.mark.slow
 def test_several_phases_and_a_parameter() -> None:
     solution = go.solve(interior_point.build(), tol=1e-8)
     times = {name: np.linspace(leg.initial_time, leg.final_time, 61) for name, leg in solution.phases.items()}
@@ -182,6 +183,7 @@ def test_feasible_switch_at_the_wrong_time_fails() -> None:
     assert not go.verify_trajectory(least_time(), t, *two_pulses(t, switch)).ok
 
 
+@pytest.mark.slow
 def test_limit_crossed_by_the_control_fails() -> None:
     assert "limits" in failed(least_energy(5.99), smooth())
 
@@ -254,6 +256,7 @@ def test_an_arc_given_with_both_its_ends_twice_is_a_minimum(unit: float) -> None
     assert verdict.minimum, verdict.explain()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 1e4])
 def test_switches_onto_a_limit_and_off_it_are_variables_too(unit: float) -> None:
     """The control is on a bound, then where the limit wants it, then on the other bound."""
@@ -309,6 +312,7 @@ def test_bounds_that_leave_one_way_only_push_the_right_way(price: float) -> None
     assert go.verify_trajectory(problem, t, t, 1 + 0 * t).ok
 
 
+@pytest.mark.slow
 def test_costates_faster_than_the_states() -> None:
     """x' = -u sqrt(x), u <= 1, empties from 1 to 0.01 in 1.8 s: lam = -1 / sqrt(x), though x is a parabola."""
     problem, leg = one_state(lambda x, u: -u * ca.sqrt(x), u=(0.0, 1.0))
