@@ -77,7 +77,7 @@ class Operations:
         ]
         return cls(function.size1_out(0), function.sz_w(), tuple(zip(codes, results, given, strict=True)))
 
-    def pays(self, n: int) -> bool:
+    def is_faster(self, n: int) -> bool:
         """Whether it is quicker than CasADi for n columns."""
         return n * (CALL + len(self.steps)) > NUMPY_MIN_COLUMNS_LONG * len(self.steps)
 
@@ -122,7 +122,7 @@ def evaluate(
         programme is not None
         and times.size >= NUMPY_MIN_COLUMNS_SHORT
         and (known := programme())
-        and known.pays(times.size)
+        and known.is_faster(times.size)
     ):
         return known(times.size, times.reshape(1, -1), *columns)
     found = evaluate_columns(function, times.size, times.reshape(1, -1), *columns)

@@ -130,7 +130,7 @@ class NormNodes:
         degrees = {n.element_hash(): d for n, d in zip(nodes, _homogeneity_degrees(values), strict=True) if d}
         return cls(vector, degrees)
 
-    def replaced(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
+    def replace_norms(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
         """Return a column with another symbol (>= 0) for the norm of the vector, and others by hash elsewhere."""
         unit = ca.SX([1.0] + [0.0] * (self.vector.numel() - 1))
 

@@ -65,7 +65,7 @@ class Differences:
         parts = zip(states.variables, self.errors(states, x, x_ref), strict=True)
         return Layout("error", tuple(Variable(v.name, e.shape[0], v.unit) for v, e in parts), self._owner)
 
-    def moved(self, name: str, own: Any, error: Any) -> Any:
+    def retract_state(self, name: str, own: Any, error: Any) -> Any:
         """Return a state, SX like ``own``, that is an error, an SX column, away from its own value."""
         if name not in self._functions:
             return own + error
@@ -333,7 +333,7 @@ class Model(Strict):
 
         ``Problem.parameter`` of the same name turns it into a quantity to optimise.
         """
-        vector = self._finite(name, value, None)
+        vector = self._read_finite(name, value, None)
         symbol = self._declare("parameter", name, vector.size, unit, None)
         self._parameter_values[name] = vector
         return symbol
@@ -397,14 +397,14 @@ class Model(Strict):
         self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
         if retraction is not None:
             own = self.symbols("state")[self.states.slice(name)]
-            self._differences.moved(name, own, ca.SX.sym("e", self.errors[name].size))
+            self._differences.retract_state(name, own, ca.SX.sym("e", self.errors[name].size))
 
     def with_parameters(self, **values: ArrayLike) -> Model:
         """Return a copy of the model with other parameter values (same symbols, same equations)."""
         changed = copy.copy(self)
         changed._parameter_values = dict(self._parameter_values)
         for name, value in values.items():
-            changed._parameter_values[name] = self._finite(name, value, self.parameters[name].size)
+            changed._parameter_values[name] = self._read_finite(name, value, self.parameters[name].size)
         return changed
 
     def in_controls(
@@ -499,16 +499,16 @@ class Model(Strict):
         ModelError
             A state has a difference without a retraction.
         """
-        states, errors, moved = self.states, self.errors, self._differences.moved
+        states, errors, moved = self.states, self.errors, self._differences.retract_state
         return ca.vertcat(*[moved(n, x_ref[states.slice(n)], e[errors.slice(n)]) for n in states.names])
 
     def symbols(self, kind: str) -> Any:
         """Return the stacked SX vector of "state", "control" or "parameter" symbols."""
-        return self._variables.stacked(kind)
+        return self._variables.stack_symbols(kind)
 
     def symbol(self, name: str) -> Symbol:
         """Return the symbol of a declared state, control or parameter."""
-        return self._variables.named(name)
+        return self._variables.get_symbol(name)
 
     def derivative(self) -> Any:
         """Return the stacked SX expression of dx/dt; raise `ModelError` if an equation is missing."""
@@ -542,7 +542,7 @@ class Model(Strict):
     @property
     def function(self) -> Any:
         """The CasADi Function ``f(t, x, u, p) -> dx/dt``."""
-        return self._function("f", lambda: [self.derivative()], "dx_dt")
+        return self._build_function("f", lambda: [self.derivative()], "dx_dt")
 
     def to_function(self) -> Any:
         """Return the CasADi Function ``(t, x, u, p) -> (dx_dt, y)``, y the stacked outputs, for other tools.
@@ -551,7 +551,7 @@ class Model(Strict):
         """
         outputs = [self.output_expression(name) for name in self.outputs.names]
         stacked = ca.vertcat(*outputs) if outputs else ca.SX(0, 1)
-        return self._function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
+        return self._build_function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
 
     def f(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None) -> Array:
         """Evaluate dx/dt.
@@ -576,7 +576,7 @@ class Model(Strict):
     ) -> tuple[Array, Array]:
         """Return A = df/dx (n, n) and B = df/du (n, m) at one point."""
         _, xs, us, _ = self.arguments()
-        jacobians = self._function(
+        jacobians = self._build_function(
             "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
         )
         a, b = jacobians(*check_arguments(jacobians, t, x, u, self.parameter_values if p is None else p))
@@ -586,7 +586,7 @@ class Model(Strict):
         """Freeze the declarations: a problem now rests on them."""
         self._in_use_by = self._in_use_by or user
 
-    def _function(self, name: str, expressions: Any, *names: str) -> Any:
+    def _build_function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:
             self._functions[name] = ca.Function(
                 name, list(self.arguments()), expressions(), _ARGUMENTS, list(names)
@@ -620,7 +620,7 @@ class Model(Strict):
                 f"call {what}() before the model is given to a problem."
             )
 
-    def _finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
+    def _read_finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
         """Return a parameter's value as a vector of finite numbers."""
         what = f"parameter '{name}' of model '{self.name}'"
         given = read_numbers(value, what, ModelError).size if size is None else size

@@ -319,7 +319,7 @@ class Variables:
         """Return names, sizes and units of a kind."""
         return Layout(kind, tuple(symbol.variable for symbol in self._symbols[kind].values()), self._owner)
 
-    def stacked(self, kind: str) -> Any:
+    def stack_symbols(self, kind: str) -> Any:
         """Return the symbols of a kind, SX (n, 1)."""
         return ca.vertcat(*self._symbols[kind].values()) if self._symbols[kind] else ca.SX(0, 1)
 
@@ -333,7 +333,7 @@ class Variables:
         """All names."""
         return [name for kind in KINDS for name in self._symbols[kind]]
 
-    def named(self, name: str) -> Symbol:
+    def get_symbol(self, name: str) -> Symbol:
         """Return the symbol of a name; raise `UnknownNameError` if it has none."""
         for kind in KINDS:
             if isinstance(name, str) and name in self._symbols[kind]:

@@ -104,7 +104,7 @@ class Resolver:
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
         stated, problem = problem, restated(problem)
-        if not stated.leads_to(self._problem):
+        if not stated.has_variation(self._problem):
             raise ProblemError(
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."

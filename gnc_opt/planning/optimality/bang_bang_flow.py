@@ -159,7 +159,7 @@ def integrate_bang_bang(
         Of the grid, over the phase; at least one from switch to switch.
     """
     leg, q = s.leg, s.functions.q
-    rates = problem.once(("flow", leg.name), lambda: _Rates.of(s))
+    rates = problem.reuse(("flow", leg.name), lambda: _Rates.of(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
     inputs, widths = _step_inputs(s, pieces, n_times, refinement, steps)

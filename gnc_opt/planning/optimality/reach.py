@@ -275,7 +275,7 @@ def start_links(
 
 def link_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return boundary Jacobians with respect to initial and final states (n_constraints, n), by phase."""
-    function = problem.once("end jacobians", lambda: _end_jacobians(problem))
+    function = problem.reuse("end jacobians", lambda: _end_jacobians(problem))
     arguments: list[Any] = []
     for leg in solution.phases.values():
         arguments += end_arguments(leg)

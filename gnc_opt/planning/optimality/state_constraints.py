@@ -126,7 +126,7 @@ class StateConstraints:
     def derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
-        function = self.problem.once(("derivative", name, row, k), lambda: self._derivative_function(row, k))
+        function = self.problem.reuse(("derivative", name, row, k), lambda: self._derivative_function(row, k))
         return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
 
     def gradient(self, row: int, time: float, x: Array, u: Array) -> Array:

@@ -170,7 +170,7 @@ class InducedProblem:
             flows[s.leg.name] = flow if refinement == 1 else integrate_bang_bang(*asked, refinement * grid)
         with np.errstate(over="ignore", invalid="ignore"):  # see `finite`
             changes = _end_derivatives(samples, unknowns, flows)
-        derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
+        derivatives = problem.reuse("end derivatives", lambda: end_derivatives(problem))
         both = [flow for s in samples for flow in _flow_ends(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 

@@ -40,14 +40,14 @@ class Turns:
         """Which controls have lost their bounds (n_controls,)."""
         return np.isfinite(self.lower)
 
-    def around(self, bounds: Interval) -> Interval:
+    def solver_bounds(self, bounds: Interval) -> Interval:
         """Return bounds for a solver: angles may leave their range by one turn, so that they can cross its ends."""
         return Interval(
             np.where(self.free, self.lower - self.periods, bounds.lower),
             np.where(self.free, self.upper + self.periods, bounds.upper),
         )
 
-    def within(self, u: Array) -> Array:
+    def wrap_angles(self, u: Array) -> Array:
         """Return controls (n_controls, ...) with angles moved into their range, except for rounding."""
         u = u.copy()
         for i in np.flatnonzero(self.free):
@@ -66,17 +66,17 @@ class AngleProbe:
     u: Array
 
     @cached_property
-    def here(self) -> Array:
+    def sampled_values(self) -> Array:
         """The functions at `u`."""
         return self.values(self.u)
 
-    def period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
+    def find_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
         """Return the first candidate that is a period of the functions in a control, 0 if none is."""
         for period in candidates:
             turned, elsewhere = (
                 self.values(self._shifted_values(i, by)) for by in (period, ELSEWHERE * period)
             )
-            if repeats_after_turn(self.here, turned, elsewhere):
+            if repeats_after_turn(self.sampled_values, turned, elsewhere):
                 return period
         return 0.0
 
@@ -85,7 +85,7 @@ class AngleProbe:
         away = self._shifted_values(azimuth, half_turn)
         reflected = away.copy()
         reflected[elevation] = 2.0 * end - reflected[elevation]
-        return repeats_after_turn(self.here, self.values(reflected), self.values(away))
+        return repeats_after_turn(self.sampled_values, self.values(reflected), self.values(away))
 
     def _shifted_values(self, i: int, by: float) -> Array:
         u = self.u.copy()

@@ -157,7 +157,7 @@ def _rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
 
 
 def _path_function(problem: Statement, leg: Phase) -> Any:
-    return leg.once(
+    return leg.reuse(
         "paths and parameters", lambda: function_along(problem, leg, "paths", leg.path_expression())
     )
 
@@ -189,7 +189,7 @@ def _check_constraints(problem: Statement) -> None:
         rows = bind_at_ends(problem, problem.constraint_expression())
         return ca.Function("constraints", end_arguments(problem), [ca.densify(rows)])
 
-    function = problem.once("constraints", build)
+    function = problem.reuse("constraints", build)
     reached = ranges_of(function, [*arguments, problem.parameter_interval()])
     for k in _rows_beyond_limits(reached, box):
         raise ProblemError(

@@ -367,7 +367,7 @@ def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[st
             if rows
         ]
 
-    return problem.once(("check", leg.name), build)
+    return problem.reuse(("check", leg.name), build)
 
 
 def _expressions_along(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
@@ -407,7 +407,7 @@ def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], t
                 built.append((what, rows, tuple(columns), function))
         return built
 
-    return problem.once("check ends", build)
+    return problem.reuse("check ends", build)
 
 
 def _function_with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:

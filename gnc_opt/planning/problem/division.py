@@ -42,7 +42,7 @@ def divide_phase(
         raise ProblemError(f"{leg.where} has no times: call time(initial=..., final=...) before divide().")
     parts = [
         leg,
-        *leg.followers(
+        *leg.make_followers(
             [f"{leg.name}_{k + 2}" for k in range(np.size(_read_division_points(leg, times, fractions)))]
         ),
     ]
@@ -52,7 +52,7 @@ def divide_phase(
             part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.where)
         )
         problem.phases[part.name] = part
-    problem.changed()
+    problem.forget_builds()
     for one, other in pairwise(parts):
         problem.link(one, other, states=leg.model.states.names)
     duration = parts[-1].final_time - leg.initial_time

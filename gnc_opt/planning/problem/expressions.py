@@ -67,7 +67,7 @@ def table_uses(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
         present = {node.element_hash() for node in nodes_of(phase_terms(leg))}
         return tuple({id(use): use for use in known if use.hashes & present}.values())
 
-    return problem.once(("tables", leg.name), find)
+    return problem.reuse(("tables", leg.name), find)
 
 
 def outside_tables(
@@ -95,7 +95,7 @@ def outside_tables(
 def _table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
     """The function (t, x, u, p, q) -> all arguments of all tables."""
     stacked = ca.vertcat(*(use.arguments for use in uses))
-    return problem.once(
+    return problem.reuse(
         ("table arguments", leg.name), lambda: function_along(problem, leg, "tables", stacked)
     )
 

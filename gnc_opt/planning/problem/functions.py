@@ -209,7 +209,7 @@ class PhaseFunctions:
 def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
     """Return the functions of a phase for given parameter values and integral weights."""
     leg = problem.get_phase(phase)
-    functions = problem.once(("functions", phase), lambda: _build_phase_functions(problem, leg))
+    functions = problem.reuse(("functions", phase), lambda: _build_phase_functions(problem, leg))
     return PhaseFunctions(functions, p, q, weights)
 
 
@@ -309,7 +309,7 @@ def end_function(problem: Problem) -> Any:
     Its inputs are, per phase, the six of ``ends`` there, then q and nu; its outputs the cost as stated, the
     boundary constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
     """
-    return problem.once("ends", lambda: _build_end_function(problem))
+    return problem.reuse("ends", lambda: _build_end_function(problem))
 
 
 def _build_end_function(problem: Problem) -> Any:
@@ -330,7 +330,7 @@ def end_values(problem: Problem) -> Any:
         cost, constraints, *_ = ends(*arguments)
         return ca.Function("end_values", arguments, [ca.densify(ca.vertcat(constraints, cost))])
 
-    return problem.once("end values", build)
+    return problem.reuse("end values", build)
 
 
 def make_evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:

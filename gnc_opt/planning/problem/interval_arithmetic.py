@@ -180,7 +180,7 @@ class Domain:
         """Return the ranges of a column."""
         return ranges_of(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
 
-    def directions(self, expression: Any, nodes: list[Any]) -> list[int]:
+    def monotone_directions(self, expression: Any, nodes: list[Any]) -> list[int]:
         """Return 1 for nodes with which a scalar expression never falls, -1 if it never rises, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}

@@ -68,7 +68,7 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
         words, arguments = zip(*found.values(), strict=True)
         return Kinks(words, function_along(problem, leg, "kinks", ca.vertcat(*arguments)))
 
-    return problem.once(("kinks", leg.name), find)
+    return problem.reuse(("kinks", leg.name), find)
 
 
 def find_feature_centres(problem: Statement, leg: Phase) -> Any:
@@ -91,7 +91,7 @@ def find_feature_centres(problem: Statement, leg: Phase) -> Any:
             return None
         return function_along(problem, leg, "centres", ca.vertcat(*found.values()))
 
-    return problem.once(("centres", leg.name), find)
+    return problem.reuse(("centres", leg.name), find)
 
 
 def _switching_argument(node: Any, operation: int) -> Any:

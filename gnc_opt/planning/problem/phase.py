@@ -50,11 +50,11 @@ class Owner(Protocol):
 
     def refuse_if_frozen(self) -> None: ...
 
-    def changed(self) -> None: ...
+    def forget_builds(self) -> None: ...
 
     def refuse_foreign(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
-    def once(self, key: Any, build: Callable[[], Any], /) -> Any: ...
+    def reuse(self, key: Any, build: Callable[[], Any], /) -> Any: ...
 
 
 _STATEMENTS = (
@@ -150,11 +150,11 @@ class Phase(Strict):
 
     def initial_state(self, name: str | Symbol) -> Any:
         """Return the symbol of a state at the phase's start, for costs and boundary constraints."""
-        return self._end("initial", name)
+        return self._end_symbol("initial", name)
 
     def final_state(self, name: str | Symbol) -> Any:
         """Return the symbol of a state at the phase's end, for costs and boundary constraints."""
-        return self._end("final", name)
+        return self._end_symbol("final", name)
 
     def ends(self, end: str) -> Any:
         """Return the stacked end-point states, ``end`` being "initial" or "final"."""
@@ -176,7 +176,7 @@ class Phase(Strict):
             final_time=read_interval(final, 1, f"the final time of {self.where}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.where),
         )
-        self._owner.changed()
+        self._owner.forget_builds()
 
     def initial(self, **values: Any) -> None:
         """State initial values by name, of states and of controls with `rates` or `polynomials`; others are free."""
@@ -193,7 +193,7 @@ class Phase(Strict):
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
         ranges = constant_ranges(self, ranges)
-        states, controls = self._split(split_control_ranges(self.model, ranges, self.where), "bounds")
+        states, controls = self._split_by_kind(split_control_ranges(self.model, ranges, self.where), "bounds")
         self._set_numbers(
             states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.where),
             controls=with_ranges(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
@@ -237,7 +237,7 @@ class Phase(Strict):
         self._owner.refuse_if_frozen()
         self.paths[name] = constraint
         self._note_curved(constraint.expression)
-        self._owner.changed()
+        self._owner.forget_builds()
 
     @property
     def is_linked(self) -> bool:
@@ -250,7 +250,7 @@ class Phase(Strict):
         """Remove a path constraint, if there is one of that name."""
         self._owner.refuse_if_frozen()
         if self.paths.pop(name, None) is not None:
-            self._owner.changed()
+            self._owner.forget_builds()
 
     def integral(self, integrand: Any, name: str | None = None) -> Any:
         """Return the symbol of the integral of ``integrand(t, x, u, p)`` over the phase.
@@ -269,7 +269,7 @@ class Phase(Strict):
         symbol = ca.SX.sym(f"{self.name}_{label}")
         self.integrands[label] = (symbol, value)
         self._note_curved(value)
-        self._owner.changed()
+        self._owner.forget_builds()
         return symbol
 
     def guess(self, time: ArrayLike | None = None, **values: GuessValue) -> None:
@@ -289,7 +289,7 @@ class Phase(Strict):
             name: (known.get(name) or self._owner_layout(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._set_numbers(guess=guess.joined(time, values, sizes, self.where))
+        self._set_numbers(guess=guess.join_values(time, values, sizes, self.where))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
@@ -355,9 +355,9 @@ class Phase(Strict):
             symbols.update({} if ends is None else ends[end])
             for v in model.states.variables:
                 symbols.setdefault(v.name, ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size))
-        self._owner.changed()
+        self._owner.forget_builds()
 
-    def followers(self, names: Sequence[str]) -> list[Phase]:
+    def make_followers(self, names: Sequence[str]) -> list[Phase]:
         """Return phases like this one, the last one with its final values, which it loses; see `Problem.divide`."""
         final, none = self.numbers.final, free(self.model.states.size)
         self._set_numbers(final=none)
@@ -488,9 +488,9 @@ class Phase(Strict):
         """Stacked SX expression of all path constraints."""
         return ca.vertcat(*[c.expression for c in self.paths.values()]) if self.paths else ca.SX(0, 1)
 
-    def once(self, key: str, build: Callable[[], Any]) -> Any:
+    def reuse(self, key: str, build: Callable[[], Any]) -> Any:
         """Return what was built for this phase, or its variations with other numbers, before."""
-        return self._owner.once((key, self.name), build)
+        return self._owner.reuse((key, self.name), build)
 
     def integrand_expression(self) -> Any:
         """Stacked SX expression of all integrands."""
@@ -536,13 +536,13 @@ class Phase(Strict):
             )
         return with_ranges(old, self.model.states, values, what, self.where)
 
-    def _end(self, end: str, name: str | Symbol) -> Any:
+    def _end_symbol(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name
         if not isinstance(key, str) or key not in self._ends[end]:
             raise unknown_name("state", key, self.where, self._ends[end])
         return self._ends[end][key]
 
-    def _split(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _split_by_kind(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():

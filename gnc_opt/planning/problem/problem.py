@@ -210,7 +210,7 @@ class Problem(Statement):
         model.derivative()
         model.mark_in_use(f"problem '{self.name}'")
         self.phases[name] = Phase(name, model, self)
-        self.changed()
+        self.forget_builds()
         return self.phases[name]
 
     def parameter(
@@ -263,7 +263,7 @@ class Problem(Statement):
         for leg in self.phases.values():
             refuse_other_size(name, size, leg.model, self.name)
         self.add_parameter(Symbol(Variable(name, size, unit)), bounds, start)
-        self.changed()
+        self.forget_builds()
         return self._parameters[name]
 
     def constrain(
@@ -297,7 +297,7 @@ class Problem(Statement):
         refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
         note_known_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
-        self.changed()
+        self.forget_builds()
 
     def link(
         self,
@@ -536,7 +536,7 @@ class Problem(Statement):
                 "make a variation with with_bounds(), with_initial() or their like, or state a new problem."
             )
 
-    def changed(self) -> None:
+    def forget_builds(self) -> None:
         """Forget what was built from earlier declarations."""
         self.builds = {}
 
@@ -566,7 +566,7 @@ class Problem(Statement):
         refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), expression, what)
         expect(unit, str, f"the unit of {what}", 'write unit="kg"')
         self.cost, self.sense, self.stated_cost_unit = expression, sense, unit
-        self.changed()
+        self.forget_builds()
 
 
 def _as_given(interval: Interval) -> Any:

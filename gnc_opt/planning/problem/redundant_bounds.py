@@ -35,7 +35,7 @@ def monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     """Return which states with bounds never fall and which never rise, for controls and `loosened_bounds` of states."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
-    rows, rates = problem.once(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
+    rows, rates = problem.reuse(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
     if not np.any(bounded[rows]):
         return _empty_state_mask(leg), _empty_state_mask(leg)
     values, times = leg.model.parameter_values, leg.times()
@@ -114,7 +114,7 @@ def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float
         products = leg.model.symbols("state")[rows] * leg.model.derivative()[rows]
         return function_along(problem, leg, "along_itself", products)
 
-    terms = problem.once(("rate along itself", leg.name, places.tobytes()), build)
+    terms = problem.reuse(("rate along itself", leg.name, places.tobytes()), build)
     random = np.random.default_rng(5)
     free = problem.parameter_interval().lower.size
     for _ in range(8):

@@ -45,7 +45,7 @@ class ConstraintOrder:
 
 def constraint_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
     """Return the order of one row of the path constraints of a phase, then of its states."""
-    return problem.once(("constraint order", leg.name, row), lambda: _find_order(problem, leg, row))
+    return problem.reuse(("constraint order", leg.name, row), lambda: _find_order(problem, leg, row))
 
 
 def _find_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:

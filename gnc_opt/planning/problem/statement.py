@@ -156,14 +156,14 @@ class Statement(Strict):
         """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
         raise NotImplementedError
 
-    def once(self, key: Any, build: Callable[[], T]) -> T:
+    def reuse(self, key: Any, build: Callable[[], T]) -> T:
         """Return what was built for this problem, or its variations with other numbers, before."""
         if key not in self.builds:
             self.builds[key] = build()
         built: T = self.builds[key]
         return built
 
-    def leads_to(self, other: Statement) -> bool:
+    def has_variation(self, other: Statement) -> bool:
         """Whether another problem is a variation of this one, or of what this one is restated as for other numbers."""
         return other.builds is self.builds or _contains_builds(self.builds, other.builds)
 

@@ -74,7 +74,7 @@ class TurnedSignal:
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
-        return self.turns.within(self.source(t, side))
+        return self.turns.wrap_angles(self.source(t, side))
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: 
     if not np.any((room > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
     along = AngleProbe(lambda other: functions.effects(t, x, other), u)
-    angles = {i: period for i in range(room.size) if 0 < (period := along.period(i)) < room[i]}
+    angles = {i: period for i in range(room.size) if 0 < (period := along.find_period(i)) < room[i]}
     pairs = [pair for pair in itertools.permutations(angles, 2) if _are_pair(along, pair, angles)]
     turned = u.copy()
     for i, j in pairs:
@@ -55,7 +55,7 @@ def periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask
     if not np.any(among):
         return np.zeros(u.shape[0])
     along = AngleProbe(lambda other: functions.effects(t, x, other), u)
-    return np.array([along.period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
+    return np.array([along.find_period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
 
 
 def _are_pair(along: AngleProbe, pair: tuple[int, int], periods: dict[int, float]) -> bool:

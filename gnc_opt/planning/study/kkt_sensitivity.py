@@ -60,7 +60,7 @@ class MovedSolution:
     variables: Array
     scales: Array
 
-    def miss(self, found: Solution) -> float:
+    def prediction_error(self, found: Solution) -> float:
         """Return the largest error of the prediction, in shares of the variables' scales."""
         here = _start_values(found.need_problem("compare"), found)[1].x
         if here.shape != self.variables.shape:

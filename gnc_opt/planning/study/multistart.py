@@ -273,11 +273,11 @@ def multistart(
         stated.check()
         search = _Search(pool, stated, progress)
         coarse = _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen)
-        endings = search.endings(coarse, n)
+        endings = search.solve_starts(coarse, n)
         minima = merge_minima(_first_minima(endings))
         if refine and not pool.interrupted:
             count = _count_worth_refining(minima, within)
-            refined = search.refined(Refining(structure, tol), minima[:count], max_refined)
+            refined = search.refine_minima(Refining(structure, tol), minima[:count], max_refined)
             minima = merge_minima([*refined, *minima[count:]])
     return Multistart(
         stated.name,
@@ -298,7 +298,7 @@ class _Search:
     problem: Problem
     progress: bool
 
-    def endings(self, coarse: _Coarse, n: int) -> list[_StartEnding]:
+    def solve_starts(self, coarse: _Coarse, n: int) -> list[_StartEnding]:
         """Solve n starts: the problem's own guess and random ones, every second about as long as the best so far."""
         endings: list[_StartEnding] = []
         with _progress_meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
@@ -314,7 +314,7 @@ class _Search:
                 self.pool.interrupted = True
         return endings
 
-    def refined(self, refining: Refining, minima: Sequence[Minimum], most: int) -> list[Minimum]:
+    def refine_minima(self, refining: Refining, minima: Sequence[Minimum], most: int) -> list[Minimum]:
         """Refine minima, best first, until there are so many distinct ones; return the others as they are."""
         finer: list[Minimum] = []
         waiting = list(minima)

@@ -193,7 +193,7 @@ def continuation(
             "it is easy.",
             start,
         )
-    return _Walk(problem_of, way, max(least, 1e-14 * whole), tol, options).go(start, length)
+    return _Walk(problem_of, way, max(least, 1e-14 * whole), tol, options).follow_branch(start, length)
 
 
 def _build_problem(problem_of: Family, value: float) -> Problem:
@@ -214,7 +214,7 @@ class _Walk:
     tol: float | None
     options: SolverOptions | None
 
-    def go(self, start: Solution, length: float) -> Continuation:
+    def follow_branch(self, start: Solution, length: float) -> Continuation:
         values, solutions, events = [float(self.way[0])], [start], list[str]()
         branch = 0  # where the present one begins: no line is drawn across a jump
         status = ContinuationStatus.COMPLETE
@@ -275,7 +275,7 @@ class _Walk:
             found = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
         if not found.status.solved:
             return found, np.inf
-        miss = prediction.miss(found)
+        miss = prediction.prediction_error(found)
         if self.tol is None or last.structure:
             return found, miss
         try:

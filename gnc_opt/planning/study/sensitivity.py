@@ -510,4 +510,4 @@ def _rate_derivative(problem: Problem, leg: Phase) -> Any:
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 
-    return problem.once(("rate derivative", leg.name), build)
+    return problem.reuse(("rate derivative", leg.name), build)

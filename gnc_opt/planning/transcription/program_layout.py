@@ -63,7 +63,7 @@ class Numbering:
         self.scheme = scheme
         self.parts: dict[str, PhasePart] = {}
         self._movable = {name: mesh.movable for name, mesh in meshes.items()}
-        self._direct, self._defined = problem.once("integrals of the end rows", self._sort_integrals)
+        self._direct, self._defined = problem.reuse("integrals of the end rows", self._sort_integrals)
         self._place_phases(meshes)
         self._place_end_rows()
 

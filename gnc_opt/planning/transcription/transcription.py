@@ -109,7 +109,7 @@ class Transcription(Numbering):
             *fixed_times,
             ca.repmat(self._symbols.models[leg.name], 1, n_points),
         )
-        function = self.problem.once(
+        function = self.problem.reuse(
             ("point", leg.name, of, *free.tolist()), lambda: self._point_function(leg, of, free, fixed)
         )
         weights = weight_matrix(1 + self.n_constraints, function.rows * n_points, *entries)
@@ -201,7 +201,7 @@ class Transcription(Numbering):
         ]
         variables = np.concatenate([*places, self.parameter_places, self.integral_places])
         arcs = [len(boundaries) for boundaries in self._movable.values()]
-        function = self.problem.once(("end rows", *arcs, *self._durations), self._end_function)
+        function = self.problem.reuse(("end rows", *arcs, *self._durations), self._end_function)
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
         weights = weight_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
@@ -339,7 +339,9 @@ class Transcription(Numbering):
 
     def _put_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhasePart) -> None:
         collocation, numbers = part.collocation, leg.numbers
-        controls = numbers.controls if numbers.turns is None else numbers.turns.around(numbers.controls)
+        controls = (
+            numbers.controls if numbers.turns is None else numbers.turns.solver_bounds(numbers.controls)
+        )
         for places, bounds in (
             (collocation.boundary_states, numbers.states),
             (collocation.point_states, numbers.states),

@@ -73,7 +73,7 @@ def add_end_constraints(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
         pushes.append(explain_end_gap(s, at, ends).multipliers[rows])
-    problem.changed()
+    problem.forget_builds()
     stated = replace(
         solution,
         problem=problem,

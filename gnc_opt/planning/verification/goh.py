@@ -227,7 +227,7 @@ def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
         mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
         return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
 
-    return problem.once(("mixed derivatives", s.leg.name), build_mixed_function)
+    return problem.reuse(("mixed derivatives", s.leg.name), build_mixed_function)
 
 
 def _states_driven_by_control(s: PhaseSamples, control: int) -> Indices:

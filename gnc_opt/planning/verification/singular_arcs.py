@@ -113,7 +113,7 @@ def is_chattering(problem: Problem, s: PhaseSamples, channel: int) -> bool:
     """Whether singular arcs are of second order, hence chatter (McDanell & Powers, SIAM J. Control 9(2), 1971)."""
     key = ("derivatives of switching functions", s.leg.name, (channel,), ())
     alone = np.array([channel]), np.zeros(0, dtype=int)
-    derivatives: Derivatives = problem.once(key, lambda: Derivatives(s, *alone))
+    derivatives: Derivatives = problem.reuse(key, lambda: Derivatives(s, *alone))
     contained = (j for j in range(5) if derivatives.contains_controls(j))
     return next(contained, 0) > 2
 
@@ -151,7 +151,7 @@ def _analyse_singular_arc(
         tuple(channels.tolist()),
         tuple(regular.tolist()),
     )
-    derivatives = problem.once(key, lambda: Derivatives(s, channels, regular))
+    derivatives = problem.reuse(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
         least = _joint_curvature(s, channels, regular, here)
         bends = (

@@ -257,7 +257,7 @@ def _excess_over_least(solution: Solution) -> Array:
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
         for k, term in enumerate(terms)
     }
-    problem.changed()
+    problem.forget_builds()
     none = {name: np.zeros(len(leg.integrands)) for name, leg in problem.phases.items()}
     apart = replace(
         solution,
@@ -300,7 +300,7 @@ def _integral_intervals(problem: Problem, leg: Phase, q: Interval) -> Interval:
     """Between which values the integrals of a phase lie."""
     (initial, final), numbers = leg.times(), leg.numbers
     times = Interval(initial.lower, final.upper)
-    integrands = leg.once("integrands by all", lambda: _integrand_function(problem, leg))
+    integrands = leg.reuse("integrands by all", lambda: _integrand_function(problem, leg))
     rates = ranges_of(integrands, [times, numbers.states, numbers.controls, _parameter_interval(leg), q])
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))

@@ -364,7 +364,7 @@ def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation() -> Non
 
 def test_a_solver_has_a_turn_of_room_to_both_sides() -> None:
     turns = Turns(np.array([-180.0, -np.inf]), np.array([180.0, np.inf]), np.array([360.0, 0.0]))
-    box = turns.around(Interval(np.array([-np.inf, 2.0]), np.array([np.inf, 3.0])))
+    box = turns.solver_bounds(Interval(np.array([-np.inf, 2.0]), np.array([np.inf, 3.0])))
     assert (box.lower.tolist(), box.upper.tolist()) == ([-540.0, 2.0], [540.0, 3.0])
 
 
@@ -372,7 +372,7 @@ def test_angles_are_told_where_they_are_within_their_bounds_or_as_few_turns_away
     lower, upper = np.array([-180.0, -360.0, -np.inf]), np.array([180.0, 360.0, np.inf])
     turns = Turns(lower, upper, np.array([360.0, 360.0, 0.0]))
     angles = np.array([-190.0, -180.0, -10.0, 180.0, 190.0, 370.0, -800.0])
-    told = turns.within(np.stack([angles, angles, angles]))
+    told = turns.wrap_angles(np.stack([angles, angles, angles]))
     assert told[0] == pytest.approx([170.0, -180.0, -10.0, 180.0, -170.0, 10.0, -80.0])
     assert told[1] == pytest.approx([-190.0, -180.0, -10.0, 180.0, 190.0, 10.0, -80.0])
     np.testing.assert_array_equal(told[2], angles)

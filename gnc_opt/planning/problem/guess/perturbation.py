@@ -78,9 +78,9 @@ def angular_states(problem: Problem, leg: Phase) -> Array:
 
     def build() -> Array:
         probe = angle_probe(problem, leg, of_states=True)
-        return np.array([probe.period(i, PERIODS) for i in range(leg.model.states.size)])
+        return np.array([probe.find_period(i, PERIODS) for i in range(leg.model.states.size)])
 
-    return problem.once(("angular states", leg.name), build)
+    return problem.reuse(("angular states", leg.name), build)
 
 
 def _draw_turns(

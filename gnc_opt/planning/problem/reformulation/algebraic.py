@@ -66,7 +66,7 @@ class AlgebraicForm:
         """Whether the rate of the variable is finite along a phase's guess."""
         start, model = phase_guess(leg, SAMPLES, perturbed=False), leg.model
         first, last = guess_times(leg)
-        function = leg.once(
+        function = leg.reuse(
             f"rate of {self.constraint}", lambda: ca.Function("rate", [*model.arguments()], [self.rate])
         )
         with np.errstate(all="ignore"):
@@ -98,7 +98,7 @@ def with_algebraic_states(problem: P) -> P:
     """Return a problem whose algebraic variables are states; itself if it has none."""
     found = []
     for name, leg in problem.phases.items():
-        forms = problem.once(("algebraic", name), lambda leg=leg: list(_algebraic_forms(leg)))  # type: ignore[misc]
+        forms = problem.reuse(("algebraic", name), lambda leg=leg: list(_algebraic_forms(leg)))  # type: ignore[misc]
         found += [(name, form) for form in forms if form.is_wanted(leg) and form.is_regular(leg)]
     if not found:
         return problem

@@ -56,7 +56,7 @@ def limited_sense(constraint: Constraint, row: int) -> int:
 
 def convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
     """Yield those kinks of a scalar that are convex where less of it (sense 1), or more of it (-1), is better."""
-    for node, direction in zip(nodes, domain.directions(expression, nodes), strict=True):
+    for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
         own = sense * direction
         found = kink_pieces(node, own, domain) if own else None
         if found is not None and len(found) > 1 and not _is_rounded(expression, Extremum(node, own, found)):
@@ -251,7 +251,7 @@ def split_rows(column: Any) -> Iterator[Any]:
 def has_end_kinks(problem: Statement) -> bool:
     """Whether cost or boundary constraints hold a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool({*KINKED} & problem.once(("operations", "ends"), lambda: operations_in(ends)))
+    return bool({*KINKED} & problem.reuse(("operations", "ends"), lambda: operations_in(ends)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,7 +419,7 @@ class EpigraphForm(PhaseForm):
             np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])
         )
         guessed = PhaseGuess(guess.time, {**guess.values, **values})
-        self.give(leg, replace(leg.numbers, controls=controls, guess=guessed))
+        self.give_form(leg, replace(leg.numbers, controls=controls, guess=guessed))
 
 
 def _epigraph_symbol(model: Model, k: int) -> Symbol:

@@ -49,7 +49,7 @@ class PhaseForm:
     integrands: dict[str, tuple[Any, Any]]
     restatement: Restatement
 
-    def give(self, leg: Phase, numbers: PhaseNumbers) -> None:
+    def give_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
         """Give a phase this form, and numbers in its controls."""
         leg.model = copy_values(self.model, leg.model)
         leg.numbers = numbers

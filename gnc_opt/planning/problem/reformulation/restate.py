@@ -76,7 +76,7 @@ def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
         if square.size > 1 or not 0.0 < square[0] == constraint.interval.lower[0]:
             continue
         squared = partial(_squared_controls, leg, constraint.expression)
-        places = problem.once(("vector of length", leg.name, name), squared)
+        places = problem.reuse(("vector of length", leg.name, name), squared)
         length = np.sqrt(square[0]) * (1.0 - ROUNDING)
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
@@ -104,13 +104,13 @@ def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
     bounded = np.isfinite(room) & (room > 0)
     if not np.any(bounded):
         return turns
-    if not _TURNING & problem.once(("operations", leg.name), lambda: operations_in(phase_terms(leg))):
+    if not _TURNING & problem.reuse(("operations", leg.name), lambda: operations_in(phase_terms(leg))):
         return turns
     probe = angle_probe(problem, leg)
-    if not np.all(np.any(np.isfinite(probe.here), axis=1)):
+    if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
-        period = probe.period(int(i), [*PERIODS, room[i]])
+        period = probe.find_period(int(i), [*PERIODS, room[i]])
         if period and room[i] >= (1.0 - FULL_TURN_BOUND_TOLERANCE) * period:
             half, middle = 0.5 * max(period, room[i]), 0.5 * (box.lower[i] + box.upper[i])
             turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
@@ -122,7 +122,7 @@ def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> A
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
-    function = problem.once(
+    function = problem.reuse(
         ("along", leg.name), lambda: function_along(problem, leg, "along", phase_terms(leg))
     )
     values = leg.model.parameter_values
@@ -148,7 +148,7 @@ def _restate_norms_and_kinks(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        rootless = problem.once(("rootless", leg.name), lambda leg=leg: remove_roots(leg))  # type: ignore[misc]
+        rootless = problem.reuse(("rootless", leg.name), lambda leg=leg: remove_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes(), *rootless)
         while (form := _find_next_form(problem, leg, key)) is not None:
@@ -164,7 +164,7 @@ def _restate_norms_and_kinks(problem: P) -> P:
 def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
     domain = Domain.at_ends(problem)
-    form = problem.once(("ends", domain.key), lambda: EndForm.of(problem, domain))
+    form = problem.reuse(("ends", domain.key), lambda: EndForm.of(problem, domain))
     if form.texts:
         form.apply(twin)
     return form.key if form.texts else ()
@@ -173,7 +173,7 @@ def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.once(("operations", leg.name), lambda: operations_in(phase_terms(leg)))
+    operations = problem.reuse(("operations", leg.name), lambda: operations_in(phase_terms(leg)))
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
@@ -184,7 +184,7 @@ def _find_next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Nor
         names = find_norm_vector(leg)
         return None if names is None else NormForm.of(leg, names)
 
-    return problem.once(("form", *key), build)
+    return problem.reuse(("form", *key), build)
 
 
 def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -193,24 +193,24 @@ def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tupl
     if not _has_kinks(problem, leg, told):
         return ()
     domain = Domain.along(problem, leg)
-    bounds = problem.once(("bounds", *told, domain.key), lambda: find_stated_bounds(leg, domain))
+    bounds = problem.reuse(("bounds", *told, domain.key), lambda: find_stated_bounds(leg, domain))
     if bounds:
         told = (*told, *bounds)
         apply_stated_bounds(leg, bounds)
         domain = Domain.along(problem, leg)
-    bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
+    bends = problem.reuse(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:
         told = (*told, *bends.key)
-        problem.once(("split", *told), lambda: SplitForm.of(leg, bends)).apply(leg)
+        problem.reuse(("split", *told), lambda: SplitForm.of(leg, bends)).apply(leg)
         domain = Domain.along(problem, leg)
     if not _has_kinks(problem, leg, told):
         return told[len(key) :]
-    kinked = problem.once(("kinked", *told, domain.key), lambda: Kinked.of(problem, leg, domain))
+    kinked = problem.reuse(("kinked", *told, domain.key), lambda: Kinked.of(problem, leg, domain))
     if kinked.costs or kinked.limits:
         told = (*told, *kinked.key)
-        problem.once(("epigraph", *told), lambda: EpigraphForm.of(leg, kinked)).apply(problem, leg)
+        problem.reuse(("epigraph", *told), lambda: EpigraphForm.of(leg, kinked)).apply(problem, leg)
     return told[len(key) :]
 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
-    return bool({*KINKED} & problem.once(("operations", *key), lambda: operations_in(phase_terms(leg))))
+    return bool({*KINKED} & problem.reuse(("operations", *key), lambda: operations_in(phase_terms(leg))))

@@ -204,7 +204,7 @@ class SplitForm(PhaseForm):
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
-        self.give(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
+        self.give_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
 def _corners_at(bends: Bends, places: range) -> tuple[float, ...]:

@@ -78,7 +78,7 @@ def _limiting_controls(leg: Phase) -> Iterator[tuple[Names, str, str]]:
             others = tuple(other for other in names if other != name)
             if layout[name].size == 1 < sum(layout[n].size for n in others) and box[name].lower[0] >= 0:
                 vector, size = ca.vertcat(*(symbols[n] for n in others)), ca.SX.sym("size")
-                of_size = NormNodes.of(row, vector).replaced(row, size, {})
+                of_size = NormNodes.of(row, vector).replace_norms(row, size, {})
                 if _is_largest_size(of_size, size, symbols[name], limits):
                     yield others, name, label
 
@@ -193,7 +193,7 @@ class NormForm(PhaseForm):
         instead = {symbol.element_hash(): value for symbol, value in pairs}
 
         def express(expression: Any) -> Any:
-            return norms.replaced(expression, magnitude, instead)
+            return norms.replace_norms(expression, magnitude, instead)
 
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
@@ -237,7 +237,7 @@ class NormForm(PhaseForm):
             vector = ca.vertcat(*map(stated.model.symbol, self.names))
             guess = PhaseGuess(guess.time, {**kept, self.control.name: guess_column(problem, stated, vector)})
         controls = stack_ranges(boxes, self.model.controls)
-        self.give(leg, replace(old, controls=controls, scales=scales, guess=guess))
+        self.give_form(leg, replace(old, controls=controls, scales=scales, guess=guess))
         leg.paths |= rows
         leg.add_vector(self.control, on_sphere=self.on_sphere)
         return tuple(rows)
@@ -312,7 +312,7 @@ class _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
         for label, row, limits in _path_rows(leg):
-            own = norm_limits(norms.replaced(row, size, {}), size, limits)
+            own = norm_limits(norms.replace_norms(row, size, {}), size, limits)
             if own is None:
                 kept.append(Constraint(label, row, limits))
             else:
@@ -325,7 +325,7 @@ class _NormLimits:
             elsewhere = ca.vertcat(
                 leg.model.derivative(), leg.integrand_expression(), *(c.expression for c in others)
             )
-            if not ca.depends_on(norms.replaced(elsewhere, size, {}), size):
+            if not ca.depends_on(norms.replace_norms(elsewhere, size, {}), size):
                 return cls(others, (0.0, np.inf), [label], control)
         return cls(kept, (least, most), removed, None)
 

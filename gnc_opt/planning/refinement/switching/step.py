@@ -179,7 +179,7 @@ class _Ends:
 
     def derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Derivatives of cost and constraints with respect to both ends: gradient of their sum, Jacobian, Hessian."""
-        functions = self.problem.once("end derivatives", lambda: end_derivatives(self.problem))
+        functions = self.problem.reuse("end derivatives", lambda: end_derivatives(self.problem))
         both = self.flow.initial[: self.size], self.flow.final[: self.size]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
