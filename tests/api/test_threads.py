@@ -26,7 +26,7 @@ def test_one_inside_and_as_many_as_before_outside() -> None:
         assert counts() == {2}
 
 
-def test_a_problem_is_solved_and_judged_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_problem_is_solved_and_checked_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[set[int]] = []
     expm = scipy.linalg.expm
 

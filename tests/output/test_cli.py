@@ -181,7 +181,7 @@ def test_exit_code_of_a_verdict_that_fails(cart: Path, capsys: pytest.CaptureFix
     assert run("solve", cart, "--mesh", "5x3", "--tol", "none", "--no-verify") == 0
 
 
-def test_answers_are_refined_unless_told_otherwise(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_answers_are_refined_by_default(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("solve", cart, "--mesh", "5x3") == 0
     out = capsys.readouterr().out
     assert "cart: refined (converged)" in out and "every condition passes" in out

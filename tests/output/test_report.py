@@ -357,7 +357,7 @@ def test_page_gives_objective_name_and_command(parsed: Parsed, smeared: go.Solut
     assert "gnc-opt solve a.py" in parsed.words
 
 
-def test_page_tells_passes_arcs_and_multipliers(tmp_path: Path) -> None:
+def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     solution = go.solve(rest_to_rest(), tol=1e-8)
     words = Parsed(write_report(solution, go.verify(solution), tmp_path)[0].read_text(encoding="utf-8")).words
     assert solution.history is not None and f"{solution.history.passes[-1].objective:.12g}" in words

@@ -133,7 +133,7 @@ def test_reports_of_runs(campaign, tmp_path):
     assert str(go.Run.load(paths[1])) == str(run)
 
 
-def test_mistakes_are_told(campaign, solution, tmp_path):
+def test_mistakes_are_reported(campaign, solution, tmp_path):
     with pytest.raises(go.ArgumentError, match="runs to show is 0"):
         write_campaign_report(campaign, tmp_path, runs=0)
     saved = campaign.save(tmp_path / "c.npz")

@@ -251,7 +251,7 @@ def test_ill_posed_problems_that_are_reported_solved_do_not_pass() -> None:
         assert not outcome.passed, category
 
 
-def test_a_crash_never_passes_and_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_crash_never_passes_and_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def crash(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError("deep inside")
 

@@ -144,7 +144,7 @@ def flown(tracking):
     return tracking.loop(tracking.tvlqr).simulate(tracking.initial, tf=12.0, seed=SEED)
 
 
-def test_linear_covariance_tells_what_runs_scatter_by(tracking):
+def test_linear_covariance_predicts_the_scatter_of_runs(tracking):
     """All twelve components, without the steps of the thrusters, whose derivative is zero."""
     loop, x0, tf = tracking.loop(tracking.tvlqr), tracking.initial, tracking.end
     about = {"x0": x0, "tf": tf, "seed": 11, "dispersions": DISPERSIONS}

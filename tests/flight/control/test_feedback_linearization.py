@@ -315,7 +315,7 @@ def car(extended: bool) -> Model:
     return model
 
 
-def test_a_control_that_comes_too_early_is_told_and_its_rate_will_do():
+def test_a_control_that_comes_too_early_is_reported():
     """The acceleration enters both positions before the steering does: the textbook's dynamic extension."""
     for extended in (False, True):
         model = car(extended)

@@ -177,7 +177,7 @@ def test_options_that_know_no_nan_are_refused(tmp_path):
     compiled(code, "-O0", "-ffast-math", "-fno-finite-math-only")
 
 
-def test_header_tells_operations_and_stack(tmp_path):
+def test_header_gives_operations_and_stack(tmp_path):
     """Of a law by hand: u = -(2 x0 + 3 x1) has four operations; the arrays are those declared in the source."""
     model, _ = pendulum()
     t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0), ca.SX.sym("z", 0)

@@ -174,7 +174,7 @@ def test_units_of_sources_compile_without_a_warning(tmp_path):
     assert again.file.read_bytes() == unit.file.read_bytes()
 
 
-def test_bad_input_is_told(tmp_path, monkeypatch):
+def test_bad_input_is_reported(tmp_path, monkeypatch):
     with pytest.raises(go.ArgumentError, match=r"'<name>\.fmu'"):
         export_fmu(follower(), tmp_path / "law.zip", dt=DT)
     with pytest.raises(go.ArgumentError, match="C function"):

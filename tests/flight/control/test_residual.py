@@ -34,7 +34,7 @@ def wave(rate: float, unit: float = 1.0, push: float = 1.0):
 
 
 @pytest.mark.parametrize("rate", [1e-4, 1.0, 900.0])
-def test_what_moves_as_its_model_says_is_not_told(rate):
+def test_what_moves_as_its_model_says_is_not_reported(rate):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wave(rate)
@@ -43,7 +43,7 @@ def test_what_moves_as_its_model_says_is_not_told(rate):
 
 @pytest.mark.parametrize("unit", [1.0, 1000.0])
 @pytest.mark.parametrize("push", [0.0, 0.9, 0.995])
-def test_a_wrong_force_is_told_with_its_residual(push, unit):
+def test_a_wrong_force_is_reported_with_its_residual(push, unit):
     """(1 - push) (g - sin t) in the unit of the model, and a share that has none."""
     with pytest.warns(ProblemWarning, match="does not obey 'lift': 'w' moves by .* give the u that") as told:
         wave(1.0, unit, push)
@@ -55,7 +55,7 @@ def test_a_wrong_force_is_told_with_its_residual(push, unit):
     assert 100 * (1 - push) / 3 < share < 100
 
 
-def test_a_rate_that_is_not_that_of_the_place_is_told():
+def test_a_rate_that_is_not_that_of_the_place_is_reported():
     with pytest.warns(ProblemWarning, match="'h' moves by 0.0"):
         go.Reference.from_functions(
             lift(),

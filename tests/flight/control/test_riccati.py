@@ -56,7 +56,7 @@ def test_a_solution_that_leaves_an_unstable_pole_is_refused(sampled, monkeypatch
         solve_algebraic_riccati(*(np.array([[v]]) for v in (a, b, 2.0, 1.0, 0.0)), ("x",), sampled=sampled)
 
 
-def test_a_residual_is_relative_and_tells_a_wrong_cost():
+def test_a_residual_is_relative_and_detects_a_wrong_cost():
     cost = QuadraticCost(np.eye(2), np.eye(1), np.zeros((2, 1)))
     for is_sampled in (False, True):
         plant = zero_order_hold(A, B, 0.1) if is_sampled else (A, B)

@@ -35,7 +35,7 @@ def flight(law, count=40, seed=5):
 
 @needs_compiler
 @pytest.mark.parametrize("design", [follower, holder])
-def test_single_precision_misses_the_law_by_what_is_told(tmp_path, design):
+def test_single_precision_misses_the_law_by_what_is_reported(tmp_path, design):
     law = design(0.1)
     times, measured, expected = flight(law)
     options = {"precision": "float32", "samples": (times, measured)}

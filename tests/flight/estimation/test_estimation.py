@@ -489,7 +489,7 @@ def test_names_of_estimated_biases_must_be_free():
         design_ekf(model, [0, 0], [Measurement("q", 1, bias=1)], sigma0={"q": 1, "q_bias": 1}, dt=DT)
 
 
-def test_what_is_not_seen_is_told():
+def test_what_is_not_seen_is_reported():
     model, *_ = dynamics("m", "q w", "a", lambda q, w, a: {q: a, w: 0 * w})
     told = design_ekf(model, [0, 0], [Measurement("q", 1)], sigma0={"q": 1, "w": 1}, dt=DT).explain()
     assert told["unobservable states"] == "w"

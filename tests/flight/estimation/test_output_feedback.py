@@ -100,7 +100,7 @@ def test_a_filter_that_is_too_sure_is_found_out(wrong):
     assert not found.ok and found.innovations["q"].average > found.innovations["q"].band[1]
 
 
-def test_runs_tell_estimates_and_innovations(right, tmp_path):
+def test_runs_report_estimates_and_innovations(right, tmp_path):
     loop = loop_of(right)
     run = loop.simulate(**MISSION, seed=2)
     found = consistency(run, right)
@@ -118,7 +118,7 @@ def test_runs_tell_estimates_and_innovations(right, tmp_path):
     assert again.followed.names == ("q", "v") and consistency(again, right).average == found.average
 
 
-def test_campaigns_keep_what_estimators_told(right, campaign, tmp_path):
+def test_campaigns_keep_what_estimators_reported(right, campaign, tmp_path):
     again = Campaign.load(campaign.save(tmp_path / "campaign.npz"))
     assert np.array_equal(again.memory, campaign.memory)
     assert consistency(again, right).average == consistency(campaign, right).average

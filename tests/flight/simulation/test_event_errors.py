@@ -104,7 +104,7 @@ def test_accuracy_is_not_asked_of_the_instant_of_a_soft_touchdown() -> None:
     assert ending.state_error[0] < 1e-11
 
 
-def test_coming_to_rest_is_judged_by_the_states_that_go_on() -> None:
+def test_coming_to_rest_is_checked_by_the_states_that_go_on() -> None:
     """At rest on the ground an instant is as uncertain as that of any touch; what rests is not."""
     model = go.Model("ball with a mode")
     h, w, air, mass = (model.state(name) for name in ("h", "w", "air", "mass"))

@@ -187,7 +187,7 @@ def test_events_of_one_step_happen_each_at_its_own_instant(minor):
     assert [event.before[0] for event in run.events] == pytest.approx([0.9, 0.8, 0.8 - 1e-6], abs=1e-12)
 
 
-def test_conditions_are_judged_before_the_resets_of_the_same_instant():
+def test_conditions_are_checked_before_the_resets_of_the_same_instant():
     plant, h, v = ball()
     slow, fast = (
         Event("slow", h, "falling", reset={v: 0 * v}, where=v > -5),
@@ -453,7 +453,7 @@ BLIND = {
 
 
 @pytest.mark.parametrize(("blind", "native"), [*((blind, False) for blind in BLIND), ("for a moment", True)])
-def test_an_event_that_could_not_be_noticed_is_told(blind, native, monkeypatch):
+def test_an_event_that_could_not_be_noticed_is_reported(blind, native, monkeypatch):
     """sqrt(h) never falls through zero, but the ball falls through h = 0; from 2 m that is at 0.64 s. In the same
     control step as another event, or, for a moment, before it."""
     when, other = (0.4, 0.5) if blind == "for a moment" else (0.6, -0.5)

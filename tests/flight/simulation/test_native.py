@@ -219,7 +219,7 @@ def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_compiler
-def test_a_step_that_fails_is_told_as_by_the_interpreter() -> None:
+def test_a_step_that_fails_is_reported_as_by_the_interpreter() -> None:
     x, w, c = (ca.MX.sym(name) for name in "xwc")
     step = ca.Function("only", [x, w, c], [(x - w).attachAssert(x > c, "too low")])
     fly = module.load_step_library(module.build_step_library(step))

@@ -321,7 +321,7 @@ def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
 
 
 @pytest.mark.parametrize("leg", [1000, 4])
-def test_one_that_is_not_a_number_is_told(leg, monkeypatch):
+def test_one_that_is_not_a_number_is_reported(leg, monkeypatch):
     """sqrt(q) of what falls from 1 to -1 at 1 unit/s is none from 1.1 s on; runs that end before are ok."""
     monkeypatch.setattr("gnc_opt.simulation.compiled_loop.LEG", leg)
     plant, q, _u = dynamics("even motion", "q", "u", lambda q, u: {q: u})

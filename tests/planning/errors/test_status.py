@@ -49,7 +49,7 @@ def ended(build: Build, scheme: str = "LG", **options: object) -> go.Solution:
         ),
     ],
 )
-def test_status_and_culprit(build: Build, status: go.Status, culprit: str, scheme: str) -> None:
+def test_status_and_cause(build: Build, status: go.Status, culprit: str, scheme: str) -> None:
     problem = build()
     with pytest.raises(go.SolveError) as caught:
         go.solve(problem, mesh="10x3", scheme=scheme, tol=None)  # type: ignore[arg-type]
@@ -136,7 +136,7 @@ def test_mistakes_that_are_found_before_the_solver_starts_refused() -> None:
         go.solve(problem, tol=None)
 
 
-def test_nan_at_the_guess_is_mended_by_another_guess() -> None:
+def test_nan_at_the_guess_is_repaired_by_another_guess() -> None:
     problem = ill_posed.undefined_at_guess().with_guess(x=(1.0, 0.5))
     # Collocation with 30 points of a smooth problem: error far below 1e-8.
     assert go.solve(problem, mesh="10x3", tol=None).objective == pytest.approx(

@@ -15,7 +15,7 @@ def angle(retraction=None):
     return model
 
 
-def test_states_move_by_errors_and_differences_tell_them():
+def test_states_move_by_errors_and_differences_show_them():
     model = angle(lambda ref, e: ca.atan2(ca.sin(ref + e), ca.cos(ref + e)))
     x, e = ca.SX.sym("x", 2), ca.SX.sym("e", 2)
     moved = model.retraction_expression(x, e)

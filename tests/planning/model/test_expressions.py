@@ -40,7 +40,7 @@ def cart(rate: Callable[[Any, Any, Any], Any], path: Callable[[Any], Any] | None
         (lambda t, x, u: ca.fmax(x, u), "fmax, which has a kink: use smooth_abs.* bounds.* split_control"),
     ],
 )
-def test_kinks_and_jumps_are_told_once(rate: Any, message: str) -> None:
+def test_kinks_and_jumps_are_reported_once(rate: Any, message: str) -> None:
     problem = cart(rate)
     with pytest.warns(go.ProblemWarning, match=message) as found:
         problem.check()
@@ -53,7 +53,7 @@ def test_the_place_of_a_kink() -> None:
         cart(lambda t, x, u: 0.0, lambda x: -ca.fabs(x)).check()
 
 
-def test_kinks_of_what_does_not_change_are_not_told() -> None:
+def test_kinks_of_what_does_not_change_are_not_reported() -> None:
     model = go.Model("cart")
     x, u, k = model.state("x"), model.control("u"), model.parameter("k", -2.0)
     model.ode({x: u - ca.fabs(k) * x})

@@ -207,7 +207,7 @@ def hop(method: Any = "bspline", outside: Any = "linear", top: float = 0.5) -> g
     return problem
 
 
-def test_a_solution_outside_of_its_table_is_told() -> None:
+def test_a_solution_outside_of_its_table_is_reported() -> None:
     with pytest.warns(go.ProblemWarning, match="guess leaves a table .*'price' flown outside"):
         solution = go.solve(hop(), tol=None)
     (found,) = solution.outside_tables()
@@ -231,7 +231,7 @@ def test_a_table_that_refuses_what_is_outside() -> None:
         inside.with_guess(x=2.0).check()
 
 
-def test_kinks_of_linear_tables_are_told() -> None:
+def test_kinks_of_linear_tables_are_reported() -> None:
     with pytest.warns(go.ProblemWarning, match="table 'price' in phase 'leg' .* is linear and has a kink"):
         hop("linear", top=1.0).check()
 

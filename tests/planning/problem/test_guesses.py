@@ -322,7 +322,7 @@ def test_a_flown_guess_follows_the_dynamics_through_all_phases() -> None:
 
 
 @pytest.mark.slow
-def test_ends_that_boundary_constraints_tell() -> None:
+def test_ends_that_boundary_constraints_imply() -> None:
     """A stage of 9 t of fuel, 1 t of structure and a free payload p, by Tsiolkovsky: p = 9 t / (exp(dv / c) - 1) - 1 t.
 
     No bound, end or guess tells of the mass: zero, the guess without the constraints, is divided by.
@@ -355,7 +355,7 @@ def test_ends_that_boundary_constraints_tell() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_what_boundary_constraints_do_not_tell() -> None:
+def test_what_boundary_constraints_do_not_imply() -> None:
     """The middle of a range; nothing of times, of more than a line, of a slope of zero, or by way of infinity."""
     model = go.Model("still")
     x = model.state("x", 5)

@@ -47,7 +47,7 @@ def test_thrust_carries_the_weight_and_slows_down_without_torque(kilo: float) ->
 
 
 @pytest.mark.parametrize("share", [0.5 * SUSTAINED, 1.5])
-def test_thrust_that_is_too_little_or_beyond_reach_tells_nothing(share: float) -> None:
+def test_thrust_that_is_too_little_or_beyond_reach_implies_nothing(share: float) -> None:
     duration = float(np.ptp(start(tilting()).times))
     wanted = MASS * (GRAVITY + 24.0 / duration)
     begun = start(tilting(thrust=wanted / share))

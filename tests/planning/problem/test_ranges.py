@@ -95,7 +95,7 @@ def test_a_rate_that_turns_round_just_beyond_its_bounds_is_no_budget() -> None:
     assert rising.tolist() == [False, True]
 
 
-def test_budgets_are_told_from_what_comes_and_goes() -> None:
+def test_budgets_are_distinguished_from_what_comes_and_goes() -> None:
     model = go.Model("vehicle")
     names = ("fuel", "dose", "energy", "charge", "speed", "heat", "free")
     fuel, dose, energy, charge, speed, heat, free = (model.state(name) for name in names)
@@ -123,7 +123,7 @@ def test_budgets_are_told_from_what_comes_and_goes() -> None:
     assert [names[i] for i in np.flatnonzero(falling)] == ["dose"]
 
 
-def test_a_budget_is_told_anew_for_other_numbers() -> None:
+def test_a_budget_is_found_again_for_other_numbers() -> None:
     """What is kept of a problem serves its variations, too: with another sign of the parameter the fuel rises."""
     model = go.Model("tank")
     fuel, u = model.state("fuel"), model.control("u")

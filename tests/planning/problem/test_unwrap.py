@@ -82,7 +82,7 @@ def direction(a: Any, e: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("elevation_first", [False, True])
-def test_azimuth_and_elevation_are_one_direction_told_in_two_ways(elevation_first: bool) -> None:
+def test_azimuth_and_elevation_are_one_direction_given_in_two_ways(elevation_first: bool) -> None:
     """(a, e) is (a + half a turn, half a turn - e), and either is as good with turns of its own."""
     rng = np.random.default_rng(2)
     azimuth, elevation = 0.5 + T, 0.3 - 0.5 * T

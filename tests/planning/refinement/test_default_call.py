@@ -48,7 +48,7 @@ def test_an_explicit_mesh_is_where_refining_starts(solution: go.Solution) -> Non
     assert str(solution.phase().mesh) != "3x3"
 
 
-def test_a_warm_solve_stays_on_the_mesh_of_its_guess_unless_told(solution: go.Solution) -> None:
+def test_a_warm_solve_stays_on_the_mesh_of_its_guess_by_default(solution: go.Solution) -> None:
     start = go.solve(dash(), mesh="4x3", tol=None)
     again = go.solve(dash(1.01), guess=start)
     assert again.history is None and str(again.phase().mesh) == "4x3"
@@ -62,7 +62,7 @@ def test_a_tolerance_that_is_none_is_refused_before_solving(tol: object) -> None
         go.solve(dash(), tol=tol)  # type: ignore[arg-type]
 
 
-def test_a_phase_without_controls_is_refined_and_judged() -> None:
+def test_a_phase_without_controls_is_refined_and_checked() -> None:
     """The farthest throw from 2 m with 10 m/s: v sqrt(v^2 + 2 g h) / g."""
     ball = go.Model("ball")
     x, h = ball.state("x"), ball.state("h")

@@ -293,7 +293,7 @@ def test_work_limit() -> None:
         ([10.0 ** (-0.3 * k) for k in range(CONVERGENCE_WINDOW + 1)], True),  # twenty are left
     ],
 )
-def test_an_error_that_falls_too_slowly_is_told_from_one_that_gets_there(
+def test_an_error_that_falls_too_slowly_is_distinguished_from_one_that_gets_there(
     errors: list[float], crawling: bool
 ) -> None:
     assert converges_too_slowly(errors, 1e-8) is crawling

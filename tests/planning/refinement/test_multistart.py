@@ -374,7 +374,7 @@ def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
     assert [m.starts for m in found.minima] == [m.starts for m in alone().minima]
 
 
-def test_a_dead_worker_is_told() -> None:
+def test_a_dead_worker_is_reported() -> None:
     with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
         _task_answer(Done(0, None, WorkerDied()))
 

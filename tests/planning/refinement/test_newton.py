@@ -260,7 +260,7 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
 
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-9])
-def test_the_flow_itself_is_as_accurate_as_it_is_told_to_be(accuracy: float) -> None:
+def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     """v' = a - v^2 / 10, rest to rest over 1 m: SciPy's own answer, to the accuracy and its root."""
     model, _q, _v, _a = dynamics("dragged", "q v", "a", lambda q, v, a: {q: v, v: a - 0.1 * v**2})
     problem, leg = one_phase("dragged", model, 0.0, (0.1, 10.0))

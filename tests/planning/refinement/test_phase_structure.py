@@ -37,7 +37,7 @@ def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them(
 # --- pieces that vanish -----------------------------------------------------------------------------------
 
 
-def test_arcs_are_told_by_name_and_touches_without_length() -> None:
+def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
     structure = made("ii", "iu", "li", n_controls=1, orders=(0, 2)).with_touch(1, 2.5, LOW)
     found = structure.arcs("leg", ("a", "q"))
     assert found == (

@@ -255,7 +255,7 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.slow
-def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_attempts_that_were_given_up_are_reported(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """A structure that does not convince leaves its passes in the record, beside those of the meshes."""
     import importlib
 
@@ -273,7 +273,7 @@ def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: py
     assert given_up and any(p.error <= 1e-5 and not isinstance(p.actions, str) for p in history.passes)
 
 
-def test_work_that_is_spent_ends_it_and_is_told(cart: go.Solution) -> None:
+def test_work_that_is_spent_ends_it_and_is_reported(cart: go.Solution) -> None:
     refined = go.refine(cart, structure="none", limits=go.RefinementLimits(max_work=1e-9))
     history = told(refined)
     assert history.status is RefinementStatus.BUDGET_LIMIT and len(history.passes) == 2
@@ -309,7 +309,7 @@ def test_progress_shows_the_tolerance_that_was_asked_for(
 
 
 @pytest.mark.slow
-def test_an_arc_that_chatters_is_told() -> None:
+def test_an_arc_that_chatters_is_reported() -> None:
     """An aircraft turns with a limited bank rate: straight flight is singular of second order, phi and psi held by u.
 
     One pass of each kind is not enough for it, nor would any number be.

@@ -161,7 +161,7 @@ def test_kink_on_a_mixed_constraint() -> None:
 # --- the pieces of it ---------------------------------------------------------------------------------------
 
 
-def test_kinks_are_told_from_switches() -> None:
+def test_kinks_are_distinguished_from_switches() -> None:
     structure = PhaseStructure(
         (0.0, 1.0, 2.0, 3.0), ((UP, FREE), (UP, UP), (FREE, UP)), regular=(True, False)
     )

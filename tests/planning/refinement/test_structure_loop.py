@@ -113,7 +113,7 @@ def flight(u: Any, lam: Any, bounds: Any = (-1.0, 1.0), segments: int = 8, x: An
     )  # fmt: skip
 
 
-def test_curvature_tells_linear_from_convex() -> None:
+def test_curvature_distinguishes_linear_from_convex() -> None:
     """H'' = 1 over a range of 20, in shares of H of 54: 400 / 54."""
     found = samples(CART, control_bounds=interval(-10.0, 10.0))
     assert b.curvature(found) == pytest.approx(400 / found.hamiltonian_scale)

@@ -92,7 +92,7 @@ def test_what_nothing_determines_is_named(hessian: Any, rows: Any, culprit: str)
 
 
 @pytest.mark.parametrize("share", [0.3, 1 / 3, 0.9, 1.1])
-def test_what_is_singular_but_for_rounding_is_told_from_its_condition(share: float) -> None:
+def test_what_is_singular_but_for_rounding_is_distinguished_from_its_condition(share: float) -> None:
     """(a + share b)^2 / 2 leaves a line open; its last pivot is rounding, not zero."""
     matrix = np.array([[1.0, share], [share, share * share]])
     with pytest.raises(go.GncOptError, match=r"do not determine '(a|b)'"):

@@ -79,7 +79,7 @@ def test_signals_on_the_same_grid_have_their_own_values_times_and_sides() -> Non
     np.testing.assert_array_equal(curve(many)[:, 1:9], curve(many[1:9]))
 
 
-def test_segments_with_the_same_nodes_are_told_apart() -> None:
+def test_segments_with_the_same_nodes_are_distinguished() -> None:
     """Every other segment shares its nodes; each has the power of t that is its number."""
     breaks = np.array([0.0, 1.0, 1.5, 3.0, 3.25])
     nodes = tuple(collocation_rule("LG", n).state_nodes for n in (3, 5, 3, 5))

@@ -133,7 +133,7 @@ def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> N
     assert worst_defect(samples(CART, breaks=(0.0, 1.0))).value < 1e-14
 
 
-def test_path_constraints_are_judged_by_the_distance_to_what_they_allow() -> None:
+def test_path_constraints_are_checked_by_the_distance_to_what_they_allow() -> None:
     """q reaches 1 where 0.9 is allowed; v + a begins at 6, 1 beyond 5, with the gradient (1.5, 6) in scaled v and a."""
     pure = worst_path_violation(samples(CART, path_bounds=interval([-np.inf, -50.0], [np.inf, 0.9])))
     assert pure.value == pytest.approx(0.1, rel=1e-6)

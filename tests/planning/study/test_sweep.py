@@ -56,7 +56,7 @@ def test_other_executors_give_the_same(swept: go.Sweep, executor: Any) -> None:
     np.testing.assert_array_equal(again.array("start"), swept.array("start"))
 
 
-def test_functions_that_cannot_travel_are_told() -> None:
+def test_functions_that_cannot_travel_are_reported() -> None:
     with (
         ProcessPoolExecutor(1) as processes,
         pytest.raises(go.GncOptError, match="define them with def at the top"),
@@ -84,7 +84,7 @@ def test_points_without_a_solution_cost_only_themselves() -> None:
     assert "unsolved     duration = 1: infeasible" in str(found)
 
 
-def test_mistakes_in_outputs_are_told() -> None:
+def test_mistakes_in_outputs_are_reported() -> None:
     outputs = {"none": lambda s: 1 / 0}
     found = go.sweep(stiff, {"k": [1.0]}, outputs=outputs, mesh="2x3", executor="serial")
     assert found.endings.tolist() == ["ZeroDivisionError: division by zero"] and not found.solved.any()

@@ -102,7 +102,7 @@ def test_wheels_that_cancel_each_other_at_their_bounds_tell_how_fast_the_body_tu
     np.testing.assert_allclose(states, 0.5 * 10.0 * 0.2 * about / inertia, rtol=1e-12)
 
 
-def test_a_path_constraint_of_a_free_parameter_tells_no_magnitude() -> None:
+def test_a_path_constraint_of_a_free_parameter_implies_no_magnitude() -> None:
     problem, leg = double_integrator()
     most = problem.parameter("most", lower=1.0, upper=9.0)
     leg.path("limit", leg.model.symbol("u") - most, upper=0.0)

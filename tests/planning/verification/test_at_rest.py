@@ -153,7 +153,7 @@ def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise
 
 
 @pytest.mark.slow
-def test_a_flight_that_needs_no_control_has_yardsticks() -> None:
+def test_a_flight_that_needs_no_control_has_reference_scales() -> None:
     """Thrown by itself from floor to floor: controls, costates and the push of the floor are rounding."""
     model, _h, _v, a = dynamics("ball", "h v", "a", lambda h, v, a: {h: v, v: a - 1.0})
     problem, leg = one_phase("throw", model, 0.0, 1.0)
@@ -194,7 +194,7 @@ def test_doing_nothing_in_an_orbit_reaches_no_target_ahead(ahead: float) -> None
 
 @pytest.mark.parametrize(("unit", "origin"), [(1.0, 0.0), (1e4, 0.0), (1.0, 1e5)])
 @pytest.mark.parametrize(("coupling", "best"), [(1.5, True), (2.5, False)])
-def test_a_constant_push_without_limits_has_a_yardstick(
+def test_a_constant_push_without_limits_has_a_reference_scale(
     unit: float, origin: float, coupling: float, best: bool
 ) -> None:
     """(u - 1)^2 + k^2 + c k s, s being how far the end is off 1: a minimum at u = 1, k = 0 for c < 2, else a saddle."""

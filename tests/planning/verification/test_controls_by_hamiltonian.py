@@ -265,7 +265,7 @@ def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> Non
     assert go.verify(wrong)["minimum principle"].result is go.ConditionResult.FAIL
 
 
-def test_a_direction_alone_is_judged_to_second_order() -> None:
+def test_a_direction_alone_is_checked_to_second_order() -> None:
     """Against a current, at speed 1 through the water: a magnitude that is fixed has no switch that could vary.
 
     Across a river of unit speed v < 1 the least time is 1 / sqrt(1 - v^2), steering against the current: sin = v.

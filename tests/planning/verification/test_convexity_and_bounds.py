@@ -100,7 +100,7 @@ def test_what_is_not_or_is_not_known_to_be(other: dict[str, Any]) -> None:
     assert not is_convex(stated(**other))
 
 
-def test_a_curvature_that_fails_or_cannot_be_told_says_that_the_problem_is_convex() -> None:
+def test_a_curvature_that_fails_or_is_inconclusive_says_that_the_problem_is_convex() -> None:
     made = go.Condition(
         "second order", go.ConditionResult.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True
     )
@@ -197,7 +197,7 @@ def pushed_by_two(cost: Any) -> go.Problem:
     return problem
 
 
-def test_which_of_two_engines_pushes_is_told_only_by_a_cost_of_their_difference() -> None:
+def test_which_of_two_engines_pushes_is_reported_only_by_a_cost_of_their_difference() -> None:
     assert not has_unique_solution(pushed_by_two(lambda x, u: x**2))
     assert has_unique_solution(pushed_by_two(lambda x, u: x**2 + (u[0] - u[1]) ** 2))
     assert not has_unique_solution(pushed_by_two(lambda x, u: (u[0] - u[1]) ** 2))
@@ -217,7 +217,7 @@ def test_a_later_phase_starts_where_end_conditions_put_it(joined: tuple[str, ...
     assert has_unique_solution(stated(cost=cost)) is one
 
 
-def test_a_singular_minimum_that_no_curvature_tells_is_the_only_one() -> None:
+def test_a_singular_minimum_that_no_curvature_detects_is_the_only_one() -> None:
     """Least int x^2 with |u| <= 1 from x = 1: down for 1 s, then nothing; 1 / 3. No test by switch times tells it."""
     model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
     problem, leg = one_phase("down", model, initial=0.0, final=3.0)
@@ -561,7 +561,7 @@ def test_of_two_controls_many_track_as_well() -> None:
     )
 
 
-def test_tracking_that_cannot_be_perfect_is_judged_by_its_costates() -> None:
+def test_tracking_that_cannot_be_perfect_is_checked_by_its_costates() -> None:
     nearest = {"q": 0.45 * T**2, "v": 0.9 * T}
     verdict = go.verify_trajectory(tracking(0.9), T, nearest, {"a": 0 * T + 0.9})
     assert verdict.minimum

@@ -540,7 +540,7 @@ def test_figures_of_a_trajectory_in_other_units(units: Units, smooth: bool) -> N
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-def test_every_condition_has_something_to_tell(smooth: bool) -> None:
+def test_every_condition_has_a_value(smooth: bool) -> None:
     silent = {c.name for c in usual(smooth).conditions if not abs(c.value) > 1e-6}
     never = {"limits", "cost", "kinks", "second order", "switching times"}
     assert silent <= never | ({"active set"} if smooth else {"stationarity", "second order"})

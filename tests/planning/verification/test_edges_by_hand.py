@@ -298,7 +298,7 @@ def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
 # --- what is said -----------------------------------------------------------------------------------------
 
 
-def test_misses_are_told_in_their_units() -> None:
+def test_misses_are_reported_in_their_units() -> None:
     """The worst in shares of its scale, with its excess in its own unit."""
     box = Interval(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
     values, scale = np.array([1.5, -0.4]), np.array([10.0, 1.0])
@@ -517,7 +517,7 @@ def test_given_times_do_not_change_the_cost() -> None:
     assert found.cost == pytest.approx(6.0)
 
 
-def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_derivatives_that_grow_too_large_are_not_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     model, x, _u = dynamics("one", "x", "u", lambda x, u: {x: u})
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(x**2))

@@ -74,7 +74,7 @@ def test_optimum_of_another_weighting_fails() -> None:
     assert {"cost", "stationarity"} <= failed(wrong)
 
 
-def test_multiplier_of_an_integral_constraint_is_judged_by_its_limit() -> None:
+def test_multiplier_of_an_integral_constraint_is_checked_by_its_limit() -> None:
     """nu of an energy budget that is not used up: the weight of the energy follows from it, not from the solution."""
     model = double_integrator()
     problem, leg = one_phase("budget", model, 0.0, (0.1, 10.0))
@@ -93,7 +93,7 @@ def test_multiplier_of_an_integral_constraint_is_judged_by_its_limit() -> None:
     assert {"stationarity"} <= failed(replace(leg_half, constraint_multipliers=half))
 
 
-def test_free_parameter_is_what_the_dynamics_are_judged_with() -> None:
+def test_free_parameter_is_what_the_dynamics_are_checked_with() -> None:
     """A mass that is optimised: the value kept with the phase is a copy, which must not be believed."""
     base = cart(1.0)
     problem = go.Problem("chosen mass")
@@ -160,7 +160,7 @@ def test_path_limit_is_that_of_the_problem() -> None:
 
 
 @pytest.mark.parametrize("field", [*BREACHES, "path_bounds"])
-def test_limits_that_are_not_those_of_the_problem_are_told(field: str) -> None:
+def test_limits_that_are_not_those_of_the_problem_are_reported(field: str) -> None:
     solution = energy()
     verdict = go.verify(forged(solution, **{field: wide(getattr(solution.phase(), field))}))
     assert not verdict.ok

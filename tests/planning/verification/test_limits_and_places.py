@@ -276,7 +276,7 @@ def with_pushes(solution: go.Solution, by_path: bool, size: float) -> go.Solutio
     return with_leg(solution, **{name: values})
 
 
-def test_arc_along_a_ceiling_is_judged() -> None:
+def test_arc_along_a_ceiling_is_checked() -> None:
     assert curvature(cruise(1)) == {PASS}
 
 
@@ -425,7 +425,7 @@ def _flight(push: float) -> tuple[Any, Any, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cost", _COSTS)
-def test_a_coast_of_least_fuel_is_judged_however_its_cost_is_written(cost: str) -> None:
+def test_a_coast_of_least_fuel_is_checked_however_its_cost_is_written(cost: str) -> None:
     problem, _ = _problem(cost)
     right, wrong = (go.verify_trajectory(problem, *_flight(push)) for push in (1.0, 0.99))
     assert right.ok, right.explain()

@@ -105,7 +105,7 @@ def test_lanczos_ends_where_the_start_spans_no_more() -> None:
     assert values.shape == (0,) and vectors.shape == (40, 0)
 
 
-def test_lanczos_takes_no_more_steps_than_it_is_told_and_than_settle_the_ends() -> None:
+def test_lanczos_takes_no_more_steps_than_allowed_or_than_settle_the_ends() -> None:
     few = lanczos(lambda v: np.linspace(0.0, 1.0, 200) * v, np.ones(200), 15)[0]
     assert few.size == 15
     spread = np.concatenate([[-5.0], np.linspace(0.0, 1.0, 200), [4.0]])
@@ -272,7 +272,7 @@ def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) ->
 
 
 @pytest.mark.parametrize(("amount", "told"), [(4.9e4, True), (5.1e4, False)])
-def test_a_step_that_gains_only_rounding_is_not_told_to_curve_downwards(
+def test_a_step_that_gains_only_rounding_is_not_reported_to_curve_downwards(
     metric: Array, amount: float, told: bool
 ) -> None:
     """-z3^2 / 2 takes 0.005 off the scaled cost for a step of 0.1: 1e-7 of 5e4."""

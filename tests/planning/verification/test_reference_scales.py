@@ -327,13 +327,13 @@ def test_end_in_inertial_axes_is_missed_in_shares_of_what_thrust_moves() -> None
     assert "off by 60" in condition.where
 
 
-def test_thrust_that_is_small_beside_gravity_is_judged_by_itself() -> None:
+def test_thrust_that_is_small_beside_gravity_is_checked_by_itself() -> None:
     """lam . g is far larger than what thrust does to H; a thrust 1 % off shows all the same."""
     assert "stationarity" in failed(scaled(orbit(), "u", 1.01))
     assert "stationarity" in failed(scaled(orbit(), "lam", 1 + 1e-4))
 
 
-def test_control_that_is_worth_little_beside_another_is_judged() -> None:
+def test_control_that_is_worth_little_beside_another_is_checked() -> None:
     """L = F^2 + tau^2 with F ~ 20 N and tau ~ 0.1 N m: tau is worth 2.5e-5 of it, and 20 % off is wrong.
 
     That is 5e-7 of the cost; less than 3e-7 of it is not told from errors of a solver's multipliers.

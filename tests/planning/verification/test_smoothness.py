@@ -112,7 +112,7 @@ def test_a_wrong_end_fails_all_the_same(through: go.Solution) -> None:
         lambda q, v, a, t: a - 0.2 * ca.fmax(q - 0.5, 0.0),  # a kink in passing
     ],
 )
-def test_what_is_not_crossed_or_does_not_jump_is_judged(rate) -> None:
+def test_what_is_not_crossed_or_does_not_jump_is_checked(rate) -> None:
     verdict = go.verify(go.solve(stepped(rate), throw=False))
     assert verdict["kinks"].result is go.ConditionResult.PASS
     assert verdict.ok

@@ -142,7 +142,7 @@ def test_the_worst_of_several_phases_counts() -> None:
     assert check_strict_switches([good, good]).result is ConditionResult.PASS
 
 
-def test_a_slope_of_zero_is_not_told() -> None:
+def test_a_slope_of_zero_is_not_reported() -> None:
     """A cubic zero has the right sign on both sides, and no slope."""
     flat = flight((lambda t: 5 * (t - 0.8) ** 3, arch(10.0), line(-5.0, 1.4)), FALLS)
     condition = check_strict_switches([flat])
@@ -152,7 +152,7 @@ def test_a_slope_of_zero_is_not_told() -> None:
 @pytest.mark.parametrize(
     ("slope", "result"), [(1.4e-5, ConditionResult.INCONCLUSIVE), (5e-5, ConditionResult.FAIL)]
 )
-def test_a_slope_of_the_wrong_sign_that_is_worth_nothing_is_not_told(
+def test_a_slope_of_the_wrong_sign_that_is_worth_nothing_is_not_reported(
     slope: float, result: ConditionResult
 ) -> None:
     """The first one makes 2e-6 of H per phase and 8e-7 of H up to the switch: zero within the errors of costates."""
@@ -195,7 +195,7 @@ def test_slopes_and_touches_do_not_depend_on_units(second: float, cost: float) -
     )
 
 
-def test_a_zero_right_beside_its_own_switch_is_judged_by_its_slope() -> None:
+def test_a_zero_right_beside_its_own_switch_is_checked_by_its_slope() -> None:
     """The first sample after 0.8 s lies less than a ten-thousandth of the phase beyond it."""
     ends = np.array([0.0, 0.8, 0.81, 2.0])
     s = flight((line(5.0, 0.8),) * 3, FALLS)
@@ -343,7 +343,7 @@ def test_arcs_of_a_trajectory_between_its_jumps() -> None:
     assert _find_bound_arcs(replace(between, mesh=leg.mesh)) == []
 
 
-def test_obstacles_are_told_by_their_phase() -> None:
+def test_obstacles_are_reported_by_their_phase() -> None:
     s = flight(STRAIGHT, FALLS)
     assert why_not_applicable([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
     between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
@@ -529,7 +529,7 @@ def test_order_and_sign_of_a_chain_of_integrators(
     assert f"order {order}" in condition.where
 
 
-def test_an_order_beyond_those_looked_for_is_not_told() -> None:
+def test_an_order_beyond_those_looked_for_is_not_reported() -> None:
     condition = judged(chain(4, -1.0))
     assert (
         condition.result is go.ConditionResult.INCONCLUSIVE

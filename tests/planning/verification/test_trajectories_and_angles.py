@@ -346,7 +346,7 @@ def test_bounds_that_leave_a_direction_out_are_limits() -> None:
 
 
 @pytest.mark.slow
-def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation() -> None:
+def test_azimuth_and_elevation_are_returned_within_half_a_turn_of_elevation() -> None:
     """Behind the start: over the pole, by a solver; in degrees."""
     turn, target = 360.0, np.array([-2.0, 0.1, -0.5])
     bounded = space(turn, to=target).with_bounds(azimuth=(0.0, turn), elevation=(-turn / 4, turn / 4))
@@ -368,7 +368,7 @@ def test_a_solver_has_a_turn_of_room_to_both_sides() -> None:
     assert (box.lower.tolist(), box.upper.tolist()) == ([-540.0, 2.0], [540.0, 3.0])
 
 
-def test_angles_are_told_where_they_are_within_their_bounds_or_as_few_turns_away_as_there_are() -> None:
+def test_angles_are_returned_within_their_bounds_or_as_few_turns_away_as_there_are() -> None:
     lower, upper = np.array([-180.0, -360.0, -np.inf]), np.array([180.0, 360.0, np.inf])
     turns = Turns(lower, upper, np.array([360.0, 360.0, 0.0]))
     angles = np.array([-190.0, -180.0, -10.0, 180.0, 190.0, 370.0, -800.0])
@@ -397,7 +397,7 @@ def test_a_better_heading_half_a_turn_away_is_seen(turn: float) -> None:
 
 
 @pytest.mark.slow
-def test_headings_within_a_turn_are_judged_as_they_run_on(crossing: go.Solution) -> None:
+def test_headings_within_a_turn_are_checked_as_they_run_on(crossing: go.Solution) -> None:
     t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
     x = {name: crossing.state(name)(t) for name in ("x", "y")}
     heading = crossing.control("heading")(t)
@@ -449,6 +449,7 @@ def waiting() -> go.Solution:
     return go.solve(problem)
 
 
+@pytest.mark.slow
 def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
     waiting: go.Solution, crossing: go.Solution
 ) -> None:
@@ -459,7 +460,7 @@ def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
 
 
 @pytest.mark.slow
-def test_the_other_boat_is_judged_all_the_same(waiting: go.Solution) -> None:
+def test_the_other_boat_is_checked_all_the_same(waiting: go.Solution) -> None:
     leg = waiting.phase("leg")
     t = np.linspace(0.0, leg.final_time, 81)
     x = np.array([waiting.state(name)(t) for name in waiting.problem.phases["leg"].model.states.labels])

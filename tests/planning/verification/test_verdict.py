@@ -167,7 +167,7 @@ def test_maximum_of_the_hamiltonian_fails() -> None:
     assert failed(free) == {"minimum principle"}
 
 
-def test_singular_control_of_first_order_is_told() -> None:
+def test_singular_control_of_first_order_is_reported() -> None:
     model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
     problem, leg = one_phase("singular", model, 0.0, 2.0)
     leg.initial(x=0.5)
@@ -177,7 +177,7 @@ def test_singular_control_of_first_order_is_told() -> None:
     assert verdict.minimum
 
 
-def test_solution_without_costates_cannot_be_told(energy: go.Solution) -> None:
+def test_solution_without_costates_is_inconclusive(energy: go.Solution) -> None:
     verdict = go.verify(with_leg(energy, lam=scaled(energy.phase().lam, np.nan)))
     assert verdict["stationarity"].result is ConditionResult.INCONCLUSIVE
     assert verdict["dynamics"].result is ConditionResult.PASS
@@ -204,7 +204,7 @@ def test_free_final_value_with_wrong_costate_fails(energy: go.Solution) -> None:
     assert go.verify(wrong)["stationarity"].where.endswith("costate of v")
 
 
-def test_unstable_dynamics_are_not_judged_by_a_single_propagation() -> None:
+def test_unstable_dynamics_are_not_checked_by_a_single_propagation() -> None:
     """Hyper-sensitive problem: errors grow by exp(40), yet the solution is right."""
     _model, *_ = dynamics("hypersensitive", "x", "u", lambda x, u: {x: -(x**3) + u + 0 * x})
     unstable, y, w = dynamics("unstable", "y", "w", lambda y, w: {y: 20 * y + w})
@@ -244,7 +244,7 @@ def test_state_jump_between_segments_fails(energy: go.Solution) -> None:
     assert "dynamics" in failed(wrong)
 
 
-def test_costates_that_vanish_in_one_phase_only_are_judged() -> None:
+def test_costates_that_vanish_in_one_phase_only_are_checked() -> None:
     """The cost is the first phase's final time: the second one's costates are zero, and rightly so."""
     problem = go.Problem("one of two matters")
     for name in ("first", "second"):

@@ -245,7 +245,7 @@ def test_limit_reached_within_a_segment_excuses_nothing_else() -> None:
         assert failed(wrong) & {"stationarity", "active set"}
 
 
-def test_costates_that_vanish_are_judged_by_what_the_cost_amounts_to() -> None:
+def test_costates_that_vanish_are_checked_by_what_the_cost_amounts_to() -> None:
     """Shares of rounding are no shares of the cost; a costate that is worth a thousandth of the cost is."""
     right = nothing_to_gain()
     assert go.verify(right).ok, go.verify(right).explain()
@@ -273,7 +273,7 @@ def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
     assert names - {"kinks", "switching times"} == {case.condition for case in CASES}
 
 
-def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
+def test_barely_curved_hamiltonian_is_distinguished_from_a_singular_one() -> None:
     """u^2 over the square of its range must be worth a share of what the control can do that is above the tolerance."""
     for curvature, result in ((1e-3, go.ConditionResult.PASS), (1e-13, go.ConditionResult.INCONCLUSIVE)):
         verdict = go.verify(hilltop(-curvature))
