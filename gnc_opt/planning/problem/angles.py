@@ -29,11 +29,14 @@ class Turns:
         One turn at least; infinite for other controls.
     periods : array (n_controls,)
         0 for controls that are not angles.
+    pairs : tuple of (int, int)
+        In files of earlier versions: azimuths and elevations.
     """
 
     lower: Array
     upper: Array
     periods: Array
+    pairs: tuple[tuple[int, int], ...] = ()
 
     @property
     def free(self) -> Array:
