@@ -9,7 +9,6 @@ from pathlib import Path
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import (
-    ROUNDING_VIOLATION,
     known_quality,
     left_tables,
     mesh_text,
@@ -19,6 +18,7 @@ from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict
 from gnc_opt.report.document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.text import table
+from gnc_opt.tolerances import EQUAL
 
 TRAJECTORY_CAPTION = (
     "Trajectory in space: circle at the start, square at the end, vehicle drawn at equal intervals of time."
@@ -129,7 +129,7 @@ def _solve_facts_table(solution: Solution) -> str:
     quality = known_quality(solution)
     if quality is not None:
         rows.append(("defect between nodes", f"{quality.max_defect:.2g} relative: {quality.defect_location}"))
-        if quality.max_bound_violation > ROUNDING_VIOLATION:
+        if quality.max_bound_violation > EQUAL:
             violation = f"{quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
             rows.append(("limits exceeded by", violation))
     rows.append(("mesh", mesh_text(solution)))

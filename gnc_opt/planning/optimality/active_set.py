@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSa
 from gnc_opt.planning.solution.scales import STILL_STATE_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, RANK
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, SMALL
 
 
 def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
@@ -139,11 +139,6 @@ def _order_gradients(functions: PhaseFunctions, chosen: Indices) -> Any:
                 break
         gradients.append(ca.densify(ca.jacobian(value, u)))
     return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
-
-
-LEVEL, TOUCH_MAX_SHARE_OF_SCALE = 1e-2, 1e-3
-"""A constraint leaves its limit without a slope if it has moved by less than this share of what its scale says, so far
-(share of the segment) beside the boundary."""
 
 
 def add_touch_points(solution: Solution) -> Problem:
@@ -311,8 +306,7 @@ def _side_of_departure(rows: StateConstraints, row: int, boundary: int) -> int:
     if held[0] == held[1]:
         return 0
     side = 1 if held[0] else -1
-    times = breaks[boundary] + np.array([0.0, TOUCH_MAX_SHARE_OF_SCALE]) * (
-        breaks[boundary + side] - breaks[boundary]
-    )
+    # Without a slope: so near the boundary it has moved by little of what its scale suggests.
+    times = breaks[boundary] + np.array([0.0, SMALL]) * (breaks[boundary + side] - breaks[boundary])
     values = rows.values(times, s.leg.x(times), s.leg.flown(times))[row]
-    return side if abs(values[1] - values[0]) < LEVEL * TOUCH_MAX_SHARE_OF_SCALE * rows.scales[row] else 0
+    return side if abs(values[1] - values[0]) < NOTABLE * SMALL * rows.scales[row] else 0

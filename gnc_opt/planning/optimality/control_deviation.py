@@ -9,30 +9,15 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import steering
-from gnc_opt.tolerances import TINY
-
-STEADY_SHARE = 1e-7
-"""A control that moves, or is pulled, by less than this share of its size is constant; least reach in sizes."""
-
-PEAK_SHARE = 1e-2
-"""Least rms deviation of a control, in shares of its largest one."""
-
-AT_REST_SHARE = 1e-4
-"""Deviation of controls that are zero, in shares of what steers the states by as much as they move by themselves."""
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, STILL_STATE_SHARE, steering
+from gnc_opt.tolerances import EQUAL, NOTABLE, TINY
 
 MEAN_SHARE = 0.1
-"""Least deviation of a control at any time, in shares of its mean over the phase."""
-
-MOST_PULL = 10.0
-"""Most deviation by the pull of H, in deviations of a control that moves."""
-
+"""Least deviation of a control at any time, in shares of its mean over the phase; by the pull of H it is at most the
+inverse of this times larger."""
 
 BESIDE = 1.3
 """Multiple of a control at which its effect is compared with that at its value."""
-
-LEAST_COST_SHARE = 1e-9
-"""Least cost scale, in shares of the objective."""
 
 
 def compute_control_deviation(s: PhaseSamples) -> Array:
@@ -41,18 +26,18 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
     about = replace_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
     size = np.max(np.abs(replace_nonfinite(u)), axis=1, initial=0.0)
     mean = about @ s.weights / lasts
-    moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), PEAK_SHARE * np.max(about, axis=1, initial=0.0))
+    moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), NOTABLE * np.max(about, axis=1, initial=0.0))
     bends = np.sqrt(replace_nonfinite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
     bounds = s.leg.control_bounds
     extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
     slope = np.abs(replace_nonfinite(s.switching))
     pull = np.where(slope > 0, np.inf, 0.0)
     pull = np.minimum(np.divide(slope, bends[:, None], out=pull, where=bends[:, None] > 0), extent[:, None])
-    moves = moved > STEADY_SHARE * size
-    pull = np.where(moves[:, None], np.minimum(pull, MOST_PULL * moved[:, None]), pull)
+    moves = moved > SPAN_MIN_SHARE * size
+    pull = np.where(moves[:, None], np.minimum(pull, moved[:, None] / MEAN_SHARE), pull)
     pull = np.where(np.isfinite(pull), pull, size[:, None])
     deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
-    pulled = np.sqrt(pull**2 @ s.weights / lasts) > STEADY_SHARE * size
+    pulled = np.sqrt(pull**2 @ s.weights / lasts) > SPAN_MIN_SHARE * size
     steady = ~moves & ~pulled
     deviation = np.where(steady[:, None], _constant_control_deviation(s, size, bends)[:, None], deviation)
     return np.fmax(
@@ -66,17 +51,15 @@ def _constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> A
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
     worth = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
-    idle = size <= LEAST_COST_SHARE * worth
-    still = np.max(np.abs(s.x - s.x[:, :1]), initial=0.0) <= LEAST_COST_SHARE * np.max(
-        np.abs(s.x), initial=1.0
-    )
+    idle = size <= EQUAL * worth
+    still = np.max(np.abs(s.x - s.x[:, :1]), initial=0.0) <= EQUAL * np.max(np.abs(s.x), initial=1.0)
     return np.where(idle, worth if still else 0.0, size)
 
 
 def _resting_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero."""
-    asked, rounding = steering(s.leg, s.functions), STEADY_SHARE**2 * s.control_span
-    if not np.all(size <= np.fmax(STEADY_SHARE * asked, rounding)):
+    asked, rounding = steering(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
+    if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
     # Where the effect of a control vanishes at its value only, as that of an angle of 180 degrees, it is not rounding.
     own, beside = (
@@ -88,9 +71,9 @@ def _resting_control_deviation(s: PhaseSamples, size: Array) -> Array:
         for factor in (1.0, BESIDE)
     )
     share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
-    if not np.all(size <= share * np.fmax(STEADY_SHARE * asked, rounding)):
+    if not np.all(size <= share * np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
-    return np.asarray(np.where(asked > rounding, AT_REST_SHARE * asked, s.control_span))
+    return np.asarray(np.where(asked > rounding, STILL_STATE_SHARE * asked, s.control_span))
 
 
 def limit_deviation_from_below(s: PhaseSamples, deviation: Array, cost: float) -> Array:

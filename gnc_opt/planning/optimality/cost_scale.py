@@ -13,10 +13,10 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.problem.functions import end_values
-from gnc_opt.planning.solution.samples import MIN_EFFECT_SHARE, PhaseSamples
+from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import magnitude
+from gnc_opt.tolerances import NOTABLE, magnitude
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
 """Violations shorter than this share of a phase count by their mean over it: the loss of cost is size times
@@ -131,7 +131,7 @@ def integral_spans(s: PhaseSamples) -> Array:
     """Return by how much the flight can change each integral of a phase (n_integrals,).
 
     An integrand counts by what it is above its least, or below its largest, value along the phase; by its size if the
-    duration may change; and by the share `MIN_EFFECT_SHARE` of its change when a state or control is off by its span.
+    duration may change; and by the share `NOTABLE` of its change when a state or control is off by its span.
     """
     values = s.functions.integrands(s.times, s.x, s.u)
     if not values.shape[0]:
@@ -148,7 +148,7 @@ def integral_spans(s: PhaseSamples) -> Array:
                 other[i] = _clip_to_trajectory(other[i] + moved, box, i)
                 at = (other, s.u) if rows is s.x else (s.x, other)
                 change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
-                spans = np.fmax(spans, MIN_EFFECT_SHARE * np.where(np.isfinite(change), change, 0.0))
+                spans = np.fmax(spans, NOTABLE * np.where(np.isfinite(change), change, 0.0))
     return np.where(np.isfinite(spans), spans, 0.0)
 
 

@@ -20,7 +20,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.optimality.program_point import ProgramPoint, quadrature_weights, saddle_matrix
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
 SINGULAR = 1e13
 """Condition number of the scaled system from which its solution has no digits to rely on."""
@@ -28,17 +28,9 @@ SINGULAR = 1e13
 SADDLE_REFINEMENTS = 6
 """Steps of inverse iteration and of iterative refinement; each gains the digits that the factors have."""
 
-FREE = 1e-3
-"""A variable that moves by this share of the largest in a null vector is not determined."""
-
-LAST_DIGIT = 1e-15
-"""Relative residual at which refining a solution of the system ends."""
 
 CONSISTENT, NOISE = 1e-7, 1e-13
 """Relative and absolute residual that the solution of a consistent system keeps below."""
-
-_SINGULAR_SHIFT = 1e-9
-"""Relative shift under which a singular system is examined."""
 
 
 class SaddlePoint:
@@ -79,13 +71,13 @@ class SaddlePoint:
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
         self._factors = scipy.sparse.linalg.splu(
-            scipy.sparse.csc_array(self._matrix + _SINGULAR_SHIFT * scipy.sparse.diags_array(signs))
+            scipy.sparse.csc_array(self._matrix + RANK * scipy.sparse.diags_array(signs))
         )
         null = np.random.default_rng(0).standard_normal(n)
         for _ in range(SADDLE_REFINEMENTS):
             null = self._factors.solve(null / np.max(np.abs(null)))
         null /= np.max(np.abs(null))
-        if np.max(np.abs(null[: self._n]), initial=0.0) > FREE:
+        if np.max(np.abs(null[: self._n]), initial=0.0) > SMALL:
             culprit = self.labels[int(np.argmax(np.abs(null[: self._n])))]
             raise GncOptError(
                 f"the first-order conditions of '{self._name}' do not determine '{culprit}' (the KKT system is "
@@ -97,9 +89,10 @@ class SaddlePoint:
         """Solve with iterative refinement, which also undoes the shift of a redundant system."""
         scaled = self._scale * right
         solved = self._factors.solve(scaled)
+        smallest = 5 * np.finfo(float).eps * np.max(np.abs(scaled), initial=TINY)
         for _ in range(SADDLE_REFINEMENTS):
             rest = scaled - self._matrix @ solved
-            if np.max(np.abs(rest), initial=0.0) <= LAST_DIGIT * np.max(np.abs(scaled), initial=TINY):
+            if np.max(np.abs(rest), initial=0.0) <= smallest:
                 break
             solved = solved + self._factors.solve(rest)
         rest = scaled - self._matrix @ solved
@@ -189,15 +182,8 @@ def _split_dense_rows(matrix: Any, dense: Indices, others: Indices, stretches: I
     return scipy.sparse.csc_array((values, at), shape=(size, size))
 
 
-DEPENDENT_ROW_SHIFT, REFINEMENTS = 1e-12, 1
-"""Of the rows, scaled to unit gradients, so that dependent ones do no harm, and the steps of iterative refinement by
-which the others are kept all the same."""
-
 LANCZOS_RESIDUAL_TOLERANCE = 1e-4
 """Residual of the eigenvectors, relative to the largest eigenvalue, at which the method ends."""
-
-FOUND = 1e-6
-"""Inverse curvatures below this share of the shift's are rounding: no free direction remains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +245,8 @@ class NullSpace:
         """Return the saddle matrix of a Hessian and of the rows, and what solves with it, but for rounding."""
         n, m = self.size, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
-        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, DEPENDENT_ROW_SHIFT))
+        # Of rows with unit gradients: dependent ones do no harm.
+        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, ROUNDING))
         return matrix, factorise_symmetric(matrix - slack)
 
     @cached_property
@@ -282,8 +269,7 @@ class NullSpace:
         def inverse(vector: Array) -> Array:
             right = np.concatenate([vector, rows])
             solved = solve(right)
-            for _ in range(REFINEMENTS):
-                solved = solved + solve(right - matrix @ solved)
+            solved = solved + solve(right - matrix @ solved)  # without the slack of `factorised`
             return np.asarray(solved[: vector.size])
 
         return inverse
@@ -311,7 +297,9 @@ def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tupl
         for _ in range(2):
             image = image - space[: k + 1].T @ (space[: k + 1] @ image)
         length = float(np.linalg.norm(image))
-        if length <= FOUND * max(map(abs, diagonal)) or (k % 10 == 9 and _settled(diagonal, beside, length)):
+        if length <= NEGLIGIBLE * max(map(abs, diagonal)) or (
+            k % 10 == 9 and _settled(diagonal, beside, length)
+        ):
             break
         beside.append(length)
         space[k + 1] = image / length

@@ -21,7 +21,6 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.optimality.control_deviation import STEADY_SHARE
 from gnc_opt.planning.optimality.costate_jumps import path_gradients
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
@@ -31,6 +30,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.extract import model_parameters
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.warm_start import with_integrals
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
@@ -481,7 +481,7 @@ def _variable_spans(
             varies = np.ptp(x[places], axis=1) if places.size else np.zeros(places.shape[0])
             extent = box.upper - box.lower
             still = np.where(size > 0, size, np.where(np.isfinite(extent) & (extent > 0), extent, 1.0))
-            scales[places] = np.where(varies > STEADY_SHARE * size, varies, still)[:, None]
+            scales[places] = np.where(varies > SPAN_MIN_SHARE * size, varies, still)[:, None]
         scales[collocation.boundary_states] = scales[collocation.point_states[:, [0]]]
         scales[part.times[part.times < x.size]] = np.ptp(fitted[name].x.breaks)
     return scales

@@ -13,12 +13,13 @@ from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.problem.kinks import find_feature_centres
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import NOTABLE
 
 MOST_CENTRES = 20
 """Centres of features per phase, at most."""
 
-LEAST_DISTANCE, LARGEST_DISTANCE, DISTANCES = 1e-10, 1e-2, 40
-"""Least and largest distance from a centre at which the scan has cells, in shares of the phase, and their number."""
+LEAST_DISTANCE, DISTANCES = 1e-10, 40
+"""Least distance from a centre at which the scan has cells, in shares of the phase, and the number of distances."""
 
 _BISECTIONS = 60
 
@@ -46,6 +47,6 @@ def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
         before = np.sign(at(middle)[rows, np.arange(rows.size)]) == first
         left, right = np.where(before, middle, left), np.where(before, right, middle)
     found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
-    distances = s.span * np.geomspace(LEAST_DISTANCE, LARGEST_DISTANCE, DISTANCES)
+    distances = s.span * np.geomspace(LEAST_DISTANCE, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))
     return np.asarray(edges[(edges > s.leg.breaks[0]) & (edges < s.leg.breaks[-1])])

@@ -25,10 +25,7 @@ from gnc_opt.planning.solution.warm_start import program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
-from gnc_opt.tolerances import RANK
-
-WEAKLY_ACTIVE_TOLERANCE = 1e-5
-"""A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
+from gnc_opt.tolerances import ACTIVE, RANK
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +59,7 @@ class ProgramLimits:
 
     def weak(self, values: Array, multipliers: Array) -> Mask:
         """Which limits are as good as reached without being needed, or needed without being reached."""
-        return np.asarray(
-            (self.push(multipliers) < WEAKLY_ACTIVE_TOLERANCE) | (self.room(values) < WEAKLY_ACTIVE_TOLERANCE)
-        )
+        return np.asarray((self.push(multipliers) < ACTIVE) | (self.room(values) < ACTIVE))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,26 +14,18 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.control_deviation import STEADY_SHARE, replace_nonfinite
+from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
 from gnc_opt.planning.problem.functions import end_values
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import RANK, magnitude
-
-STILL_SHARE = 1e-4
-"""A state that moves by less than this share of its reach is still."""
-
-LEAST_CORRELATION = 1e-6
-"""Least eigenvalue of the correlation matrix of the reach."""
+from gnc_opt.tolerances import NEGLIGIBLE, RANK, magnitude
 
 CELLS = 40
 """Cells of a phase, at least, in which its linearised dynamics are constant."""
-
-_LARGEST_GROWTH = 60.0
-"""Logarithm of the largest growth of errors that is reported."""
 
 _EXPONENT = 25.0
 """Largest entry of an exponent, against overflow along dynamics that are much faster than a cell."""
@@ -67,7 +59,7 @@ class Ellipsoid:
         correlation[~reached], correlation[:, ~reached] = 0.0, 0.0
         correlation[np.diag_indices_from(correlation)] = 1.0
         values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-        return cls(radius, axes, np.sqrt(np.clip(values, LEAST_CORRELATION, None)))
+        return cls(radius, axes, np.sqrt(np.clip(values, NEGLIGIBLE, None)))
 
     def displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) in shares of the ellipsoid (...)."""
@@ -98,13 +90,13 @@ Reach = tuple[Ellipsoid, Ellipsoid, Ellipsoid, Ellipsoid]
 
 @dataclass(frozen=True, eq=False)
 class _Gramian:
-    """W at the start, its mean and W at the end of a phase (n, n); at its end with the integrals; growth of errors."""
+    """W at the start, its mean and W at the end of a phase (n, n); at its end with the integrals; decay of errors."""
 
     start: Array
     mean: Array
     end: Array
     whole: Array
-    growth: float = 1.0
+    decay: float = 1.0
 
 
 def reach_gramians(
@@ -161,8 +153,8 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
         whole = total + moved @ moved.T
         mean += 0.5 * width / lasts * (before + whole)
     fastest = np.max(np.linalg.eigvals(by_state).real, axis=1, initial=0.0)
-    growth = float(np.exp(min(float(np.sum(fastest * widths)), _LARGEST_GROWTH)))
-    return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, growth)
+    decay = float(np.exp(-np.sum(fastest * widths)))
+    return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, decay)
 
 
 def end_response(s: PhaseSamples) -> tuple[Array, Array]:
@@ -211,12 +203,14 @@ def phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
     )
     if not s.has_length:  # nothing moves: sizes have to do
         along = end = magnitude(size)
-    moving = (moved > STILL_SHARE / gramian.growth * along) & (moved > STEADY_SHARE * size)
+    moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)
     if not s.lasts_as_told:  # what controls do not reach is reached by the time at which the flow arrives
-        radius, final = (np.where(r > STILL_SHARE * moved, r, np.fmax(r, moved)) for r in (radius, final))
-    least = STEADY_SHARE * size
+        radius, final = (
+            np.where(r > STILL_STATE_SHARE * moved, r, np.fmax(r, moved)) for r in (radius, final)
+        )
+    least = SPAN_MIN_SHARE * size
     radius, final = np.fmax(radius, least), np.fmax(final, least)
     initial = np.where(start > 0, start, radius)
     return (
@@ -233,7 +227,7 @@ def _start_covariance(
     """Return W at the start of a phase: zero where given, by links to other phases, else by the size of the state."""
     size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
     moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
-    size = np.where(moved > STEADY_SHARE * size, moved, size)
+    size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
     size = np.where(size > 0, size, interval_width(s.leg.state_bounds))
     own = left * np.where(size > 0, size, 1.0)
     covariance = own @ own.T

@@ -37,7 +37,6 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.control_deviation import (
-    LEAST_COST_SHARE,
     add_inactive_controls,
     compute_control_deviation,
     limit_deviation_from_below,
@@ -60,21 +59,11 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.extract import model_parameters
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import TINY
-
-VANISHED_SHARE = 1e-6
-"""First- and second-order changes of the cost below this share of their terms are rounding."""
-
-
-SINGULAR_SHARE = 1e-3
-"""Where H is affine in all controls, first-order changes of the cost below this share of its second-order change over
-the reach of the states are those of singular arcs."""
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Least scale of a control in which H is affine, or curves, in shares of the cost scale: below, it is rounding."""
 
-RESOLVED_MISS = 1e-2
-"""Distance to the minimum of a curved H, in shares of a control's deviation, that no error of multipliers explains."""
 
 ROUGH_SAMPLES = 5
 """One of so many samples is used for a magnitude that need not be exact."""
@@ -147,7 +136,7 @@ class Scales:
         changed = sum(_cost_of_states(s, reach[s.leg.name][1]) for s in lasting)
         changed += sum(float(np.sum(_control_costs(s, deviations[s.leg.name]))) for s in samples)
         changed += ends.curvature(reach)
-        least = LEAST_COST_SHARE * changed
+        least = EQUAL * changed
         costs, resolved = {}, {}
         for s in samples:
             resolved[s.leg.name] = limit_deviation_from_below(s, deviations[s.leg.name], least)
@@ -163,14 +152,14 @@ class Scales:
         cost += sum(map(_cost_of_time, samples, [ends.time_cost(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.curvature(reach, constrained=not controlled)
-        if cost < SINGULAR_SHARE * changed and not any(np.any(s.control_hessian) for s in lasting):
+        if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost by way of the states only.
             cost = changed + sum(_cost_of_each_state(s, reach[s.leg.name][1]) for s in lasting)
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         curvatures = _parameter_curvatures(problem, solution, samples)
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
-        cost = max(cost, LEAST_COST_SHARE * abs(solution.objective), least)
+        cost = max(cost, EQUAL * abs(solution.objective), least)
         parameters = _parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _parameter_columns(s) * parameters for s in lasting}
@@ -195,7 +184,7 @@ class Scales:
         deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation])
         share = np.divide(np.abs(moved), deviation, out=np.zeros_like(moved), where=deviation > 0)
         miss = float(np.max(np.sqrt(np.mean(share**2, axis=1)), where=cheap, initial=0.0))
-        return miss if miss > RESOLVED_MISS else 0.0
+        return miss if miss > NOTABLE else 0.0
 
 
 def _control_costs(s: PhaseSamples, deviation: Array) -> Array:
@@ -213,7 +202,7 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
     slopes = np.abs(replace_nonfinite(s.cost_slope)), np.abs(replace_nonfinite(s.switching - s.cost_slope))
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
-    return change if change > VANISHED_SHARE * terms else terms
+    return change if change > NEGLIGIBLE * terms else terms
 
 
 def _cost_of_states(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:

@@ -16,18 +16,10 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import ConstraintOrder, constraint_order
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SMALL
 
 TOUCH_MAX_ORDER = 3
 """Orders of state constraints that are looked for."""
-
-ACTIVE_CONSTRAINT_SHARE = 1e-2
-"""A constraint this close to its limit, as a share of its span, may be active between two points with
-multipliers.
-"""
-
-PROBE = 1e-3
-"""Share of a control's range by which it is moved to see how it moves a constraint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +86,10 @@ class StateConstraints:
         distance = np.min(
             [np.abs(self.values(s.times, s.x, s.u)[row] - at) for _, at in self.limits(row)], axis=0
         )
-        near = distance <= max(ACTIVE_CONSTRAINT_SHARE * self.scales[row], np.min(distance))
+        near = distance <= max(NOTABLE * self.scales[row], np.min(distance))
         times, x, u = s.times[near], s.x[:, near], s.u[:, near]
         moved = u.copy()
-        moved[control] += PROBE * s.control_scale[control]
+        moved[control] += SMALL * s.control_scale[control]
         return self.derivative(row, order, times, x, moved) - self.derivative(row, order, times, x, u)
 
     def _constraint_order(self, row: int) -> ConstraintOrder:

@@ -12,13 +12,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT
-
-TOGETHER = 1e-7
-"""Switches nearer to each other than this share of the phase are simultaneous: their order is not known."""
-
-GRAZES = 1e-6
-"""A switching function below this share of H at an end of the phase counts as zero there."""
+from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE
 
 
 @dataclass(frozen=True)
@@ -59,7 +53,7 @@ class Switches:
         channels = np.concatenate([at_start, channels, at_end])
         order = np.argsort(times, kind="stable")
         times, channels = (
-            _merge_equal_times(times[order], TOGETHER * (ends[1] - ends[0]), ends),
+            _merge_equal_times(times[order], GONE * (ends[1] - ends[0]), ends),
             channels[order],
         )
         bounds, after_start = leg.control_bounds, leg.flown(leg.breaks[0])
@@ -139,7 +133,7 @@ def _controls_with_vanishing_switching(s: PhaseSamples, sample: int) -> Indices:
     """Controls whose switching function vanishes at the first or last sample."""
     bounds = s.leg.control_bounds
     worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
-    return np.flatnonzero((worth < GRAZES) & (bounds.upper > bounds.lower))
+    return np.flatnonzero((worth < NEGLIGIBLE) & (bounds.upper > bounds.lower))
 
 
 def _merge_equal_times(times: Array, near: float, ends: Array) -> Array:

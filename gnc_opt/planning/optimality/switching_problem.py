@@ -25,12 +25,11 @@ from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, TINY
+from gnc_opt.tolerances import AT_LIMIT, SMALL, TINY
 
-GRIDS, RESOLVED_END_SHARE = (1, 2, 4, 8, 16, 32), 1e-3
-"""By how much the steps of a flow may be refined, and how near the solution's end it then ends, in shares of what the
-states move: order and error of an integration are known where it resolves the dynamics only."""
-
+GRIDS = (1, 2, 4, 8, 16, 32)
+"""By how much the steps of a flow may be refined until it ends near the solution's end: order and error of an
+integration are known where it resolves the dynamics only."""
 
 NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to switch"
 """Why a condition on the induced problem is not checked."""
@@ -216,7 +215,7 @@ def _choose_grid(
     flows = []
     for finer in GRIDS:
         flows.append(integrate_bang_bang(problem, s, pieces, free_start, finer))
-        if np.all(np.abs(flows[-1].final[: end.size] - end) < RESOLVED_END_SHARE * s.state_scale):
+        if np.all(np.abs(flows[-1].final[: end.size] - end) < SMALL * s.state_scale):
             return finer, flows[-1]
     which = 0 if np.isfinite(flows[0].final).all() else -1
     return GRIDS[which], flows[which]

@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import collocation_rule, interpolation_matrix
 from gnc_opt.planning.transcription.scheme import GAUSS
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
 
 DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""
@@ -31,11 +31,6 @@ DEGREE = 3
 JUMP_MIN_RATIO = 10.0
 """Smallest ratio of a control's change to the adjacent changes for which it is a jump."""
 
-VISIBLE = 1e-3
-"""Changes of a control below this share of its range are no jumps."""
-
-AT_SAMPLE = 1e-6
-"""A jump closer to a sample than this share of the sampling interval is at the sample."""
 
 _KNOWN_BESIDE = 8
 """Samples between jumps from which kinks are looked for."""
@@ -142,7 +137,7 @@ class _Jump:
 def _is_control_jump(samples: Samples, i: int) -> bool:
     """Whether a control jumps at a time given twice, or only its slope: then that time is not one to be optimised."""
     size = np.abs(samples.u[:, i + 1] - samples.u[:, i])
-    return bool(np.any(size > VISIBLE * np.ptp(samples.u, axis=1)))
+    return bool(np.any(size > SMALL * np.ptp(samples.u, axis=1)))
 
 
 def _find_unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
@@ -151,7 +146,7 @@ def _find_unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
     size[:, twice] = 0.0
     before, after = np.zeros_like(size), np.zeros_like(size)
     before[:, 1:], after[:, :-1] = size[:, :-1], size[:, 1:]
-    visible = size > VISIBLE * np.ptp(u, axis=1, keepdims=True)
+    visible = size > SMALL * np.ptp(u, axis=1, keepdims=True)
     alone = visible & (size > JUMP_MIN_RATIO * np.maximum(before, after))
     if t.size <= 3:  # nothing to compare with
         alone[:] = False
@@ -177,7 +172,7 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
         np.abs(slopes[2:-3] - slopes[1:-4]),
         np.abs(slopes[5:] - slopes[4:-1]),
     )
-    visible = turn[0] * np.diff(t)[3:-2] > VISIBLE * np.ptp(u)
+    visible = turn[0] * np.diff(t)[3:-2] > SMALL * np.ptp(u)
     at = 3 + np.flatnonzero(visible & (turn[0] > JUMP_MIN_RATIO * np.maximum(turn[1], turn[2])))
     at = at[
         np.append(np.diff(at) > 1, True)[: at.size]
@@ -188,7 +183,7 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
             _interpolants(t[start : k + 1], u[start : k + 1])[0],
             _interpolants(t[k + 1 :], u[k + 1 :])[0],
         )
-        time = _intersection_time(left, right, float(t[k]), float(t[k + 1]), AT_SAMPLE * float(np.ptp(u)))
+        time = _intersection_time(left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u)))
         if time is not None:
             found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
             start = k + 1
@@ -282,7 +277,7 @@ def _place_jumps(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
         ftol=1e-15,
         gtol=1e-15,
     )
-    slack = AT_SAMPLE * (last - first)
+    slack = NEGLIGIBLE * (last - first)
     for jump, time in zip(jumps, found.x, strict=True):
         near = time - first < slack, last - time < slack
         jump.time = first if near[0] else last if near[1] else float(time)

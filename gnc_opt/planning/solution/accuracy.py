@@ -24,9 +24,6 @@ from gnc_opt.tolerances import ROUNDING
 POINTS_PER_PIECE = 12
 """Points between two jumps of the control, ends included."""
 
-OBJECTIVE_MIN_ERROR_SHARE = 1e-15
-"""Smallest stated error of an objective, in shares of it: about five units in its last binary place."""
-
 PEAK_SEARCH_TIMES = 401
 """Times between two jumps at which a peak is looked for."""
 
@@ -39,7 +36,7 @@ class Accuracy:
     ----------
     objective : float
     objective_error : float
-        Estimate, not a bound, in the unit of the objective: at least 1e-15 of the objective (rounding); infinite if
+        Estimate, not a bound, in the unit of the objective: at least its rounding error (1e-15 of it); infinite if
         it has no value.
     violation : float
         Largest violation of a state limit or path constraint by the trajectory of the applied control, in the
@@ -99,7 +96,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
             (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
         ):
             worst = max(worst, _largest_violation(s, pieces, rows, box, scale, labels), key=_accuracy_share)
-    error = max(objective_error, OBJECTIVE_MIN_ERROR_SHARE * abs(objective))
+    error = max(objective_error, 5 * np.finfo(float).eps * abs(objective))
     return Accuracy(objective, error, worst[1], worst[2], missed[1], missed[2])
 
 

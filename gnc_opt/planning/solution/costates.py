@@ -48,6 +48,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 from gnc_opt.planning.transcription.scheme import GAUSS
+from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
 
 SIDES: tuple[Side, Side] = ("right", "left")
 """From which side the start and the end of a segment belong to it."""
@@ -95,18 +96,6 @@ def _with_densities(
 def _fit_directions(directions: Array, vector: Array) -> Array:
     """Least-squares coefficients of a vector (n,) by directions (n, n_rows)."""
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
-
-
-_COSTATE_JUMP_MIN_SHARE = 1e-6
-"""A push on a costate counts if it would move it by this share of its size over the segment."""
-
-_TURNED = 1e-3
-"""A change of costates is rejected if multipliers have both signs and the smaller exceeds this share of the
-change.
-"""
-
-_HELD = 1e-7
-"""A state that varies over a segment by less than this, relative to its size in the phase, is held."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +203,7 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
         return paths
     settled = paths.copy()
     lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
-    pushed = np.abs(paths) * lengths > _COSTATE_JUMP_MIN_SHARE * np.max(
-        np.abs(paths) * lengths, axis=1, keepdims=True
-    )
+    pushed = np.abs(paths) * lengths > NEGLIGIBLE * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
     shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.offsets[1:-1]])
     shared |= np.append(shared[1:], False)
     held = _held_segments(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
@@ -280,10 +267,8 @@ class _CostatePieces:
         start, end = _boundary_costates(collocation, lam_g, weights * pull)
         size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
         lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
-        bounded = (
-            np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > _COSTATE_JUMP_MIN_SHARE * size
-        )
-        pushed = bounded | (np.abs(path_push) * lengths > _COSTATE_JUMP_MIN_SHARE * size)
+        bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > NEGLIGIBLE * size
+        pushed = bounded | (np.abs(path_push) * lengths > NEGLIGIBLE * size)
         held, still = _held_segments(collocation, pushed, shared), _still_segments(collocation, x)
         return cls(
             collocation, weights, lam, start, end, densities,
@@ -323,7 +308,7 @@ class _CostatePieces:
             # The state is nearly constant on a segment with a touch point too; there the change would reverse
             # multiplier signs.
             pushes = densities * self.weights[here]
-            turned = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > _TURNED * np.abs(change)
+            turned = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > SMALL * np.abs(change)
             change = np.where(turned, 0.0, change)
             self.end[:, k] += change
             self.start[:, k] += change * rule.end_values[0]
@@ -374,7 +359,7 @@ def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
     """Segments on which a state has the same value at every node, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
-    return np.asarray(np.stack(spreads, axis=1) <= _HELD * size[:, None])
+    return np.asarray(np.stack(spreads, axis=1) <= AT_LIMIT * size[:, None])
 
 
 def _boundary_costates(

@@ -34,9 +34,7 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import defined
 from gnc_opt.planning.solution.samples import PhaseSamples
-
-OBJECTIVE_MIN_SHARE = 1e-6
-"""Objectives below this share of the largest |costate| x (range of the state) are measured in that share of it."""
+from gnc_opt.tolerances import NEGLIGIBLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ class ObjectiveError:
 
 def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
     """Estimate the error of an objective from a trajectory and its multipliers."""
-    scale = max([abs(objective), *(OBJECTIVE_MIN_SHARE * s.cost_scale for s in samples.values())])
+    scale = max([abs(objective), *(NEGLIGIBLE * s.cost_scale for s in samples.values())])
     return ObjectiveError({name: _of_phase(s) for name, s in samples.items()}, scale)
 
 

@@ -26,7 +26,7 @@ from gnc_opt.planning.solution.scales import (
 from gnc_opt.planning.solution.unwrap import periods
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, CollocationRule, gauss_rule, points, weights
 from gnc_opt.planning.transcription.scheme import GAUSS
-from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
+from gnc_opt.tolerances import AT_LIMIT, GONE, NOTABLE, SHORTEST, TINY, magnitude
 
 SAMPLES_BEYOND_POINTS = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
@@ -34,14 +34,10 @@ SAMPLES_BEYOND_POINTS = 9
 EVEN_STEPS_PER_SEGMENT = 32
 """Steps in every segment, however short, where a phase is looked at evenly in time: what is fast is in short ones."""
 
-SAMPLE_INSET = 1e-7
-"""Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
 
 COSTATE_MIN_SHARE_OF_COST = 1e-4
 """Costates below this share of the cost scale are rounding and do not set the scale."""
 
-MIN_EFFECT_SHARE = 1e-2
-"""Smallest scale of a control's effect on H, as a share of the effect of all controls together."""
 
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
 """Cached properties of samples that depend on the cost magnitude."""
@@ -122,16 +118,14 @@ class PhaseSamples:
 
     @cached_property
     def times_within(self) -> Array:
-        """The times (n_samples,); where the dynamics jump, those of segment ends moved inwards by `SAMPLE_INSET`.
+        """The times (n_samples,); where the dynamics jump, those of segment ends moved inwards by `GONE`.
 
         A jump with a state that ends there, as that of friction at rest, must not depend on how the end is rounded.
         """
         if not self.functions.jumping_rates:
             return self.times
         starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
-        return np.clip(
-            self.times, starts + SAMPLE_INSET * (ends - starts), ends - SAMPLE_INSET * (ends - starts)
-        )
+        return np.clip(self.times, starts + GONE * (ends - starts), ends - GONE * (ends - starts))
 
     def sample(self, signal: Callable[..., Array]) -> Array:
         """Evaluate a signal (of times and a side) at the samples, with the limit from inside each segment."""
@@ -308,8 +302,8 @@ class PhaseSamples:
 
     @property
     def control_worth(self) -> Array:
-        """The same of each control, shared by components of a vector; at least `MIN_EFFECT_SHARE` of the sum (m,)."""
-        return np.maximum(shared(self._single_worths, self.leg.controls), MIN_EFFECT_SHARE * self.joint_worth)
+        """The same of each control, shared by components of a vector; at least `NOTABLE` of the sum (m,)."""
+        return np.maximum(shared(self._single_worths, self.leg.controls), NOTABLE * self.joint_worth)
 
     @property
     def least_worth(self) -> float:

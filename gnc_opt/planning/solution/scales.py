@@ -24,7 +24,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING, magnitude
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, NOTABLE, ROUNDING, magnitude
 
 _CURVATURE_MAX_RATIO = 10.0
 """Times what H bends by over half of a control's span its curvature there may amount to."""
@@ -48,14 +48,14 @@ class Bending:
 
     def rounding(self, spans: Array) -> Indices:
         """Controls that move by nothing beside spans (n_controls,) that H's curvature asks for but does not keep."""
-        beyond = np.flatnonzero(spans * IDLE_CONTROL_SHARE >= np.ptp(self.u, axis=1))
+        beyond = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
         return beyond[[not self._is_curved(int(i), spans[i]) for i in beyond]]
 
     def _is_curved(self, i: int, span: float) -> bool:
         """Whether H changes over a control's span by a fair share of what its largest curvature foretells."""
         at = np.array([np.argmax(np.abs(np.nan_to_num(self.curvature[i])))])
         kept = self._curvature_share(i, at, span)[0]
-        return bool(not np.isfinite(kept) or kept >= FORETOLD_CHANGE_MIN_SHARE)
+        return bool(not np.isfinite(kept) or kept >= NEGLIGIBLE)
 
     def _curvature_share(self, i: int, at: Indices, span: float) -> Array:
         """Share of its curvature in a control that H has over half of a span to either side, at some samples."""
@@ -119,15 +119,6 @@ STILL_STATE_SHARE = 1e-4
 """A state that moves by less than this share of what the controls could move it is still: that is its span."""
 
 
-IDLE_CONTROL_SHARE = 1e-6
-"""A control that moves by less than this share of its range is idle: its range is its span."""
-
-MIN_MISS_SHARE = 1e-2
-"""Least share of a span that misses of an end are measured against."""
-
-FORETOLD_CHANGE_MIN_SHARE = 1e-6
-"""Share of what derivatives foretell that a step of a control must change, unless these derivatives are rounding."""
-
 SPAN_MIN_SHARE = 1e-7
 """Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
 
@@ -151,7 +142,7 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
 def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
     r"""Return the reference magnitudes of misses of the final state (n_states,): what controls move.
 
-    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, between the share `MIN_MISS_SHARE` of
+    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, between the share `NOTABLE` of
     the span and the span; where controls do not reach, the span.
     """
     middles, widths = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), np.diff(leg.breaks)
@@ -166,10 +157,10 @@ def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used:
         half = scipy.linalg.expm(np.clip(0.5 * by_state[:, :, k], -25.0, 25.0))
         reach += np.sum(np.abs(onwards @ half @ by_control[:, :, k]), axis=1)
         onwards = onwards @ half @ half
-        if not np.all(reach < 1.0 / MIN_MISS_SHARE) or np.all(reach >= 1.0):
+        if not np.all(reach < 1.0 / NOTABLE) or np.all(reach >= 1.0):
             break
     reach = shared(reach, leg.states)
-    return np.asarray(moved * np.where(reach > STILL_STATE_SHARE, np.clip(reach, MIN_MISS_SHARE, 1.0), 1.0))
+    return np.asarray(moved * np.where(reach > STILL_STATE_SHARE, np.clip(reach, NOTABLE, 1.0), 1.0))
 
 
 def control_spans(
@@ -196,12 +187,12 @@ def control_spans(
     spans = shared(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
-    largest = largest if largest > IDLE_CONTROL_SHARE**2 * terms else terms
+    largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = shared(np.where(spans > IDLE_CONTROL_SHARE * alike, spans, alike), leg.controls)
+    spans = shared(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
-    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= IDLE_CONTROL_SHARE * itself)
-    unmoved &= spans <= np.fmax(IDLE_CONTROL_SHARE * itself, SPAN_MIN_SHARE * size)
+    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
+    unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = shared(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
     return _fallback_span(np.where(spans > ROUNDING, spans, extent), magnitude(size))
 
@@ -219,7 +210,7 @@ def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     for i in np.flatnonzero(np.max(np.abs(u), axis=1, initial=0.0) <= EQUAL * least):
         by = least[i] * (np.arange(least.size) == i)[:, None]
         changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
-        if np.all(changed <= FORETOLD_CHANGE_MIN_SHARE * by_control[:, i] * least[i]):
+        if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
             least[i] = 0.0
     for vector in (c for c in leg.composed_controls if isinstance(c, VectorControl)):
         place = leg.controls.slice(
@@ -251,12 +242,12 @@ def _mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     lasts, u = times[-1] - times[0], leg.flown(times)
     mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
     pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
-    return np.asarray(np.where(pushes > IDLE_CONTROL_SHARE * used, pushes, used))
+    return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
 def _within_range(spans: Array, extent: Array) -> Array:
     return np.where(
-        extent > 0, np.where(spans > IDLE_CONTROL_SHARE * extent, np.minimum(spans, extent), extent), spans
+        extent > 0, np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent), spans
     )
 
 

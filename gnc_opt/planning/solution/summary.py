@@ -19,6 +19,7 @@ from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.text import counted
+from gnc_opt.tolerances import EQUAL
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
@@ -27,8 +28,6 @@ SUMMARY_MAX_NAMES = 3
 BETTER_COARSE_SOLVE = "also seen"
 """Key of the provenance: a coarse solve on the way to the answer that was better, perhaps by another minimum."""
 
-ROUNDING_VIOLATION = 1e-9
-"""Relative bound violations below this are rounding."""
 
 _LOADED_CHECK = {
     RefinementStatus.CONVERGED: "passed at the end of the refinement",
@@ -279,7 +278,7 @@ def _between_nodes(quality: Quality | None) -> Iterator[str]:
     yield _labelled_line(
         "defect", f"{quality.max_defect:.2g} relative between nodes: {quality.defect_location}"
     )
-    if quality.max_bound_violation > ROUNDING_VIOLATION:
+    if quality.max_bound_violation > EQUAL:
         violation = f"exceeded by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
         yield _labelled_line("bounds", violation)
 

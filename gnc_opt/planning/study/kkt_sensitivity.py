@@ -34,7 +34,6 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
 from gnc_opt.planning.optimality.program_point import (
-    WEAKLY_ACTIVE_TOLERANCE,
     ProgramLimits,
     ProgramPoint,
     saddle_matrix,
@@ -47,6 +46,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.scaling import scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.tolerances import ACTIVE
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 """Solver tolerance that tells active limits from others."""
@@ -217,10 +217,7 @@ class KktPoint:
         culprits = [
             limits.labels[i]
             for limits, values, multipliers in self._limits_and_multipliers()
-            for i in np.flatnonzero(
-                (limits.push(multipliers) < -WEAKLY_ACTIVE_TOLERANCE)
-                | (limits.room(values) < -WEAKLY_ACTIVE_TOLERANCE)
-            )
+            for i in np.flatnonzero((limits.push(multipliers) < -ACTIVE) | (limits.room(values) < -ACTIVE))
         ]
         if not culprits:
             return ""

@@ -27,24 +27,18 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
-from gnc_opt.planning.optimality.switches import GRAZES, Switches, find_inner_switches
+from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.optimality.switches import Switches, find_inner_switches
 from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, Unknowns
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.quality import worst_index
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import direction_optimal_gradient
 from gnc_opt.planning.verification.feasibility import decide_result
 from gnc_opt.planning.verification.goh import find_flat_controls
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, RANK
-
-OWN = 1e-4
-"""Up to this share of the phase beside a control's own switch its switching function is checked by its slope alone."""
-
-ACTIVE_PATH, ACTIVE_STATE = 1e-6, 1e-4
-"""Multipliers above these, in shares of H and of the cost, are those of active constraints."""
-
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
 
 MOST_ORDERS = 120
 """Orders of simultaneous switches that are tried."""
@@ -56,7 +50,7 @@ def check_strict_switches(samples: list[PhaseSamples]) -> Condition:
         "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
         "with its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next "
         "to a touching zero could vanish or grow. A slope of the wrong sign fails where the switching function beside "
-        f"it has the wrong sign by more than {GRAZES:.0e} of H; what is less is zero within the errors of costates."
+        f"it has the wrong sign by more than {NEGLIGIBLE:.0e} of H; what is less is zero within the errors of costates."
     )
     worst = min(filter(None, map(_find_worst_crossing, samples)), default=None)
     touched = next(filter(None, map(_find_touched_zero, samples)), "")
@@ -65,8 +59,8 @@ def check_strict_switches(samples: list[PhaseSamples]) -> Condition:
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
-    result = decide_result(least > GRAZES, worst.wrong)
-    return Condition(name, result, -least, -GRAZES, worst.where, meaning, sufficient=True)
+    result = decide_result(least > NEGLIGIBLE, worst.wrong)
+    return Condition(name, result, -least, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
 
 
 @dataclass(frozen=True, order=True)
@@ -80,7 +74,7 @@ class _Crossing:
     @property
     def wrong(self) -> bool:
         """Whether it violates a necessary condition."""
-        return self.slope < -GRAZES and not self.harmless
+        return self.slope < -NEGLIGIBLE and not self.harmless
 
 
 def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
@@ -107,12 +101,12 @@ def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
         violation = _switching_sign_violation(s, int(i), times[channels == i], float(t))
         if np.isnan(slope) or np.isnan(violation):
             found.append(_Crossing(False, -np.inf, where))
-        elif slope < -GRAZES and violation <= GRAZES:
+        elif slope < -NEGLIGIBLE and violation <= NEGLIGIBLE:
             found.append(
                 _Crossing(True, float(slope), f"{where}: the wrong sign by {violation:.1e} of H only")
             )
         else:
-            found.append(_Crossing(bool(slope >= -GRAZES), float(slope), where))
+            found.append(_Crossing(bool(slope >= -NEGLIGIBLE), float(slope), where))
     return min(found)
 
 
@@ -140,9 +134,9 @@ def _find_touched_zero(s: PhaseSamples) -> str:
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
-        away = np.min(np.abs(s.times[:, None] - ends), axis=1) > OWN * s.span
+        away = np.min(np.abs(s.times[:, None] - ends), axis=1) > SMEARED * s.span
         here = worth[i]
-        lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < GRAZES)
+        lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
         touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
         if touching.size:
             return f"{s.place(int(touching[0]) + 1, s.leg.controls.labels[i])}: touches zero between switches"
@@ -340,12 +334,12 @@ def why_not_applicable(samples: list[PhaseSamples]) -> str:
         if not np.all(on_bound):
             i, j = worst_index((~on_bound).astype(float))
             return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"
-        if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > ACTIVE_PATH * s.hamiltonian_scale:
+        if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > NEGLIGIBLE * s.hamiltonian_scale:
             return f"phase {s.leg.name}: an active path constraint"
         worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
-        if np.max(worth, initial=0.0) > ACTIVE_STATE * s.cost_scale:
+        if np.max(worth, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
             return f"phase {s.leg.name}: an active state bound"
         jumps = np.abs(s.leg.lam_end[:, :-1] - s.leg.lam_start[:, 1:]) * s.state_scale[:, None]
-        if np.max(jumps, initial=0.0) > ACTIVE_STATE * s.cost_scale:
+        if np.max(jumps, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
             return f"phase {s.leg.name}: a state constraint that is touched"
     return ""

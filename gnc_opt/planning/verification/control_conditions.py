@@ -17,7 +17,6 @@ from gnc_opt.planning.optimality.cost_scale import average_over_time, exclude_sw
 from gnc_opt.planning.optimality.reference_scales import (
     CHEAP_AFFINE,
     CHEAP_CURVED,
-    RESOLVED_MISS,
     Scales,
     curves_cost,
 )
@@ -33,13 +32,7 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     coupled_minima,
     search_bounds,
 )
-from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY
-
-CLEARLY_INSIDE = 1e-2
-"""A control this far from both bounds, relative to the range, is between them on purpose."""
-
-SLOPE_MIN_SHARE = 1e-3
-"""Gain of H across a control's range, in shares of that of all controls, above which its slope has a sign."""
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, SMALL, TINY
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -63,7 +56,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
         miss = _distance_to_minimum(s, scales)
         # However cheap a control is: multipliers may be rounding, what the cost itself curves by is not.
-        clear = np.isfinite(miss) & (miss > RESOLVED_MISS) & curves_cost(s)[:, None]
+        clear = np.isfinite(miss) & (miss > NOTABLE) & curves_cost(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / control_gain_scale(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
@@ -186,7 +179,7 @@ def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     apart = s.functions.separable_controls
     lower, upper = (limit[:, None] for limit in search_bounds(s))
     slope = s.control_gradient[:, np.searchsorted(s.times, times)]
-    clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SLOPE_MIN_SHARE * s.joint_worth)
+    clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SMALL * s.joint_worth)
     return times, np.where(clear, np.where(slope > 0, lower, upper), u)
 
 
@@ -298,5 +291,5 @@ def _hamiltonian_curvature(s: PhaseSamples) -> Array:
 
 def _controls_between_bounds(s: PhaseSamples) -> Mask:
     """Where each control that does something is between its bounds, and not only on its way across, (m, n_samples)."""
-    at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, NOTABLE * s.control_scale)
     return exclude_switches(s.times, np.asarray(~(at_lower | at_upper | s.idle)))

@@ -20,16 +20,13 @@ import scipy
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.optimality.multiplier_estimate import path_gradients_at_boundaries
-from gnc_opt.planning.optimality.program_point import WEAKLY_ACTIVE_TOLERANCE, ProgramLimits, ProgramPoint
+from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.solution.phase_solution import piecewise
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.program_layout import PhasePart
-from gnc_opt.tolerances import AT_LIMIT, TINY
-
-SURELY = 0.99
-"""A collocation point between samples that are idle by this share is so itself."""
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, TINY
 
 
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
@@ -81,7 +78,7 @@ def hold_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]
             s.leg.initial_time + s.leg.duration * collocation.fractions,
         )
         for i in np.flatnonzero(np.any(s.idle, axis=1)):
-            alone = np.interp(times, s.times, s.idle[i]) > SURELY
+            alone = np.interp(times, s.times, s.idle[i]) > (1 - NOTABLE)
             strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
         for vector in s.leg.composed_controls:
             if not isinstance(vector, VectorControl):
@@ -127,10 +124,6 @@ def _arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
     for row in s.pure_paths:
         along[row, 1:] = np.logical_and.reduceat(held[row], collocation.mesh.offsets[:-1])
     return np.asarray(along[:, 1:] & ~along[:, :-1])
-
-
-CONE_EXIT_SHARE = 1e-2
-"""A variation beyond an active limit by more than this share of its own largest leaves it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +178,7 @@ class CriticalCone:
         )
         outwards = np.where(values - lower < upper - values, -changes, changes)
         between = [self._largest_limit_violation(s, direction) for s in samples]
-        return bool(np.all(np.concatenate([outwards, *between]) <= CONE_EXIT_SHARE))
+        return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 
     def _largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
         """How far a direction leads states and path constraints beyond active limits, in shares of its largest."""
@@ -208,7 +201,7 @@ class CriticalCone:
             free = ~box.fixed[:, None]
             beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
             # What a direction hardly moves, as a limit that it goes along, it does not leave.
-            least = np.maximum(CONE_EXIT_SHARE * scale, TINY)
+            least = np.maximum(NOTABLE * scale, TINY)
             largest = np.maximum(np.max(np.abs(changes), axis=1, initial=0.0), least)
             worst.append(np.max(beyond, axis=1, initial=0.0) / largest)
         return np.concatenate(worst)
@@ -234,10 +227,7 @@ def _hold_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, do
         if not (np.any(pushed[line]) and np.any(doubtful[line])):
             continue
         limits = values[line[pushed[line]]]
-        same = (
-            np.any(np.abs(values[line][:, None] - limits) <= 2 * WEAKLY_ACTIVE_TOLERANCE, axis=1)
-            & doubtful[line]
-        )
+        same = np.any(np.abs(values[line][:, None] - limits) <= 2 * ACTIVE, axis=1) & doubtful[line]
         held[line[same]], doubtful[line[same]] = True, False
 
 

@@ -26,10 +26,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.tolerances import ROUNDING, TINY
-
-MOST_BESIDE = 200
-"""Samples beyond a path limit, at most, at which the distance to it is measured."""
+from gnc_opt.tolerances import ROUNDING, SHORTEST, TINY
 
 SCANNED, SCANNED_PATHS = 4096, 32768
 """Times at which the dynamics and integrands of a phase, and its path constraints, are evaluated beside the samples:
@@ -37,9 +34,6 @@ narrow features in time or place, as a gust or a small keep-out whose constraint
 
 LAYER_STEPS = 512
 """Steps per segment, at least, at which integrals are evaluated again where a scan denies them."""
-
-_DRAWN = 1e-8
-"""A phase without length is drawn a little longer than it lasts (s)."""
 
 
 def condition_from_violation(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
@@ -177,7 +171,6 @@ def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     most = float(shares[i])
     excess = limits.excess(at.times, at.x, at.u)
     beyond = np.flatnonzero(np.any(excess > 0, axis=0))
-    beyond = beyond[:: max(1, beyond.size // MOST_BESIDE)]
     for k in range(limits.rows.size) if beyond.size else ():
         here = limits.some(np.full(beyond.size, k))
         beside = _path_distances(
@@ -258,7 +251,7 @@ def check_boundary_conditions(
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.or_worse(_worst_excess(times, interval, lasts, labels, ("s",) * 3))
         # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
-        slack = _DRAWN + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
+        slack = 10 * SHORTEST + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))

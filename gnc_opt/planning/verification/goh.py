@@ -39,8 +39,8 @@ from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.quadrature import differentiation_matrix, points, weights
 from gnc_opt.planning.verification.control_conditions import find_undetermined
 from gnc_opt.planning.verification.critical_cone import CriticalCone
-from gnc_opt.planning.verification.singular_arcs import COUPLED, CROSS, TOO_LARGE, analyse_singular_arcs
-from gnc_opt.tolerances import AT_LIMIT, RANK
+from gnc_opt.planning.verification.singular_arcs import COUPLED, TOO_LARGE, analyse_singular_arcs
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, RANK
 
 CUTS = (1e-2, 0.1), (0.9, 0.99)
 """Where the first and the last segment of a singular arc are cut, in shares of their widths."""
@@ -135,7 +135,7 @@ def _segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
     """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little."""
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
     for arc in analyse_singular_arcs(problem, s, *find_undetermined(s, AT_LIMIT), AT_LIMIT):
-        unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -CROSS)
+        unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -EQUAL)
         if arc.order == 0 and arc.why and not unknown:
             for i in arc.channels:
                 found[i, s.segments[slice(*arc.samples)]] = True

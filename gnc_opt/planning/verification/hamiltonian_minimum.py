@@ -15,9 +15,10 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.optimality.cost_scale import average_over_time
+from gnc_opt.planning.optimality.reference_scales import CHEAP_CURVED
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import find_vector_control
-from gnc_opt.tolerances import EQUAL, RANK, ROUNDING, TINY
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
 POINTS = 2**15
 """Controls tried per group along a phase: more than a well's share of the controls and of the duration ask for."""
@@ -30,11 +31,6 @@ _BEYOND = 0.05
 NEAREST = 1e-8
 """Least distance from the applied control at which others are tried, in shares of the range."""
 
-_LEAST_BEND = 1e-3
-"""Curvature, as a share of the slope, below which a step goes across the range."""
-
-LEAST_MOVE_SHARE = 1e-11
-"""Least change of H by a move, in shares of the mean cost scale: below, differences of H are rounding."""
 
 RESOLVED_GAIN_SHARE = 3e-7
 """Gains in H below this share of the mean cost scale are errors of a solver's multipliers, as of a part with time to
@@ -43,12 +39,6 @@ spare, whose costates vanish."""
 _STARTS_REFINED = 8
 _HAMILTONIAN_NEWTON_STEPS = 12
 _STEP_LENGTHS = (1.0, 0.3, 0.1, 0.01, 0.001)
-
-
-_PROGRESS = 1e-6
-"""Share of the least worth below which a descent ends."""
-
-_RESTORATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -182,7 +172,7 @@ class _Search:
         if not np.any(functions.mixed_paths):
             return shares
         shares, off = shares.copy(), np.arange(at.size)
-        for _ in range(_RESTORATIONS):
+        for _ in range(_HAMILTONIAN_NEWTON_STEPS):
             times, x, u = self._at(shares[:, off], at[off])
             paths = functions.paths(times, x, u)
             beyond = np.where(
@@ -342,7 +332,7 @@ class _Search:
         worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
         return np.asarray(
             np.maximum(
-                np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), LEAST_MOVE_SHARE * self.cost_rate
+                np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), CHEAP_CURVED * self.cost_rate
             )
         )
 
@@ -358,7 +348,7 @@ class _Search:
             values = self.value(trials, here).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
-            lower = reached < value[active] - _PROGRESS * self.s.least_worth
+            lower = reached < value[active] - NEGLIGIBLE * self.s.least_worth
             if not np.any(lower):
                 break
             shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]
@@ -380,7 +370,7 @@ class _Search:
         pull = np.einsum("nij,nik,kn->nj", axes, tangent, gradient, optimize=True)
         steepest = np.max(np.abs(pull), axis=1)
         sizes = np.abs(sizes)
-        floor = np.maximum(EQUAL * np.max(sizes, axis=1), _LEAST_BEND * steepest)
+        floor = np.maximum(EQUAL * np.max(sizes, axis=1), SMALL * steepest)
         step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
         return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 

@@ -32,7 +32,7 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.cost_scale import state_variations
-from gnc_opt.planning.optimality.kkt import FOUND, NullSpace, lanczos, quadratic
+from gnc_opt.planning.optimality.kkt import NullSpace, lanczos, quadratic
 from gnc_opt.planning.optimality.program_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -54,18 +54,15 @@ from gnc_opt.planning.verification.goh import (
     singular_segments,
     transform_to_goh_variables,
 )
-from gnc_opt.tolerances import AT_LIMIT, ROUNDING
+from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 
 PHASE_MIN_POINTS = 30
 """Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
 
-UPWARDS, DOWNWARDS = 1e-6, 1e-4
-"""Curvature, in shares of the Hessian's middle row, that counts: above what is left of first-order
-errors, those of the mesh between active limits included."""
-
-DOWNWARDS_SINGULAR = 1e-2
-"""The same where a control is singular: there quadrature may take a control that alternates from node to node for one
-that gains something."""
+DOWNWARDS = 1e-4
+"""Downward curvature, in shares of the Hessian's middle row, that counts: above what is left of first-order errors,
+those of the mesh between active limits included. Where a control is singular quadrature may take one that alternates
+from node to node for one that gains something: there `NOTABLE` counts."""
 
 
 SHIFT = 0.1
@@ -79,10 +76,6 @@ LANCZOS_STEPS = 80
 
 GAIN_STEP_SHARE = 0.1
 """Step, in shares of the magnitudes, for which the gain is given."""
-
-LEAST_GAIN = 1e-7
-"""Gain of such a step, in shares of the cost, below which it is rounding, whatever it is in shares of the middle row:
-that one is next to nothing where controls are idle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +105,7 @@ class Curvature:
     @property
     def upwards(self) -> bool:
         """Whether it is shown to be positive."""
-        return self.value > UPWARDS and self.share > AT_LIMIT
+        return self.value > NEGLIGIBLE and self.share > AT_LIMIT
 
     def downwards(self, steep: float) -> bool:
         """Whether it is shown to be negative, by more than ``steep`` and by what gains something."""
@@ -175,11 +168,11 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     )
 
     def second_order_condition(
-        result: ConditionResult, value: float, where: str, tolerance: float = -UPWARDS
+        result: ConditionResult, value: float, where: str, tolerance: float = -NEGLIGIBLE
     ) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
-    steep = DOWNWARDS_SINGULAR if any(map(_has_partly_singular_segment, samples)) else DOWNWARDS
+    steep = NOTABLE if any(map(_has_partly_singular_segment, samples)) else DOWNWARDS
     beyond, least = min(
         (find_gaining_end_control(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf)
     )
@@ -222,7 +215,7 @@ def _flat_curvature_text(curvature: Curvature, steep: float) -> str:
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
         return f"{_gain_text(curvature)}, which is rounding"
-    return f": flat (curvatures between -{steep:.0e} and {UPWARDS:.0e} count as zero)"
+    return f": flat (curvatures between -{steep:.0e} and {NEGLIGIBLE:.0e} count as zero)"
 
 
 def _enrich_mesh(mesh: Mesh) -> Mesh:
@@ -299,7 +292,8 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     if largest <= ROUNDING * np.max(peaks):
         largest = float(np.max(peaks))
     gain = -0.5 * curvature * (GAIN_STEP_SHARE / largest) ** 2 / point.scaling.objective
-    least = LEAST_GAIN / COSTATE_MIN_SHARE_OF_COST * point.rounding / point.scaling.objective
+    # However large in shares of the middle row: that one is next to nothing where controls are idle.
+    least = SMALL * point.rounding / point.scaling.objective
     return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
@@ -313,10 +307,10 @@ def _least_direction(space: NullSpace, hessian: Any, steep: bool = True) -> Arra
     inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = lanczos(inverse, start, LANCZOS_STEPS)
-    if not values.size or np.max(np.abs(values)) * SHIFT < FOUND:
+    if not values.size or np.max(np.abs(values)) * SHIFT < NEGLIGIBLE:
         return None
     # 1 / (curvature + shift): below -shift it is negative, and above it is largest where the curvature is least.
-    downwards = values < -FOUND * np.max(np.abs(values))
+    downwards = values < -NEGLIGIBLE * np.max(np.abs(values))
     chosen = vectors[:, np.argmin(values)] if np.any(downwards) else vectors[:, np.argmax(values)]
     direction = inverse(chosen)
     return np.asarray(direction / np.linalg.norm(direction))
@@ -327,7 +321,7 @@ def _steep_direction(space: NullSpace, hessian: Any) -> Array | None:
     project = space.projection
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
     values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
-    if not values.size or values[0] > -max(STEEP, FOUND * float(np.max(np.abs(values)))):
+    if not values.size or values[0] > -max(STEEP, NEGLIGIBLE * float(np.max(np.abs(values)))):
         return None
     direction = project(vectors[:, 0])
     return np.asarray(direction / np.linalg.norm(direction))

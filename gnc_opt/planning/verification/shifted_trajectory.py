@@ -26,27 +26,19 @@ from gnc_opt.planning.optimality.reach import cell_edges, end_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients, end_values
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
+from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
 SHIFT_STEP_SHARE = 0.02
 """Larger one of the two steps, in shares of the shorter arc beside a jump."""
 
-LEAST_GAIN_SHARE, LEAST_CURVATURE_SHARE = 1e-7, 1e-3
-"""Least gain at the smaller step, in shares of the cost scale, and of the curvatures of the single shifts."""
 
 SECOND_ORDER = (0.1, 0.6)
 """Ratios of the gains at both steps, one the half of the other, that are those of second order."""
 
 ACTIVE_LIMIT_TIMES = 24
 """Times of a phase, at most, at which limits that act along arcs are kept."""
-
-KEPT = 1e-2
-"""Miss of the end conditions, in shares of those of the single shifts, that is of second order."""
-
-WINDOW = 1.001
-"""Half width of the window around a jump, in its largest shifts."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +93,10 @@ class ShiftedTrajectory:
             return None
         slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :])
         shifts, corrections = slopes[:, :n], slopes[:, n:]
-        inverse = np.linalg.pinv(corrections, rcond=1e-6) if m else np.zeros((0, slopes.shape[0]))
+        inverse = np.linalg.pinv(corrections, rcond=NEGLIGIBLE) if m else np.zeros((0, slopes.shape[0]))
         rest = shifts - corrections @ (inverse @ shifts)
         size = np.linalg.norm(shifts, axis=0)
-        free = _null_space(rest, max(KEPT * float(np.max(size, initial=0.0)), RANK))
+        free = _null_space(rest, max(NOTABLE * float(np.max(size, initial=0.0)), RANK))
         if not free.shape[1]:
             return None
         full = np.vstack([free, -inverse @ shifts @ free])  # (n + m, d)
@@ -118,7 +110,7 @@ class ShiftedTrajectory:
         for k, (i, j) in enumerate(couples):
             hessian[i, j] = hessian[j, i] = half[d + k] - half[i] - half[j]
         single = np.abs(np.diag(hessian))
-        least = 1e-3 * np.max(single, initial=0.0)
+        least = SMALL * np.max(single, initial=0.0)
         scale = 1 / np.sqrt(np.maximum(single, max(float(least), TINY)))
         scale = scale / np.max(scale) if np.max(single) > 0 else np.ones(d)
         directions = [*unit, *(unit[i] + s * unit[j] for i, j in couples for s in (1, -1))]
@@ -142,7 +134,9 @@ class ShiftedTrajectory:
         sizes = np.linalg.norm(misses, axis=0)
         kept = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
         falls = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & kept
-        falls &= (fine > LEAST_GAIN_SHARE * self.scales.cost) & (fine > LEAST_CURVATURE_SHARE * 0.25 * terms)
+        falls &= (fine > (SMALL * COSTATE_MIN_SHARE_OF_COST) * self.scales.cost) & (
+            fine > SMALL * 0.25 * terms
+        )
         if not np.any(falls):
             return None
         best = int(np.argmax(np.where(falls, coarse, 0.0)))
@@ -151,7 +145,7 @@ class ShiftedTrajectory:
             f"{self._jump_label(self.jumps[k])} at t = {self.jumps[k].time:.6g} s by "
             f"{directions[k, best] * SHIFT_STEP_SHARE * self.jumps[k].shorter_arc:+.2g} s"
             for k in moved
-            if abs(directions[k, best]) > 1e-3
+            if abs(directions[k, best]) > SMALL
         ]
         return Fall(float(coarse[best]) / self.scales.cost, "switch of " + ", ".join(named))
 
@@ -261,7 +255,10 @@ class _ShiftedPhase:
     ) -> _ShiftedPhase:
         """Return a phase in which shifts are at most ``steps`` (s); ``count`` is the number of columns."""
         cells = cell_edges(s.leg.breaks)
-        windows = [(jump[1] - WINDOW * h, jump[1] + WINDOW * h) for jump, h in zip(jumps, steps, strict=True)]
+        windows = [
+            (jump[1] - (1 + SMALL) * h, jump[1] + (1 + SMALL) * h)
+            for jump, h in zip(jumps, steps, strict=True)
+        ]
         inside = np.zeros(cells.size, dtype=bool)
         for first, last in windows:
             inside |= (cells > first) & (cells < last)
@@ -375,7 +372,7 @@ def _costate_jumps(leg: PhaseSolution) -> dict[float, Array]:
 
 def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
     """Return the applied controls (m, n_times) at times of steps with given middles."""
-    edge = 1e-9 * (leg.breaks[-1] - leg.breaks[0])
+    edge = SAME_TIME * (leg.breaks[-1] - leg.breaks[0])
     inside = np.where(t < middle, t + edge, np.where(t > middle, t - edge, t))
     return np.array(leg.flown(np.clip(inside, leg.breaks[0], leg.breaks[-1])))
 
@@ -387,7 +384,7 @@ def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Arra
     x, u = leg.x(times), leg.flown(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1, initial=0.0)
-    lower, upper = leg.control_bounds.near(u, 1e-2 * most)
+    lower, upper = leg.control_bounds.near(u, NOTABLE * most)
     inside = ~(lower | upper)
     if leg.path_labels:
         jacobian = s.functions.path_control_jacobian(times, x, u)

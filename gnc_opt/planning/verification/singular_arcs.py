@@ -32,7 +32,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import decide_result
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import EQUAL, SMALL, TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
 """Orders of singular arcs that are looked for."""
@@ -40,12 +40,6 @@ SINGULAR_ARC_MAX_ORDER = 3
 MOST_INSTRUCTIONS = 200_000
 """Size of the derivatives of a switching function beyond which no further one is taken."""
 
-CROSS = 1e-10
-"""Curvature of H along a coupling, in shares of H, below which it is what is left of stationarity."""
-
-OWN_DECAY = 1e3
-"""Where H only flattens out in a control, time derivatives of its switching function contain those of the curvature:
-what they tell of the arc is larger than the curvature by more than this."""
 
 TOO_LARGE = "the switching function has too large a derivative of order"
 
@@ -157,7 +151,7 @@ def _analyse_singular_arc(
         bends = (
             f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
         )
-        return arc(0, least, COUPLED + (bends if least < -CROSS else ""))
+        return arc(0, least, COUPLED + (bends if least < -EQUAL else ""))
     flat = 0.0
     for j in range(2 * SINGULAR_ARC_MAX_ORDER + 1):
         function = derivatives.by_controls(j)
@@ -168,7 +162,7 @@ def _analyse_singular_arc(
         flat = size if j == 0 else flat
         if size <= tolerance:
             continue
-        if size <= OWN_DECAY * flat:
+        if SMALL * size <= flat:  # time derivatives of a curvature that only flattens out
             return arc(0, 0.0, NOT_AFFINE)
         if j % 2:
             return arc(0, -size)

@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.kinks import Kinks, kinks_of
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.tolerances import AT_LIMIT, TINY, magnitude
+from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, magnitude
 
 NAME = "kinks"
 
@@ -30,16 +30,14 @@ KINKS = (
     "constraint."
 )
 
-_JUMP_OFFSET_SHARE = 1e-9
-"""Share of a phase by which both sides of a jump are looked at."""
 
 _BISECTIONS = 60
 
 STEPS = 1e-4, 1e-6
 """Steps of second differences, in shares of the reach."""
 
-SAME_RATIO, LEAST_FALL = 0.3, 1e-3
-"""Least ratio of the second differences per step at both, one at a kink; least size, in shares of slopes and cost."""
+SAME_RATIO = 0.3
+"""Least ratio of the second differences per step at both, one at a kink."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +132,7 @@ def _largest_decrease(coarse: Array, fine: Array, cost: float) -> float:
 
 def _may_decrease(coarse: Array, cost: float) -> Mask:
     """Whether second differences at the larger step are negative and not rounding (n,)."""
-    return np.asarray(-coarse[1] >= LEAST_FALL * np.maximum(np.abs(coarse[0]), cost))
+    return np.asarray(-coarse[1] >= SMALL * np.maximum(np.abs(coarse[0]), cost))
 
 
 def _kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
@@ -150,14 +148,12 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
         times = np.array([time])
         return float(_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))[i, 0])
 
-    rising = argument_at(right - _JUMP_OFFSET_SHARE * s.span) > argument_at(
-        left + _JUMP_OFFSET_SHARE * s.span
-    )
+    rising = argument_at(right - SAME_TIME * s.span) > argument_at(left + SAME_TIME * s.span)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (left + right)
         left, right = (left, middle) if (argument_at(middle) > 0) == rising else (middle, right)
     sides = np.clip(
-        np.array([left - _JUMP_OFFSET_SHARE * s.span, right + _JUMP_OFFSET_SHARE * s.span]),
+        np.array([left - SAME_TIME * s.span, right + SAME_TIME * s.span]),
         *s.leg.breaks[[0, -1]],
     )
     x, u = s.leg.x(sides), np.repeat(s.leg.flown(sides)[:, :1], 2, axis=1)

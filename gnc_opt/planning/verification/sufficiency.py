@@ -34,7 +34,6 @@ from gnc_opt.planning.optimality.cost_scale import (
     Magnitudes,
     holds_for_share,
 )
-from gnc_opt.planning.optimality.switches import GRAZES
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import parameter_arguments
 from gnc_opt.planning.problem.interval import Interval, intersect
@@ -45,7 +44,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
-from gnc_opt.tolerances import AT_LIMIT, RANK, ROUNDING
+from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
 """A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
@@ -108,7 +107,7 @@ def controls_determined_by_slope(s: PhaseSamples) -> Mask:
     """Which controls are on bounds all along, their switching functions zero for a moment at most (m,)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = holds_for_share(s.times, ~(worth > GRAZES), AVERAGING_SHARE_OF_PHASE)
+    opens = holds_for_share(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
     between = holds_for_share(s.times, ~(at_lower | at_upper), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 

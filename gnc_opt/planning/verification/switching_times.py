@@ -13,14 +13,13 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.optimality.trajectory_fit import VISIBLE
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.bang_bang_second_order import why_not_applicable
 from gnc_opt.planning.verification.shifted_trajectory import Fall, Jump, ShiftedTrajectory
-from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, TINY
+from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
 MOST_TOGETHER = 8
 """Jumps whose shifts are combined, at most."""
@@ -93,7 +92,7 @@ def find_jumps(samples: list[PhaseSamples]) -> list[Jump]:
         inner = leg.breaks[1:-1]
         if inner.size:
             size = np.abs(leg.flown(inner) - leg.flown(inner, "left"))
-            for i, k in np.argwhere(size > VISIBLE * np.maximum(change, TINY)[:, None]):
+            for i, k in np.argwhere(size > SMALL * np.maximum(change, TINY)[:, None]):
                 if not _is_held(s, int(i), float(inner[k])):
                     jumps.append((s, float(inner[k]), int(i), ""))
     for s, following in itertools.pairwise(order):
@@ -103,7 +102,7 @@ def find_jumps(samples: list[PhaseSamples]) -> list[Jump]:
         before, after = a.flown(a.breaks[-1], "left"), b.flown(b.breaks[0])
         change = np.maximum(np.ptp(s.u, axis=1), np.ptp(following.u, axis=1))
         size = np.abs(after - before)
-        for i in np.flatnonzero(size > VISIBLE * np.maximum(change, size)):
+        for i in np.flatnonzero(size > SMALL * np.maximum(change, size)):
             straight = not (_is_held(s, int(i), a.breaks[-1]) or _is_held(following, int(i), b.breaks[0]))
             on_bounds = all(_is_on_bound(p, v, int(i)) for p, v in ((s, before), (following, after)))
             if straight and on_bounds:

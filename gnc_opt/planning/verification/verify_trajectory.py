@@ -23,7 +23,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
-from gnc_opt.planning.optimality.trajectory_fit import VISIBLE, FittedPhase, Samples, fit_trajectory
+from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.verdict import FIRST_ORDER, ConditionResult, Verd
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, NOTABLE, SAME_TIME, SMALL
 
 
 def reformulate_samples(
@@ -99,9 +99,9 @@ PARTS = (2, 4)
 """Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
 change faster than the states."""
 
-RESOLVED_VIOLATION, INTERPOLATION_GROWTH, FEWEST_SAMPLES = 1e-2, 4.0, 8
-"""Largest violation that may be an error of interpolation; its least growth if every second sample is left out; least
-number of samples of a phase to measure that."""
+INTERPOLATION_GROWTH, FEWEST_SAMPLES = 4.0, 8
+"""Least growth of an error of interpolation if every second sample is left out; least number of samples of a phase to
+measure that."""
 
 NEARER = 1e-7, 1e-9
 """Distances from limits, in shares of their scales, beyond which they do not push: tried where estimated multipliers
@@ -199,7 +199,7 @@ def _excuse_interpolation_errors(
     """The same with failures inconclusive that are errors of interpolation: they grow with every second sample."""
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
     few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
-    if not failed or few or any(not c.value <= RESOLVED_VIOLATION for c in failed):
+    if not failed or few or any(not c.value <= NOTABLE for c in failed):
         return verdict
     coarse = verify(
         _build_solution(problem, {k: _thin_samples(leg) for k, leg in samples.items()}, q), tol=tol
@@ -403,7 +403,7 @@ def _remove_duplicates(samples: Samples) -> Samples:
     """The samples without those that repeat another one, its time a rounding later."""
     t, u = samples.t, samples.u
     near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
-    jumps = np.any(np.abs(np.diff(u, axis=1)) > VISIBLE * np.ptp(u, axis=1, keepdims=True), axis=0)
+    jumps = np.any(np.abs(np.diff(u, axis=1)) > SMALL * np.ptp(u, axis=1, keepdims=True), axis=0)
     kept = np.append(True, ~(near & ~jumps))
     times = t.copy()
     times[1:][near & jumps] = t[:-1][near & jumps]

@@ -16,15 +16,15 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning.direct.minimum_norm_multipliers import _null_space_part, minimum_norm_multipliers
 from gnc_opt.planning.optimality import kkt as saddle
-from gnc_opt.planning.optimality.kkt import FREE, SaddlePoint
+from gnc_opt.planning.optimality.kkt import SaddlePoint
 from gnc_opt.planning.optimality.program_point import (
-    WEAKLY_ACTIVE_TOLERANCE,
     ProgramLimits,
     ProgramPoint,
     quadrature_weights,
     saddle_matrix,
 )
 from gnc_opt.planning.transcription.scheme import GAUSS
+from gnc_opt.tolerances import ACTIVE, SMALL
 
 # Saddle points: against dense algebra; what is not determined, and what contradicts itself.
 
@@ -103,7 +103,7 @@ def test_a_free_direction_shows_among_redundant_rows_too() -> None:
     """Two equal rows hold a; nothing holds b + c."""
     with pytest.raises(go.GncOptError, match=r"do not determine '(b|c)'"):
         system([[1, 0, 0], [0, 1, -1], [0, -1, 1]], [[1.0, 0, 0], [1.0, 0, 0]])
-    assert FREE < 1.0
+    assert SMALL < 1.0
 
 
 def test_rows_that_contradict_each_other_are_named() -> None:
@@ -156,7 +156,7 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
     np.testing.assert_allclose(found.room(values), room, atol=1e-15)
     # Needed by less than 1e-5, or closer than that without being needed.
     assert np.flatnonzero(found.weak(values, multipliers)).tolist() == [8, 9, 10]
-    assert 1e-9 < WEAKLY_ACTIVE_TOLERANCE < 5e-3
+    assert 1e-9 < ACTIVE < 5e-3
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -22,7 +22,8 @@ from gnc_opt.planning.solution.quality import (
     worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.planning.solution.samples import SAMPLE_INSET, SAMPLES_BEYOND_POINTS, PhaseSamples, sampling_rule
+from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, sampling_rule
+from gnc_opt.tolerances import GONE
 
 CART = cart()
 
@@ -91,10 +92,10 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
     ends = rough.times_within[[0, n + 1, n + 2, -1]]
     assert ends == pytest.approx(
         [
-            SAMPLE_INSET * 0.25,
-            0.25 - SAMPLE_INSET * 0.25,
-            0.25 + SAMPLE_INSET * 0.75,
-            1 - SAMPLE_INSET * 0.75,
+            GONE * 0.25,
+            0.25 - GONE * 0.25,
+            0.25 + GONE * 0.75,
+            1 - GONE * 0.75,
         ],
         abs=1e-12,
     )

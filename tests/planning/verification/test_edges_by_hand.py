@@ -19,9 +19,9 @@ import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, average_over_time, integral_spans
-from gnc_opt.planning.optimality.kkt import FOUND, LANCZOS_RESIDUAL_TOLERANCE, NullSpace, _settled, lanczos
+from gnc_opt.planning.optimality.kkt import LANCZOS_RESIDUAL_TOLERANCE, NullSpace, _settled, lanczos
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
-from gnc_opt.planning.optimality.switches import GRAZES, Switches, _controls_with_vanishing_switching
+from gnc_opt.planning.optimality.switches import Switches, _controls_with_vanishing_switching
 from gnc_opt.planning.optimality.switching_problem import Unknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
     Samples,
@@ -52,6 +52,7 @@ from gnc_opt.planning.verification.recomputed import (
 )
 from gnc_opt.planning.verification.reduced_hessian import _least_direction
 from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_shape
+from gnc_opt.tolerances import NEGLIGIBLE
 
 Array = NDArray[np.float64]
 
@@ -117,7 +118,7 @@ def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
     scale = base.hamiltonian_scale / cost
     for sign in (1.0, -1.0):
         for factor, vanishes in ((0.9, True), (1.2, False)):
-            level = sign * factor * GRAZES * scale / 4
+            level = sign * factor * NEGLIGIBLE * scale / 4
 
             def lam(t: Array, level: float = level) -> Array:
                 return np.array([0.7 - t, level + 1.2 * away(t), -1 + 0 * t])
@@ -235,7 +236,7 @@ def test_lanczos_goes_on_past_a_vanishing_diagonal() -> None:
     swap = np.array([[0.0, 1.0], [1.0, 0.0]])
     values, _ = lanczos(lambda v: swap @ v, np.array([1.0, 0.0]), 10)
     np.testing.assert_allclose(values, [-1.0, 1.0], atol=1e-12)
-    nearly = np.diag([5.0, 1.0]) + 0.1 * FOUND * swap
+    nearly = np.diag([5.0, 1.0]) + 0.1 * NEGLIGIBLE * swap
     assert lanczos(lambda v: nearly @ v, np.array([1.0, 0.0]), 10)[0].size == 1
     # Where a later curvature is small beside the first, the first tells what counts.
     chain = np.diag([5.0, 1e-9, 3.0]) + np.diag([1.0, 1e-8], 1) + np.diag([1.0, 1e-8], -1)

@@ -27,7 +27,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
     integrate_bang_bang,
 )
 from gnc_opt.planning.optimality.cost_scale import exclude_switches, lasting_minimum_index
-from gnc_opt.planning.optimality.switches import GRAZES, Switches, _merge_equal_times
+from gnc_opt.planning.optimality.switches import Switches, _merge_equal_times
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.goh import (
     CUTS,
@@ -42,6 +42,7 @@ from gnc_opt.planning.verification.reduced_hessian import (
 )
 from gnc_opt.planning.verification.singular_arcs import is_chattering
 from gnc_opt.planning.verification.verify_trajectory import _find_bound_arcs
+from gnc_opt.tolerances import NEGLIGIBLE
 from problems import rendezvous
 
 # Switches of bang-bang controls by hand: where they are, in which orders they come, and how steeply.
@@ -120,7 +121,7 @@ def test_least_slope_on_either_side_of_a_switch(
     condition = check_strict_switches([s])
     assert condition.result is ConditionResult.PASS and condition.sufficient
     assert condition.value == pytest.approx(-least * 2.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
-    assert condition.tolerance == -GRAZES
+    assert condition.tolerance == -NEGLIGIBLE
     assert condition.where == f"phase leg, t = {time:g} s, u"
 
 

@@ -9,12 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.state_constraints import ACTIVE_CONSTRAINT_SHARE, StateConstraints
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.error import states_at_points
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import SMALL
+from gnc_opt.tolerances import NOTABLE, SMALL
 
 CONTACT_MIN_COST_SHARE = 1e-5
 """A multiplier counts from this share of the cost, and from a `SMALL` share of the largest one of its constraint."""
@@ -145,7 +145,7 @@ def contact_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Pus
     times, values, pushes = _values_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.limits(int(row)):
-            near = np.abs(values[row] - limit) < ACTIVE_CONSTRAINT_SHARE * constraints.scales[row]
+            near = np.abs(values[row] - limit) < NOTABLE * constraints.scales[row]
             worth = kind.sign * pushes[row] * constraints.scales[row] / s.cost_scale
             worth = np.where(
                 near & (worth > max(SMALL * float(np.max(worth)), CONTACT_MIN_COST_SHARE)),
