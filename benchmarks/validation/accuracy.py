@@ -163,7 +163,7 @@ def compare_trajectory(solution: go.Solution) -> dict[str, float | None]:
             return {}
         times, x, u = fine
         miss = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
-        misses.append((miss, np.max(np.abs(x), axis=1), s.end_scale))
+        misses.append((miss, np.max(np.abs(x), axis=1), s.state_scale))
         rows = [(x, s.leg.state_bounds, s.state_scale)]
         if s.leg.path_labels:
             rows.append((s.functions.paths(times, x, u), s.leg.path_bounds, s.path_scale))

@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSa
 from gnc_opt.planning.solution.scales import STILL_STATE_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, SMALL
+from gnc_opt.tolerances import ACTIVE, NOTABLE, RANK, SMALL
 
 
 def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
@@ -276,7 +276,7 @@ def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junct
     if not paths or not leg.mesh.movable:
         return ()
     at_path = rows.near(rows.values(s.times, s.x, s.u))
-    at_bound = np.any(leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale), axis=0)
+    at_bound = np.any(s.at_control_bounds, axis=0)
     found: dict[int, Junction] = {}
     for row in paths:
         others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and owners[i] == owners[row]]

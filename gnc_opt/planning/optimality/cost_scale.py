@@ -78,13 +78,10 @@ class Magnitudes:
     ----------
     constraints : array (n_constraints,)
         Of the boundary constraints; where none of them changes them, their size, or 1.
-    parameters : array (n_free_parameters,)
-        Of the cost by each parameter alone, per unit of it.
     """
 
     cost: float
     constraints: Array
-    parameters: Array
 
     @classmethod
     def of(cls, solution: Solution, samples: list[PhaseSamples]) -> Magnitudes:
@@ -96,10 +93,8 @@ class Magnitudes:
         for s in samples:
             leg = s.leg
             boxes.update({len(values) + k: s.flown_box for k in range(2)})
-            ends = (leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left"))
-            times = (np.array([leg.initial_time]), np.array([leg.final_time]))
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
-            values += [*ends, *times, leg.integrals, leg.parameters]
+            values += [np.atleast_1d(v) for v in leg.end_arguments]
             spans += [s.state_scale, s.state_scale, *(np.where(b.fixed, 0.0, s.span) for b in bounds)]
             spans += [integral_spans(s), np.zeros(leg.parameters.size)]
         values.append(solution.parameter_values)
@@ -119,12 +114,8 @@ class Magnitudes:
         with np.errstate(invalid="ignore"):  # what has no value has not changed
             changes = np.abs(found[:, 1:] - base[:, None])
         changes = np.where(np.isfinite(changes), changes, 0.0)
-        largest, parameters = np.max(changes, axis=1, initial=0.0), np.zeros(spans[-1].size)
-        for change, (k, i, step) in zip(changes[-1], moves, strict=True):
-            if k == len(spans) - 1:
-                parameters[i] = max(parameters[i], change / abs(step))
-        largest = np.fmax(largest, SPAN_MIN_SHARE * np.abs(base))
-        return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1], parameters)
+        largest = np.fmax(np.max(changes, axis=1, initial=0.0), SPAN_MIN_SHARE * np.abs(base))
+        return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1])
 
 
 def integral_spans(s: PhaseSamples) -> Array:

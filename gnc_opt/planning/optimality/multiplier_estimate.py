@@ -22,41 +22,20 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.costate_jumps import path_gradients
+from gnc_opt.planning.optimality.reach import matrix_exponentials
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
-from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
+from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.costates import Iterate
-from gnc_opt.planning.solution.extract import model_parameters
+from gnc_opt.planning.solution.extract import functions_at
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.warm_start import with_integrals
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
-
-
-@dataclass(frozen=True)
-class SampledTrajectory:
-    """A trajectory without multipliers.
-
-    Attributes
-    ----------
-    q : array (n_parameters,)
-        Free parameters.
-    scales : array (n_variables,)
-        What the variables of its program vary by.
-    near : float
-        Distance from a limit, in shares of its scale, within which it may push.
-    """
-
-    problem: Problem
-    phases: Mapping[str, FittedPhase]
-    q: Array
-    scales: Array
-    near: float
 
 
 @dataclass(frozen=True)
@@ -78,17 +57,40 @@ class PointMultipliers:
     at_upper: Mask
 
     @classmethod
-    def of(cls, transcription: Transcription, trajectory: SampledTrajectory) -> PointMultipliers:
-        """Find them along a trajectory."""
+    def of(
+        cls,
+        transcription: Transcription,
+        problem: Problem,
+        fitted: Mapping[str, FittedPhase],
+        q: Array,
+        scales: Array,
+        near: float,
+    ) -> PointMultipliers:
+        """Find them along a trajectory; ``scales`` (n_variables,) are what the variables of the program vary by."""
         found = [cls._none(transcription.n_variables)]
-        problem = trajectory.problem
         for name, part in transcription.parts.items():
-            leg = problem.phases[name]
+            leg, functions, phase = problem.phases[name], functions_at(problem, name, q), fitted[name]
             orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
             pure = np.flatnonzero([order != 0 for order in orders])
-            if pure.size:
-                touched_only = np.array([orders[i] == 1 for i in pure])
-                found.append(_of_phase(transcription, part, trajectory, pure, touched_only))
+            if not pure.size:
+                continue
+            times = phase.x.breaks
+            # A shared value belongs to the segment that begins with it, but for the last one.
+            x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
+            places, gradients = path_gradients_at_boundaries(transcription, part, functions, (times, x, u))
+            gradients = gradients[:, pure]
+            sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
+            values, limits = functions.paths(times, x, u)[pure], leg.path_interval()
+            at_lower = values <= limits.lower[pure, None] + near * sizes
+            at_upper = values >= limits.upper[pure, None] - near * sizes
+            touched_only = np.array([orders[i] == 1 for i in pure])
+            chosen = _can_constraint_act(at_lower | at_upper, touched_only)
+            which, k = np.nonzero(chosen)
+            entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
+            matrix = scipy.sparse.csc_array(
+                (gradients[:, which, k].ravel(), entries), shape=(scales.size, which.size)
+            )
+            found.append(cls(matrix, sizes[chosen], at_lower[chosen], at_upper[chosen]))
         return cls(
             scipy.sparse.hstack([atoms.gradients for atoms in found], format="csc"),
             *(
@@ -130,42 +132,6 @@ def path_gradients_at_boundaries(
     )
 
 
-def _of_phase(
-    transcription: Transcription,
-    part: PhasePart,
-    trajectory: SampledTrajectory,
-    pure: Indices,
-    touched_only: Mask,
-) -> PointMultipliers:
-    problem, fitted, q, scales = trajectory.problem, trajectory.phases, trajectory.q, trajectory.scales
-    leg, polynomials = problem.phases[part.name], fitted[part.name]
-    times = polynomials.x.breaks
-    # A shared value belongs to the segment that begins with it, but for the last one.
-    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (polynomials.x, polynomials.u))
-    none = np.zeros(len(leg.integrands))
-    functions = phase_functions(problem, part.name, model_parameters(problem, leg, q), q, none)
-    places, gradients = path_gradients_at_boundaries(transcription, part, functions, (times, x, u))
-    gradients = gradients[:, pure]
-    sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
-    at_lower, at_upper = _at_limits(leg, functions.paths(times, x, u)[pure], pure, trajectory.near * sizes)
-    chosen = _can_constraint_act(at_lower | at_upper, touched_only)
-    which, k = np.nonzero(chosen)
-    columns = np.tile(np.arange(which.size), places.shape[0])
-    return PointMultipliers(
-        scipy.sparse.csc_array(
-            (gradients[:, which, k].ravel(), (places[:, k].ravel(), columns)), shape=(scales.size, which.size)
-        ),
-        sizes[chosen],
-        at_lower[chosen],
-        at_upper[chosen],
-    )
-
-
-def _at_limits(leg: Phase, values: Array, pure: Indices, slack: Array) -> tuple[Mask, Mask]:
-    limits: Interval = leg.path_interval()
-    return values <= limits.lower[pure, None] + slack, values >= limits.upper[pure, None] - slack
-
-
 def _can_constraint_act(active: Mask, touched_only: Mask) -> Mask:
     """Where active constraints (n, K + 1) may have an atom: not within arcs, nor at the ends of some constraints'."""
     before, after = np.zeros_like(active), np.zeros_like(active)
@@ -186,8 +152,8 @@ _WRONG = 1e-7
 """Multipliers of the wrong sign below this share of the largest count as zero."""
 
 
-MAX_TRANSITION_NORM, MOST_EXPONENT = 1e4, 20.0
-"""Growth of adjoint errors after which costates are unknowns of their own; largest exponent of a segment."""
+MAX_TRANSITION_NORM = 1e4
+"""Growth of adjoint errors after which costates are unknowns of their own."""
 
 _ROUNDS = 8
 """Of sorting out which limits push."""
@@ -224,7 +190,7 @@ def estimate_multipliers(
     )
     limits = _Limits.of(transcription.variable_interval(problem), x, near * scales)
     row_limits = _Limits.of(transcription.row_interval(problem), values, near / row_scales)
-    atoms = PointMultipliers.of(transcription, SampledTrajectory(problem, fitted, q, scales, near))
+    atoms = PointMultipliers.of(transcription, problem, fitted, q, scales, near)
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients
@@ -449,15 +415,15 @@ def _basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]
 
 def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries at which costates are unknowns, since adjoint errors grow from one to the next."""
-    leg, breaks = problem.phases[name], phase.x.breaks
-    p = model_parameters(problem, leg, q)
-    functions = phase_functions(problem, name, p, q, np.zeros(len(leg.integrands)))
+    breaks = phase.x.breaks
     middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
     x = phase.x(middles)
-    jacobian = np.moveaxis(np.nan_to_num(functions.state_jacobian(middles, x, phase.u(middles))), 2, 0)
+    jacobian = np.moveaxis(
+        np.nan_to_num(functions_at(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
+    )
     size = _replace_zeros_by_one(np.ptp(x, axis=1))
-    scaled = np.clip(jacobian * size / size[:, None] * widths[:, None, None], -MOST_EXPONENT, MOST_EXPONENT)
-    steps, found, transition = scipy.linalg.expm(scaled), [], np.eye(size.size)
+    steps = matrix_exponentials(jacobian * size / size[:, None] * widths[:, None, None])
+    found, transition = [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
         transition = transition @ steps[k]
         if np.linalg.norm(transition, 2) > MAX_TRANSITION_NORM:

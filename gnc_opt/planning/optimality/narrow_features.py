@@ -6,9 +6,11 @@ from where the difference vanishes resolve it, those at even distances do not.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.problem.kinks import find_feature_centres
 from gnc_opt.planning.problem.problem import Problem
@@ -21,7 +23,23 @@ MOST_CENTRES = 20
 LEAST_DISTANCE, DISTANCES = 1e-10, 40
 """Least distance from a centre at which the scan has cells, in shares of the phase, and the number of distances."""
 
-_BISECTIONS = 60
+
+def bisect_sign_changes(
+    function: Callable[[Array], Array], rows: Indices, left: Array, right: Array
+) -> tuple[Array, Array]:
+    """Narrow intervals of time (n,), in each of which one row of a function (n_rows, n_times) changes its sign.
+
+    To rounding; ``rows`` (n,) are the rows.
+    """
+    if not rows.size:
+        return left, right
+    columns = np.arange(rows.size)
+    first = np.sign(function(left)[rows, columns])
+    for _ in range(np.finfo(float).nmant + 8):
+        middle = 0.5 * (left + right)
+        before = np.sign(function(middle)[rows, columns]) == first
+        left, right = np.where(before, middle, left), np.where(before, right, middle)
+    return left, right
 
 
 def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
@@ -40,12 +58,7 @@ def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
     rows, places = np.nonzero(signs[:, 1:] * signs[:, :-1] < 0)
     met = times[np.nonzero(signs == 0)[1]]
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
-    left, right = times[places], times[places + 1]
-    first = signs[rows, places]
-    for _ in range(_BISECTIONS if rows.size else 0):
-        middle = 0.5 * (left + right)
-        before = np.sign(at(middle)[rows, np.arange(rows.size)]) == first
-        left, right = np.where(before, middle, left), np.where(before, right, middle)
+    left, _ = bisect_sign_changes(at, rows, times[places], times[places + 1])
     found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(LEAST_DISTANCE, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))

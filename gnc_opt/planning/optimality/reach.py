@@ -18,7 +18,6 @@ from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
 from gnc_opt.planning.problem.functions import end_values
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 from gnc_opt.planning.solution.solution import Solution
@@ -134,10 +133,8 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
         by_control = np.concatenate([by_control, replace_nonfinite(slopes[1])], axis=1)
         start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
     half = matrix_exponentials(0.5 * widths[:, None, None] * by_state)
-    weighted = deviation * s.weights
-    starts = np.searchsorted(s.segments, np.arange(leg.mesh.segments))
-    per_cell = np.repeat(np.add.reduceat(weighted, starts, axis=1) / parts, parts, axis=1)
-    strength = np.sum(weighted, axis=1)[:, None] * per_cell
+    pushes = s.segment_integrals(deviation)
+    strength = np.sum(pushes, axis=1)[:, None] * np.repeat(pushes / parts, parts, axis=1)
     moved = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
     total, mean, lasts = start.copy(), np.zeros_like(start), float(edges[-1] - edges[0])
     whole = total
@@ -270,9 +267,7 @@ def start_links(
 def link_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return boundary Jacobians with respect to initial and final states (n_constraints, n), by phase."""
     function = problem.reuse("end jacobians", lambda: _end_jacobians(problem))
-    arguments: list[Any] = []
-    for leg in solution.phases.values():
-        arguments += end_arguments(leg)
+    arguments = [value for leg in solution.phases.values() for value in leg.end_arguments]
     found = function(*arguments, solution.parameter_values)
     found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
     return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}
@@ -284,11 +279,6 @@ def _end_jacobians(problem: Problem) -> Any:
     column = ends(*arguments)[:-1]
     states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]
     return ca.Function("end_jacobians", arguments[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
-
-
-def end_arguments(leg: PhaseSolution) -> list[Any]:
-    first, last = leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left")
-    return [first, last, leg.initial_time, leg.final_time, leg.integrals, leg.parameters]
 
 
 def _as_column(scale: Array, values: Array) -> Array:

@@ -18,10 +18,10 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, integrate_bang_bang
-from gnc_opt.planning.optimality.cost_scale import Magnitudes, parameter_scale, state_variations
+from gnc_opt.planning.optimality.cost_scale import parameter_scale, state_variations
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.functions import EndGradients, end_function
-from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.interval import Interval, intersect, stack_all
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -120,16 +120,22 @@ class Conditions:
         By the unknowns, each measured by its scale.
     multipliers : array (k,)
         Multipliers of the solution; zero for those without effect here.
-    sizes : array (k,)
-        What the flight's spans change them by.
     """
 
-    labels: tuple[str, ...]
     values: Array
     limits: Interval
     jacobian: Array
     multipliers: Array
-    sizes: Array
+
+    @classmethod
+    def join(cls, parts: list[Conditions]) -> Conditions:
+        """Put conditions below each other."""
+        return cls(
+            np.concatenate([rows.values for rows in parts]),
+            stack_all([rows.limits for rows in parts]),
+            np.vstack([rows.jacobian for rows in parts]),
+            np.concatenate([rows.multipliers for rows in parts]),
+        )
 
     @property
     def active(self) -> tuple[Mask, Mask]:
@@ -258,60 +264,34 @@ def _collect_end_conditions(
 ) -> Conditions:
     """Everything that is asked of the ends."""
     problem = solution.need_problem("verify")
-    at_end: list[_Rows] = []
-    others: list[_Rows] = []
+    at_end: list[Conditions] = []
+    others: list[Conditions] = []
     row = 0
     for s in samples:
         leg, name, size, n = s.leg, s.leg.name, _flow_size(s), s.leg.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
-        labels = [f"phase {name}, final {label}" for label in leg.states.labels]
         limits = intersect(leg.final_bounds, leg.state_bounds)
-        at_end.append(
-            _Rows(labels, s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name], s.state_scale)
-        )
+        at_end.append(Conditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
         rows, limits = unknowns.free_start[name], intersect(leg.initial_bounds, leg.state_bounds)
-        labels = [f"phase {name}, initial {leg.states.labels[i]}" for i in rows]
         limits = Interval(limits.lower[rows], limits.upper[rows])
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
-        others.append(_Rows(labels, s.x[rows, 0], limits, start[rows], multipliers, s.state_scale[rows]))
+        others.append(Conditions(s.x[rows, 0], limits, start[rows], multipliers))
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
-        labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
-        boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
-        others.append(
-            _Rows(labels, times, _stack_intervals(list(boxes)), jacobian, np.zeros(3), np.full(3, s.span))
-        )
+        boxes = [leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds]
+        others.append(Conditions(times, stack_all(boxes), jacobian, np.zeros(3)))
         row += 2 * size
-    labels = [f"constraint {label}" for label in solution.constraint_labels]
-    nu, limits = solution.constraint_multipliers, problem.constraint_interval()
-    amounts = Magnitudes.of(solution, samples).constraints if nu.size else nu
-    at_end.append(_Rows(labels, ends.constraints, limits, of_constraints, nu, amounts))
-    labels, q = [f"parameter {label}" for label in solution.free_parameters.labels], solution.parameter_values
-    spans = parameter_scale(solution)
-    others.append(_Rows(labels, q, problem.parameter_interval(), changes[row:], np.zeros(q.size), spans))
-    found = [*at_end, *others]
-    return Conditions(
-        tuple(label for rows in found for label in rows.labels),
-        np.concatenate([rows.values for rows in found]),
-        _stack_intervals([rows.limits for rows in found]),
-        np.vstack([rows.jacobian for rows in found]),
-        np.concatenate([rows.multipliers for rows in found]),
-        np.concatenate([rows.sizes for rows in found]),
+    at_end.append(
+        Conditions(
+            ends.constraints,
+            problem.constraint_interval(),
+            of_constraints,
+            solution.constraint_multipliers,
+        )
     )
-
-
-@dataclass(frozen=True)
-class _Rows:
-    labels: list[str]
-    values: Array
-    limits: Interval
-    jacobian: Array
-    multipliers: Array
-    sizes: Array
-
-
-def _stack_intervals(boxes: list[Interval]) -> Interval:
-    return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
+    q = solution.parameter_values
+    others.append(Conditions(q, problem.parameter_interval(), changes[row:], np.zeros(q.size)))
+    return Conditions.join([*at_end, *others])
 
 
 def end_derivatives(problem: Problem) -> Any:

@@ -286,17 +286,20 @@ def _place_jumps(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
 def _propagate_states(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) -> Array:
     """States (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
     h, middle = (b - a) / _RUNGE_KUTTA_STEPS, 0.5 * (a + b)
-
-    def state_rate(t: Array, x: Array) -> Array:
-        return rates(t, x, controls(t, middle))
-
     for k in range(_RUNGE_KUTTA_STEPS):
         t = a + k * h
-        k1 = state_rate(t, x)
-        k2 = state_rate(t + 0.5 * h, x + 0.5 * h * k1)
-        k3 = state_rate(t + 0.5 * h, x + 0.5 * h * k2)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + state_rate(t + h, x + h * k3))
-    return np.asarray(x)
+        u = [controls(time, middle) for time in (t, t + 0.5 * h, t + h)]
+        x = runge_kutta_step(rates, t, t + h, x, u)
+    return x
+
+
+def runge_kutta_step(rates: Rates, a: Array, b: Array, x: Array, controls: list[Array]) -> Array:
+    """Return the states (n, k) after a step of order 4 from times a to b (k,); controls at start, middle and end."""
+    h, middle = b - a, 0.5 * (a + b)
+    k1 = rates(a, x, controls[0])
+    k2 = rates(middle, x + 0.5 * h * k1, controls[1])
+    k3 = rates(middle, x + 0.5 * h * k2, controls[1])
+    return np.asarray(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(b, x + h * k3, controls[2])))
 
 
 def _fit_polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> FittedPhase:

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.propagation import integrate_to
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import ROUNDING
@@ -83,29 +83,23 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
     for s in samples:
         pieces = _pieces(s)
         x = integrate_to(s.leg, s.functions, pieces.ravel())
-        missed = max(missed, _largest_miss(s, x), key=_accuracy_share)
+        missed = max(missed, _largest_miss(s, x), key=itemgetter(0))
         values = s.functions.paths(pieces.ravel(), x, _applied(s, pieces))
-        units = s.leg.states.units
         for rows, box, scale, labels in (
             (
                 x,
                 s.leg.state_bounds,
                 s.state_scale,
-                [f"{n} ({u})" if u else n for n, u in _named_quantity(s.leg, units)],
+                [
+                    f"{n} ({u})" if u else n
+                    for n, u in zip(s.leg.states.labels, s.leg.states.units, strict=True)
+                ],
             ),
             (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
         ):
-            worst = max(worst, _largest_violation(s, pieces, rows, box, scale, labels), key=_accuracy_share)
-    error = max(objective_error, 5 * np.finfo(float).eps * abs(objective))
+            worst = max(worst, _largest_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
+    error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
     return Accuracy(objective, error, worst[1], worst[2], missed[1], missed[2])
-
-
-def _named_quantity(leg: PhaseSolution, units: Iterable[str]) -> list[tuple[str, str]]:
-    return list(zip(leg.states.labels, units, strict=True))
-
-
-def _accuracy_share(found: tuple[float, float, str]) -> float:
-    return found[0]
 
 
 def _largest_miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
@@ -113,10 +107,10 @@ def _largest_miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
     error = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
     if not np.all(np.isfinite(error)):
         return np.inf, np.inf, f"phase {s.leg.name}"
-    i = int(np.argmax(error / s.end_scale))
+    i = int(np.argmax(error / s.state_scale))
     unit = s.leg.states.units[i]
     label = f"phase {s.leg.name}, {s.leg.states.labels[i]}{f' ({unit})' if unit else ''}"
-    return float(error[i] / s.end_scale[i]), float(error[i]), label
+    return float(error[i] / s.state_scale[i]), float(error[i]), label
 
 
 def _pieces(s: PhaseSamples) -> Array:

@@ -20,18 +20,17 @@ converge twice as fast as the values at the points (for LG all do).
 integrand at the points. It meets the segment's end. For LG it also meets the point values; for LGR and LGL
 it is better than those by an order.
 
-**Active state constraints.** If a bound, or a path constraint without controls, is active at a collocation
-point on a segment boundary, its multiplier is the sum of a density and an impulse (a jump of the costate).
-Next to a segment without an active constraint it counts as an impulse. Along an active segment the one-sided
-costates come from the points, and the remainder in the stationarity of the boundary state is the density of
-the bound. LG has no such point. There a bound active at every node of a segment makes the row of the end state
-redundant: any multiplier of that row solves the program, with bound multipliers that oscillate from point to
-point by :math:`e_j` (the coefficients of the row). The costate without that oscillation continues the points.
+**Active state constraints.** At a point on a segment boundary the multiplier of a bound, or of a path constraint
+without controls, is the sum of a density and an impulse (a jump of the costate). Next to a segment without an active
+constraint it counts as an impulse. Along an active segment the one-sided costates come from the points, and what is
+left in the stationarity of the boundary state is the density. LG has no such point: a bound active at every node makes
+the row of the end state redundant, with bound multipliers that oscillate by :math:`e_j` (the coefficients of the row).
+The costate without that oscillation continues the points.
 
-**Path constraints without controls.** Gauss collocation has no row at the end of an arc for the atom of the
-measure. The atom spreads over the multipliers of the points, which oscillate; the costates at the points are
-correct. One-sided costates at segment ends continue them as far as the gradient of the constraint explains the
-difference. The density is what the adjoint equation leaves along that gradient.
+**Path constraints without controls.** Gauss collocation has no row for the atom of the measure at the end of an arc. It
+spreads over the multipliers of the points, which oscillate; the costates there are correct. One-sided costates at
+segment ends continue them as far as the gradient of the constraint explains the difference. The density is what the
+adjoint equation leaves along that gradient.
 """
 
 from __future__ import annotations

@@ -13,9 +13,6 @@ from gnc_opt.model.tabular import Records
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 
-N_INTERVALS = 10
-"""Intervals per segment where no times are given."""
-
 
 def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
     """Return states, applied controls and costates by time.
@@ -23,9 +20,9 @@ def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
     Parameters
     ----------
     times : array (n_times,), optional
-        s; default `N_INTERVALS` intervals of every segment. Where a control jumps, the value after the jump is given.
+        s; default ten intervals of every segment. Where a control jumps, the value after the jump is given.
     """
-    t = _export_times(leg, times)
+    t = leg.sample_times() if times is None else np.atleast_1d(read_numbers(times, "the times"))
     return Records(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
 
 
@@ -41,9 +38,3 @@ def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Ar
     for state in leg.states.variables:
         signal = leg.costate(state.name)
         yield Variable(signal.name, state.size, signal.unit), lam[signal.rows]
-
-
-def _export_times(leg: PhaseSolution, times: ArrayLike | None) -> Array:
-    if times is None:
-        return leg.sample_times(N_INTERVALS)
-    return np.atleast_1d(read_numbers(times, "the times"))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.functions import EndGradients, end_gradients, phase_functions
+from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions, end_gradients, phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import (
@@ -34,6 +34,34 @@ def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
         if name in leg.model.parameters:
             p[leg.model.parameters.slice(name)] = q[problem.parameters.slice(name)]
     return p
+
+
+def functions_at(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
+    """Return the functions of a phase for values of the free parameters; without ``weights`` no integral counts."""
+    leg = problem.phases[name]
+    weights = np.zeros(len(leg.integrands)) if weights is None else weights
+    return phase_functions(problem, name, model_parameters(problem, leg, q), q, weights)
+
+
+def problem_fields(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
+    """Return what the solution of a phase keeps of its problem: names, limits, parameters."""
+    initial_time, final_time = leg.times()
+    return {
+        "states": leg.model.states,
+        "controls": leg.model.controls,
+        "model_parameters": leg.model.parameters,
+        "path_labels": leg.path_labels,
+        "integral_labels": tuple(leg.integrands),
+        "parameters": model_parameters(problem, leg, q),
+        "state_bounds": leg.numbers.states,
+        "control_bounds": leg.numbers.controls,
+        "path_bounds": leg.path_interval(),
+        "initial_bounds": leg.numbers.initial,
+        "final_bounds": leg.numbers.final,
+        "initial_time_bounds": initial_time,
+        "final_time_bounds": final_time,
+        "duration_bounds": leg.numbers.duration,
+    }
 
 
 def extract_phases(
@@ -65,8 +93,7 @@ def unwound_controls(transcription: Transcription, problem: Problem, variables: 
     found = variables.copy()
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
-        none = np.zeros(len(leg.integrands))
-        functions = phase_functions(problem, name, model_parameters(problem, leg, q), q, none)
+        functions = functions_at(problem, name, q)
         times, _ = _point_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
         turned = unwound(functions, leg.numbers.controls, times, x, u)
@@ -81,12 +108,8 @@ def _integrals(transcription: Transcription, problem: Problem, name: str, extend
         return np.zeros(0)
     collocation = part.collocation
     times, spans = _point_times(collocation, extended[part.times])
-    p = model_parameters(problem, leg, q)
-    functions = phase_functions(problem, name, p, q, np.zeros(len(leg.integrands)))
-    values = functions.integrands(
-        times,
-        extended[collocation.point_states],
-        extended[collocation.point_controls],
+    values = functions_at(problem, name, q).integrands(
+        times, extended[collocation.point_states], extended[collocation.point_controls]
     )
     return np.asarray(values @ (collocation.quadrature * spans))
 
@@ -122,9 +145,7 @@ def _extract_phase(
     q = iterate.x[transcription.parameter_places]
     anchors = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
     times, spans = _point_times(collocation, anchors)
-    functions = phase_functions(
-        problem, part.name, model_parameters(problem, leg, q), q, gradients.integrals[part.name]
-    )
+    functions = functions_at(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
     lam = point_costates(collocation, iterate.lam_g)
     weights = collocation.quadrature * np.maximum(spans, SHORTEST)
@@ -142,19 +163,12 @@ def _extract_phase(
         gradient,
         gradient - functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0)),
     )
-    numbers = leg.numbers
-    initial_time, final_time = leg.times()
     found = PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
         mesh=mesh,
         initial_time=float(anchors[0]),
         final_time=float(anchors[-1]),
-        states=leg.model.states,
-        controls=leg.model.controls,
-        model_parameters=leg.model.parameters,
-        path_labels=leg.path_labels,
-        integral_labels=tuple(leg.integrands),
         x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=piecewise(breaks, collocation.rules, u),
         lam=costates.polynomial,
@@ -169,19 +183,11 @@ def _extract_phase(
         duration_multiplier=transcription.duration_multiplier(part.name, iterate.lam_g),
         integrals=integrals,
         integral_weights=gradients.integrals[part.name],
-        parameters=functions.p,
-        state_bounds=numbers.states,
-        control_bounds=numbers.controls,
-        path_bounds=leg.path_interval(),
-        initial_bounds=numbers.initial,
-        final_bounds=numbers.final,
-        initial_time_bounds=initial_time,
-        final_time_bounds=final_time,
-        duration_bounds=numbers.duration,
         composed_controls=tuple(leg.model.composed_controls.values()),
-        turns=numbers.turns,
+        turns=leg.numbers.turns,
+        **problem_fields(problem, leg, q),
     )
-    return settle_held_paths(found, numbers.arcs, functions)
+    return settle_held_paths(found, leg.numbers.arcs, functions)
 
 
 def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:

@@ -11,15 +11,13 @@ With the costates :math:`\lambda = \partial J / \partial x` of the minimised fun
          (\text{of an equation } c_j = c_{j,0}: \big|\int \mu_j (c_j - c_{j,0}) \, dt\big|), \\
     g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt.
 
-d is the value of the defects between the points and of the difference between the integrals and the program's own
-quadrature Q; o that of limits on states and paths which are exceeded between the points; g what H, path constraints
-included, gains by other controls: exact where H is affine in a control, one projected Newton step elsewhere. The
-estimate is :math:`A = \sum (|d| + o + |g|)`: absolute values are taken after integrating over a segment, as errors
-within one cancel. Free times, parameters and free breakpoints need no term: the objective is stationary in them.
+d is the value of the defects and of the difference between the integrals and the program's own quadrature Q; o that of
+limits exceeded between the points; g what H, path constraints included, gains by other controls: exact where H is
+affine in a control, one projected Newton step elsewhere. The estimate is :math:`A = \sum (|d| + o + |g|)`, since errors
+cancel within a segment. The objective is stationary in free times, parameters and breakpoints.
 
-To first order it is the dual-weighted residual of the optimality system (Becker and Rannacher, "An optimal control
-approach to a posteriori error estimation", Acta Numerica 10, 2001). It is an estimate and no bound, and it does not
-compare an answer with other minima.
+To first order it is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001):
+an estimate, no bound.
 """
 
 from __future__ import annotations
@@ -106,9 +104,8 @@ def _finite(value: float) -> float:
 
 
 def _segment_integrals(s: PhaseSamples, values: Array) -> Array:
-    """Integrate values (..., n_samples) over each segment (..., K)."""
-    starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
-    return np.asarray(np.add.reduceat(np.where(s.weights > 0, values, 0.0) * s.weights, starts, axis=-1))
+    """Integrate values (..., n_samples) over each segment (..., K); those at its ends, of weight 0, may be infinite."""
+    return s.segment_integrals(np.where(s.weights > 0, values, 0.0))
 
 
 def _defects(s: PhaseSamples) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.model.composed_controls import ComposedControl
+from gnc_opt.model.composed_controls import ComposedControl, VectorControl
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.interval import Interval
@@ -174,9 +174,20 @@ class PhaseSolution:
         return self.final_time - self.initial_time
 
     @property
+    def vector_controls(self) -> tuple[VectorControl, ...]:
+        """Those of the composed controls that are magnitude and direction."""
+        return tuple(c for c in self.composed_controls if isinstance(c, VectorControl))
+
+    @property
     def breaks(self) -> Array:
         """Times of the segment boundaries, shape (K + 1,)."""
         return self.x.breaks
+
+    @property
+    def end_arguments(self) -> list[Array | float]:
+        """Start, end, initial and final time, integrals and parameters: the arguments of end-point functions."""
+        first, last = self.x(self.breaks[0]), self.x(self.breaks[-1], "left")
+        return [first, last, self.initial_time, self.final_time, self.integrals, self.parameters]
 
     @cached_property
     def point_times(self) -> Array:

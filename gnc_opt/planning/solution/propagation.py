@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
@@ -17,6 +17,9 @@ from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import magnitude
 
+RELATIVE_TOLERANCE = 1e-11
+"""Of integrations that check a solution."""
+
 
 @dataclass(frozen=True)
 class Propagation:
@@ -28,8 +31,7 @@ class Propagation:
     states : array (n_states, n_times)
         NaN after the propagation ended.
     error : array (n_states,)
-        Final state minus the solution's final state, or the largest such difference of the parts; infinite if the
-        propagation ended early.
+        Final state minus the solution's final state; infinite if the propagation ended early.
     ended : str
         Why and where it ended early, e.g. ``"the rate of state 'h' is nan at t = 2.5 s"``; else empty.
     """
@@ -45,8 +47,7 @@ def propagate(
     functions: PhaseFunctions,
     *,
     control: Literal["flown", "polynomial"] = "flown",
-    rtol: float = 1e-11,
-    anew: Sequence[float] = (),
+    rtol: float = RELATIVE_TOLERANCE,
 ) -> Propagation:
     """Integrate the dynamics over a phase by DOP853, restarting at every discontinuity of the control.
 
@@ -58,31 +59,11 @@ def propagate(
         The applied control within its bounds, or the unmodified collocation polynomial.
     rtol : float
         Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
-    anew : sequence of float, s
-        Times at which the propagation restarts from the solution's states.
     """
-    edges = leg.flown.jumps if control == "flown" else leg.breaks
-    edges = np.union1d(edges, anew)
-    error = np.zeros(leg.states.size)
-    signal = leg.flown if control == "flown" else leg.u
-    tolerance = Tolerance(rtol, state_magnitudes(leg))
-    states = [leg.x(leg.breaks[0])]
-    flight, ended = _Flight(functions, tolerance, Budget(leg.states.labels)), ""
-    for left, right in itertools.pairwise(edges):
-        controls = _control_polynomials(signal, left, right, _largest_degree(leg, left, right))
-        try:
-            states.append(flight.end(controls, states[-1], (left, right)))
-        except EndedError as why:
-            ended = str(why)
-            break
-        if right in anew:
-            gap, states[-1] = states[-1] - leg.x(right, "left"), leg.x(right)
-            error = _larger_error(error, gap)
-    columns = np.full((states[0].size, edges.size), np.nan)
-    columns[:, : len(states)] = np.stack(states, axis=1)
-    gap = columns[:, -1] - leg.x(leg.breaks[-1], "left")
-    error = _larger_error(error, gap)
-    return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf), ended)
+    signal, edges = (leg.flown, leg.flown.jumps) if control == "flown" else (leg.u, leg.breaks)
+    states, ended = _integrate_pieces(leg, functions, edges, signal, rtol)
+    error = states[:, -1] - leg.x(leg.breaks[-1], "left")
+    return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
 
 
 def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
@@ -90,17 +71,8 @@ def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) ->
 
     Times do not decrease; NaN from where the trajectory ends early.
     """
-    tolerance = Tolerance(1e-11, state_magnitudes(leg))
-    flight = _Flight(functions, tolerance, Budget(leg.states.labels))
     edges = np.union1d(leg.flown.jumps, times)
-    states = np.full((leg.states.size, edges.size), np.nan)
-    states[:, 0] = leg.x(leg.breaks[0])
-    try:
-        for k, (left, right) in enumerate(itertools.pairwise(edges)):
-            controls = _control_polynomials(leg.flown, left, right, _largest_degree(leg, left, right))
-            states[:, k + 1] = flight.end(controls, states[:, k], (left, right))
-    except EndedError:
-        pass
+    states, _ = _integrate_pieces(leg, functions, edges, leg.flown)
     return np.asarray(states[:, np.searchsorted(edges, times)])
 
 
@@ -109,26 +81,44 @@ def segment_misses(leg: PhaseSolution, functions: PhaseFunctions, segments: Indi
 
     Infinite where there is no such trajectory.
     """
-    tolerance = Tolerance(1e-11, state_magnitudes(leg))
-    flight = _Flight(functions, tolerance, Budget(leg.states.labels))
-    misses = np.full((leg.states.size, segments.size), np.inf)
-    jumps = leg.flown.jumps
+    misses, jumps = np.empty((leg.states.size, segments.size)), leg.flown.jumps
     for column, k in enumerate(segments):
         left, right = leg.breaks[k : k + 2]
-        edges = [left, *jumps[(jumps > left) & (jumps < right)], right]
-        x = leg.x(left)
+        edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
+        states, _ = _integrate_pieces(leg, functions, edges, leg.flown)
+        misses[:, column] = leg.x(right, "left") - states[:, -1]
+    return np.where(np.isfinite(misses), misses, np.inf)
+
+
+def _integrate_pieces(
+    leg: PhaseSolution,
+    functions: PhaseFunctions,
+    edges: Array,
+    signal: Callable[..., Array],
+    rtol: float = RELATIVE_TOLERANCE,
+) -> tuple[Array, str]:
+    """Return the states at the edges of pieces on which the control is smooth, and why the integration ended early.
+
+    It starts from the trajectory's state at the first edge; states (n_states, n_edges) are NaN after it ended.
+    """
+    tolerance, budget = Tolerance(rtol, state_magnitudes(leg)), Budget(leg.states.labels)
+    states = np.full((leg.states.size, edges.size), np.nan)
+    states[:, 0] = leg.x(edges[0])
+    for k, (left, right) in enumerate(itertools.pairwise(edges)):
+        controls = _control_polynomials(signal, left, right, _largest_degree(leg, left, right))
+        rate = _controlled_rates(functions, controls)
         try:
-            for a, b in itertools.pairwise(edges):
-                x = flight.end(_control_polynomials(leg.flown, a, b, _largest_degree(leg, a, b)), x, (a, b))
-        except EndedError:
-            continue
-        misses[:, column] = leg.x(right, "left") - x
-    return misses
+            run = integrate(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
+        except EndedError as why:
+            return states, str(why)
+        states[:, k + 1] = run.states[:, -1]
+    return states, ""
 
 
-def _larger_error(first: Array, second: Array) -> Array:
-    """Return the larger of two errors; NaN counts as larger."""
-    return np.asarray(np.where(np.abs(second) <= np.abs(first), first, second))
+def _controlled_rates(functions: PhaseFunctions, controls: Controls) -> Callable[[float, Array], Array]:
+    """Return dx/dt (n,) as a function of time and state under some controls."""
+    rates = functions.fast_rates()
+    return lambda t, x: rates(t, x, controls(np.array([t]))[:, 0])
 
 
 def state_magnitudes(leg: PhaseSolution) -> Array:
@@ -144,23 +134,6 @@ def _largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
     """The largest number of points of the segments that a time span has a part in: more than their controls' degree."""
     inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
     return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
-
-
-class _Flight:
-    """The dynamics, integrated from one discontinuity of the control to the next."""
-
-    def __init__(self, functions: PhaseFunctions, tolerance: Tolerance, budget: Budget) -> None:
-        self._rates = functions.fast_rates()
-        self._tolerance, self._budget = tolerance, budget
-
-    def end(self, controls: Controls, x: Array, span: tuple[float, float]) -> Array:
-        """Return the state (n,) at the end of a span; raise `EndedError` where there is none."""
-
-        def rate(t: float, x: Array) -> Array:
-            return self._rates(t, x, controls(np.array([t]))[:, 0])
-
-        run = integrate(rate, x, span, tolerance=self._tolerance, budget=self._budget)
-        return run.states[:, -1]
 
 
 def _control_polynomials(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:

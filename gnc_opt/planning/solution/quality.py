@@ -6,7 +6,7 @@ their sizes. Controls beyond their bounds between nodes are put on the bound.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,15 +64,13 @@ class Limits:
 
     def excess(self, t: Array, x: Array, u: Array) -> Array:
         """Return the excess of each quantity beyond its limit (n, m); infinite for NaN."""
-        values = self.quantities(t, x, u)[self.rows]
-        excess = self.sides[:, None] * (values - self.values[:, None])
-        return np.where(np.isnan(excess), np.inf, excess)
+        excess = self.quantities(t, x, u)[self.rows] - self.values[:, None]
+        return np.where(np.isnan(excess), np.inf, self.sides[:, None] * excess)
 
     def excess_pairwise(self, t: Array, x: Array, u: Array) -> Array:
         """Return how far the i-th quantity is beyond its limit at the i-th time (n,)."""
-        values = self.quantities(t, x, u)[self.rows, np.arange(t.size)]
-        excess = self.sides * (values - self.values)
-        return np.where(np.isnan(excess), np.inf, excess)
+        excess = self.quantities(t, x, u)[self.rows, np.arange(t.size)] - self.values
+        return np.where(np.isnan(excess), np.inf, self.sides * excess)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +221,7 @@ class Quality:
         (docs/theory/scales.md, "Distance from a limit").
     propagation_error : float
         Largest propagation error at the end of a phase, with the applied control integrated from the initial
-        state, as a share of the change of state that the controls cause.
+        state, as a share of the state's span.
     defect_location, bound_location, propagation_location : str
         Places of the three.
 
@@ -266,12 +264,13 @@ def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
     return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
 
-def worst_defect(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
-    """Return the worst defect at ``samples`` (or ``at`` others), or jump between segments."""
-    at = samples if at is None else at
-    rates = defined(at.functions.rates, at.times, at.x, at.u_polynomial, at.leg.control_bounds)
-    errors = at.per_segment(at.x_rate - rates) / samples.state_scale[:, None]
+def worst_defect(samples: PhaseSamples) -> Worst:
+    """Return the worst defect, or jump between segments."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
+    rates = defined(
+        samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
+    )
+    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
     if inner.size:
         errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
     i, k = worst_index(errors)
@@ -281,13 +280,12 @@ def worst_defect(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst
 def worst_bound_violation(samples: PhaseSamples) -> Worst:
     """Return the worst overshoot of state and control bounds by their polynomials, between samples too."""
     leg, worst = samples.leg, NOTHING
-    for signals, bounds, labels in (
-        (_states, leg.state_bounds, leg.states.labels),
-        (_controls, leg.control_bounds, leg.controls.labels),
+    for limits, scale, labels in (
+        (Limits.of(lambda _, x, __: x, leg.state_bounds), samples.state_scale, leg.states.labels),
+        (Limits.of(lambda _, __, u: u, leg.control_bounds), samples.control_scale, leg.controls.labels),
     ):
-        found = violations(samples, Limits.of(signals, bounds))
+        found = violations(samples, limits)
         if found.times.size:
-            scale = samples.state_scale if signals is _states else samples.control_scale
             shares = found.excess / scale[found.limits.rows]
             i = int(np.argmax(shares))
             place = samples.place_at(found.times[i], labels[found.limits.rows[i]])
@@ -295,12 +293,12 @@ def worst_bound_violation(samples: PhaseSamples) -> Worst:
     return worst
 
 
-def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
-    """Return the worst violation of a path constraint from ``samples`` (or ``at`` others), between them too."""
+def worst_path_violation(samples: PhaseSamples) -> Worst:
+    """Return the worst violation of a path constraint, between samples too."""
     leg = samples.leg
     if not leg.path_labels:
         return NOTHING
-    found = violations(samples if at is None else at, Limits.of(samples.functions.paths, leg.path_bounds))
+    found = violations(samples, Limits.of(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING
     shares = _distances(found, samples)
@@ -319,11 +317,11 @@ def _distances(found: Violations, samples: PhaseSamples) -> Array:
     return np.asarray(found.excess / np.where(slope > 0, slope, samples.path_scale[rows]))
 
 
-def worst_terminal_error(samples: PhaseSamples, anew: Sequence[float] = ()) -> Worst:
-    """Return the largest propagation error of the applied control, or of the parts between restart times."""
+def worst_terminal_error(samples: PhaseSamples) -> Worst:
+    """Return the largest propagation error of the applied control."""
     leg = samples.leg
-    run = propagate(leg, samples.functions, anew=anew)
-    misses = np.abs(run.error) / samples.end_scale
+    run = propagate(leg, samples.functions)
+    misses = np.abs(run.error) / samples.state_scale
     i = int(np.argmax(misses))
     unit = leg.states.units[i]
     miss = f"{leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
@@ -336,11 +334,3 @@ def worst_index(values: Array) -> tuple[int, int]:
     flat = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     row, column = np.unravel_index(flat, values.shape)
     return int(row), int(column)
-
-
-def _states(_: Array, x: Array, __: Array) -> Array:
-    return x
-
-
-def _controls(_: Array, __: Array, u: Array) -> Array:
-    return u

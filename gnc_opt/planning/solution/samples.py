@@ -9,24 +9,21 @@ from functools import cache, cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
-    Bending,
     control_spans,
-    end_spans,
     shared,
     state_spans,
     steering,
     without_effect,
 )
 from gnc_opt.planning.solution.unwrap import periods
-from gnc_opt.planning.transcription.quadrature import MAX_POINTS, CollocationRule, gauss_rule, points, weights
+from gnc_opt.planning.transcription.quadrature import MAX_POINTS, points, weights
 from gnc_opt.planning.transcription.scheme import GAUSS
-from gnc_opt.tolerances import AT_LIMIT, GONE, NOTABLE, SHORTEST, TINY, magnitude
+from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, magnitude
 
 SAMPLES_BEYOND_POINTS = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
@@ -157,7 +154,7 @@ class PhaseSamples:
     def idle(self) -> Mask:
         """Where a control does nothing (m, n_samples), as the direction of a vector whose magnitude is zero."""
         layout, bounds = self.leg.controls, self.leg.control_bounds
-        vectors = [c for c in self.leg.composed_controls if isinstance(c, VectorControl)]
+        vectors = self.leg.vector_controls
         rows = {label: row for row, label in enumerate(self.leg.path_labels)}
         norms = {
             i: rows[vector.length]
@@ -171,6 +168,11 @@ class PhaseSamples:
             scale = self.control_scale[layout.slice(vector.magnitude), None]
             idle[layout.slice(vector.direction)] |= magnitude <= AT_LIMIT * scale
         return idle
+
+    @cached_property
+    def at_control_bounds(self) -> Mask:
+        """Whether controls are on their lower, and on their upper bound (2, m, n_samples)."""
+        return np.stack(self.leg.control_bounds.near(self.u, AT_LIMIT * self.control_scale))
 
     @cached_property
     def lam(self) -> Array:
@@ -213,29 +215,28 @@ class PhaseSamples:
         return state_spans(self.leg, self.functions, self.control_span, lasting=self.has_length)
 
     @cached_property
-    def end_scale(self) -> Array:
-        """Scale of errors of the final state (n,): the change that the controls cause, at most the span."""
-        return end_spans(self.leg, self.functions, self.state_scale, self.control_scale)
-
-    @cached_property
     def control_span(self) -> Array:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
         most = float(np.nanmax(self._costate_terms, initial=0.0))
         asked = steering(self.leg, self.functions)
-        curvature = self._curvature_matrix.curvature
+        curvature = np.einsum("iij->ij", self.control_hessian)
         spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
-        rounding = self._curvature_matrix.rounding(spans)
+        still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
+        rounding = still[[not self._keeps_curvature(int(i), spans[i], curvature[i]) for i in still]]
         if not rounding.size:
             return spans
-        # Their part of the problem is not pressed.
-        pressed = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
-        return control_spans(self.leg, self.u, terms, pressed, most, asked)
+        curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
+        return control_spans(self.leg, self.u, terms, curvature, most, asked)
 
-    @cached_property
-    def _curvature_matrix(self) -> Bending:
-        curvature = np.einsum("iij->ij", self.control_hessian)
-        return Bending(self.functions, self.times, self.x, self.u, self.lam, curvature)
+    def _keeps_curvature(self, i: int, span: float, curvature: Array) -> bool:
+        """Whether H changes over a control's span by a fair share of what its largest curvature predicts."""
+        at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
+        step = np.zeros((self.u.shape[0], 1))
+        step[i] = 0.5 * span
+        t, x, lam, u = self.times[at], self.x[:, at], self.lam[:, at], self.u[:, at]
+        before, here, after = (self.functions.hamiltonian(t, x, v, lam)[0] for v in (u - step, u, u + step))
+        return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[at[0]]) * step[i, 0] ** 2
 
     @cached_property
     def turns(self) -> Array:
@@ -262,9 +263,6 @@ class PhaseSamples:
         slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
         by_slope = _largest_finite(slopes * amplitude)
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
-        for i in np.flatnonzero(np.any(bends > by_slope[:, None], axis=1)):
-            steep = np.flatnonzero(bends[i] > by_slope[i])
-            bends[i, steep] *= self._curvature_matrix.lasting(int(i), steep, self.control_span[i])
         flown = np.fmax(by_slope, _largest_finite(bends))
         return np.asarray(np.fmax(flown, self._balanced_slopes * amplitude[:, 0]))
 
@@ -424,9 +422,26 @@ class PhaseSamples:
 
     def per_segment(self, values: Array) -> Array:
         """Integrate |values| (n, n_samples) over each segment: (n, K)."""
-        weighted = np.abs(values) * self.weights
-        starts = np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
-        return np.add.reduceat(weighted, starts, axis=1)
+        return self.segment_integrals(np.abs(values))
+
+    @cached_property
+    def segment_starts(self) -> Indices:
+        """First sample of each segment (K,)."""
+        return np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
+
+    def segment_integrals(self, values: Array) -> Array:
+        """Integrate values (..., n_samples) over each segment: (..., K)."""
+        return np.asarray(np.add.reduceat(values * self.weights, self.segment_starts, axis=-1))
+
+    def running_integrals(self, values: Array) -> Array:
+        """Integrate values (n, n_samples) from the start of each sample's segment to it (n, n_samples)."""
+        parts = values * self.weights
+        running = np.cumsum(parts, axis=1)
+        return np.asarray(running - (running - parts)[:, self.segment_starts][:, self.segments])
+
+    def segment_maxima(self, values: Array) -> Array:
+        """Return the largest value (n_samples,) of each segment (K,)."""
+        return np.asarray(np.maximum.reduceat(values, self.segment_starts))
 
 
 @cache
@@ -436,11 +451,6 @@ def sampled_places(degree: int) -> tuple[Array, Array]:
         degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
     )  # the rule's other tables take as long and are not used here
     return np.pad(points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(weights(GAUSS, n), 1)
-
-
-def sampling_rule(degree: int) -> CollocationRule:
-    """Return the quadrature whose points are the samples within a segment of a given degree."""
-    return gauss_rule(min(degree + SAMPLES_BEYOND_POINTS, MAX_POINTS))
 
 
 def _largest_finite(values: Array) -> Array:

@@ -6,67 +6,22 @@ with the mean deviation :math:`\Delta u_k` of each control (a constant one: its 
 state. A state that no control affects has the width of its limits, or its size. Spans are at least `SPAN_MIN_SHARE`
 of the size.
 
-H keeps the curvature of a smoothed kink, such as :math:`\sqrt{u^2 + e^2}`, over a share of a control's span only
-(`Bending`). Controls may be without effect, as the steering angle of an engine that is off (`without_effect`).
+Controls may be without effect, as the steering angle of an engine that is off (`without_effect`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, NOTABLE, ROUNDING, magnitude
-
-_CURVATURE_MAX_RATIO = 10.0
-"""Times what H bends by over half of a control's span its curvature there may amount to."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bending:
-    """H along a phase, with other controls; arrays (n, n_samples), ``curvature`` d2H/du2 of each control."""
-
-    functions: PhaseFunctions
-    times: Array
-    x: Array
-    u: Array
-    lam: Array
-    curvature: Array
-
-    def lasting(self, i: int, at: Indices, span: float) -> Array:
-        """Share of its curvature in a control that H may keep over half of a span to either side, at some samples."""
-        kept = self._curvature_share(i, at, span)
-        return np.asarray(np.where(np.isfinite(kept), np.minimum(_CURVATURE_MAX_RATIO * kept, 1.0), 1.0))
-
-    def rounding(self, spans: Array) -> Indices:
-        """Controls that move by nothing beside spans (n_controls,) that H's curvature asks for but does not keep."""
-        beyond = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
-        return beyond[[not self._is_curved(int(i), spans[i]) for i in beyond]]
-
-    def _is_curved(self, i: int, span: float) -> bool:
-        """Whether H changes over a control's span by a fair share of what its largest curvature foretells."""
-        at = np.array([np.argmax(np.abs(np.nan_to_num(self.curvature[i])))])
-        kept = self._curvature_share(i, at, span)[0]
-        return bool(not np.isfinite(kept) or kept >= NEGLIGIBLE)
-
-    def _curvature_share(self, i: int, at: Indices, span: float) -> Array:
-        """Share of its curvature in a control that H has over half of a span to either side, at some samples."""
-        step = np.zeros((self.u.shape[0], 1))
-        step[i] = 0.5 * span
-        t, x, lam, u = self.times[at], self.x[:, at], self.lam[:, at], self.u[:, at]
-        before, here, after = (self.functions.hamiltonian(t, x, v, lam) for v in (u - step, u, u + step))
-        foretold = np.abs(self.curvature[i, at]) * step[i, 0] ** 2
-        bend = np.abs(after - 2.0 * here + before)
-        return np.asarray(np.divide(bend, foretold, out=np.ones_like(foretold), where=foretold > 0))
-
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, magnitude
 
 CONTROL_STEP_SHARES = 0.37, -0.61
 """Steps of a control, in shares of its scale: one that changes nothing at either is idle, and no angle has both as
@@ -139,30 +94,6 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     )
 
 
-def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
-    r"""Return the reference magnitudes of misses of the final state (n_states,): what controls move.
-
-    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, between the share `NOTABLE` of
-    the span and the span; where controls do not reach, the span.
-    """
-    middles, widths = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), np.diff(leg.breaks)
-    x, u = leg.x(middles), leg.flown(middles)
-    by_state, by_control = (f(middles, x, u) for f in (functions.state_jacobian, functions.input_jacobian))
-    if not (np.all(np.isfinite(by_state)) and np.all(np.isfinite(by_control))):
-        return moved
-    by_state = by_state * moved[None, :, None] / moved[:, None, None] * widths
-    by_control = by_control * used[None, :, None] / moved[:, None, None] * widths
-    onwards, reach = np.eye(moved.size), np.zeros(moved.size)
-    for k in reversed(range(widths.size)):
-        half = scipy.linalg.expm(np.clip(0.5 * by_state[:, :, k], -25.0, 25.0))
-        reach += np.sum(np.abs(onwards @ half @ by_control[:, :, k]), axis=1)
-        onwards = onwards @ half @ half
-        if not np.all(reach < 1.0 / NOTABLE) or np.all(reach >= 1.0):
-            break
-    reach = shared(reach, leg.states)
-    return np.asarray(moved * np.where(reach > STILL_STATE_SHARE, np.clip(reach, NOTABLE, 1.0), 1.0))
-
-
 def control_spans(
     leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
 ) -> Array:
@@ -212,7 +143,7 @@ def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
         changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
         if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
             least[i] = 0.0
-    for vector in (c for c in leg.composed_controls if isinstance(c, VectorControl)):
+    for vector in leg.vector_controls:
         place = leg.controls.slice(
             vector.direction
         )  # of length 1: where it coasts, nothing could ask for more

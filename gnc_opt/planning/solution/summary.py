@@ -81,9 +81,7 @@ def summary(solution: SummarisedSolution) -> str:
     """Return a summary: seven lines for a converged solution that passes the optimality check, more for others.
 
     Objective with unit and estimated error; optimality check; accuracy at the ends and of the limits; times;
-    refinement; mesh; time spent. Further lines name open conditions of the check, the remedy after a failed solve, the
-    error between nodes of an unrefined solution, a known lower bound of the cost, reformulated norms, controls whose
-    polynomial overshoots, and tables that were left.
+    refinement; mesh; time spent. Further lines name what is open or failed, and what to do.
 
     Parameters
     ----------

@@ -285,7 +285,7 @@ class Verdict:
         return shown if passed else shown + preformatted(self.explain())
 
 
-_SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
+SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
 
 
 def most_severe(conditions: Iterable[Condition]) -> Condition:
@@ -293,7 +293,7 @@ def most_severe(conditions: Iterable[Condition]) -> Condition:
 
     def severity(condition: Condition) -> tuple[int, bool, float]:
         value = condition.value
-        return _SEVERITY[condition.result], value == 0.0, math.inf if math.isnan(value) else -value
+        return SEVERITY[condition.result], value == 0.0, math.inf if math.isnan(value) else -value
 
     return min(conditions, key=severity)
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.switches import Switches, find_inner_switches
@@ -129,7 +129,7 @@ def _find_touched_zero(s: PhaseSamples) -> str:
     """Where a switching function touches zero along a bang arc, or nothing."""
     times, channels = find_inner_switches(s)
     worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
-    bounds, on_bound = s.leg.control_bounds, _controls_on_bound(s)
+    bounds, on_bound = s.leg.control_bounds, np.any(s.at_control_bounds, axis=0)
     affine = np.all(find_flat_controls(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
@@ -317,12 +317,7 @@ def _explain_residual_by_order(residual: Array, precedences: Array) -> tuple[Arr
 
 def is_bang_bang(samples: list[PhaseSamples]) -> bool:
     """Whether every control sits on a bound all along."""
-    return bool(samples) and all(np.all(_controls_on_bound(s)) for s in samples)
-
-
-def _controls_on_bound(s: PhaseSamples) -> Mask:
-    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-    return at_lower | at_upper
+    return bool(samples) and all(np.all(np.any(s.at_control_bounds, axis=0)) for s in samples)
 
 
 def why_not_applicable(samples: list[PhaseSamples]) -> str:
@@ -330,7 +325,7 @@ def why_not_applicable(samples: list[PhaseSamples]) -> str:
     for s in samples:
         if not s.has_length:
             return f"phase {s.leg.name} has no length"
-        on_bound = _controls_on_bound(s)
+        on_bound = np.any(s.at_control_bounds, axis=0)
         if not np.all(on_bound):
             i, j = worst_index((~on_bound).astype(float))
             return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"

@@ -30,11 +30,10 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     RESOLVED_GAIN_SHARE,
     coupled_gains,
     coupled_minima,
+    low_discrepancy_points,
     search_bounds,
 )
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, SMALL, TINY
-
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def control_gain_scale(s: PhaseSamples, scales: Scales) -> Array:
@@ -71,10 +70,8 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
 
 def _segment_means(s: PhaseSamples, values: Array) -> Array:
     """Return the means of values (m, n_samples) over the segments, at the samples."""
-    starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
-    lengths = np.maximum(np.add.reduceat(s.weights, starts), TINY)
-    means = np.add.reduceat(values * s.weights, starts, axis=1) / lengths
-    return np.asarray(means[:, s.segments])
+    lengths = np.maximum(s.segment_integrals(np.ones(s.times.size)), TINY)
+    return np.asarray((s.segment_integrals(values) / lengths)[:, s.segments])
 
 
 def _distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
@@ -194,7 +191,7 @@ def _separable_gain(s: PhaseSamples) -> Array:
 def _scatter_controls(s: PhaseSamples) -> Array:
     """Separable controls anywhere between their limits: a step of H, whose slope is zero, shows nowhere else."""
     lower, upper = search_bounds(s)
-    shares = np.outer(1 + np.arange(s.u.shape[0]), _GOLDEN * np.arange(s.u.shape[1])) % 1.0
+    shares = low_discrepancy_points(s.u.shape[1], s.u.shape[0])
     other = lower[:, None] + (upper - lower)[:, None] * shares
     return np.where(s.functions.separable_controls[:, None], other, s.u)
 

@@ -35,7 +35,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.functions import EndGradients
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.interval import Interval, stack_all
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
@@ -132,12 +132,9 @@ def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: fl
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
     along = scales.phases[s.leg.name].along
     gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, mu)
-    residual = (s.lam_rate + gradient + s.state_multiplier) * s.weights
-    starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
-    total = np.add.reduceat(residual, starts, axis=1)
-    running = np.cumsum(residual, axis=1)
-    running -= (running[:, starts] - residual[:, starts])[:, s.segments]
-    inside = np.maximum.reduceat(along.change(running), starts) * np.sqrt(tolerance)
+    residual = s.lam_rate + gradient + s.state_multiplier
+    total = s.segment_integrals(residual)
+    inside = s.segment_maxima(along.change(s.running_integrals(residual))) * np.sqrt(tolerance)
     share = np.fmax(along.change(total), inside) / scales.cost
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
@@ -189,10 +186,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
         ]
     )
     gaps -= pushes
-    box = Interval(
-        np.concatenate([leg.initial_time_bounds.lower, leg.final_time_bounds.lower]),
-        np.concatenate([leg.initial_time_bounds.upper, leg.final_time_bounds.upper]),
-    )
+    box = stack_all([leg.initial_time_bounds, leg.final_time_bounds])
     times = np.array([leg.initial_time, leg.final_time])
     reach = box.upper - box.lower
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))

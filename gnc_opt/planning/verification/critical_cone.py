@@ -32,9 +32,7 @@ from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, TINY
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
     """Return the vector control that a group consists of, if H is affine in it and only its length is limited."""
     layout = s.leg.controls
-    for vector in s.leg.composed_controls:
-        if not isinstance(vector, VectorControl):
-            continue
+    for vector in s.leg.vector_controls:
         places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
         if not np.array_equal(np.sort(np.concatenate(places)), group):
             continue
@@ -80,9 +78,7 @@ def hold_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]
         for i in np.flatnonzero(np.any(s.idle, axis=1)):
             alone = np.interp(times, s.times, s.idle[i]) > (1 - NOTABLE)
             strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
-        for vector in s.leg.composed_controls:
-            if not isinstance(vector, VectorControl):
-                continue
+        for vector in s.leg.vector_controls:
             magnitude, direction = (
                 collocation.point_controls[s.leg.controls.slice(part)] for part in vector.parts
             )

@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.quality import NOTHING
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
+from gnc_opt.planning.solution.verdict import SEVERITY, Condition, ConditionResult, Verdict
 from gnc_opt.planning.verification import bang_bang_second_order as second_order
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
@@ -63,6 +63,8 @@ from gnc_opt.planning.verification.switching_times import check_switching_times
 
 CONDITION_TOLERANCE = 1e-5
 
+_PASS, _INCONCLUSIVE = ConditionResult.PASS, ConditionResult.INCONCLUSIVE
+
 _SECOND = ("second order", "switching times")
 SINGULAR_ARCS = "singular arcs"
 
@@ -75,7 +77,11 @@ _ACTIVE_SET = (
     "of its control. Otherwise a switch is in the wrong place, or an arc is missing."
 )
 _NO_EXTREMAL = "Second-order conditions apply to extremals only: repair the conditions that fail."
+_UNIQUE = "the problem is convex and has one solution only"
 _AFTER_OTHERS = "not evaluated, as other conditions fail"
+_NO_COSTATES = (
+    "The solution has no costates (none finite and non-zero): the minimum principle cannot be checked."
+)
 _CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is unknown."
 
 
@@ -153,8 +159,8 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     ]
     first = _check_first_order(solution, samples, ends, scales, tol)
     concave = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
-    failed = with_costates and any(c.result is ConditionResult.FAIL for c in first)
-    if failed and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
+    least = with_costates and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol)
+    if least:
         first = [_pass_by_least_cost(c) for c in first]
     extremal = (*trajectory[:3], *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
@@ -169,16 +175,11 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
         checked = [_mark_zero_duration(c, vanished) for c in checked]
-    doubted = with_costates and any(c.result is not ConditionResult.PASS for c in checked)
-    if doubted and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
+    if least:
         checked = [_pass_by_least_cost(c) for c in checked]
-    if (
-        not fails
-        and any(_is_sufficient_and_inconclusive(c) for c in checked)
-        and with_costates
-        and _has_unique_solution(problem, lasting)
-    ):
-        checked = [_pass_by_uniqueness(c) if _is_sufficient_and_inconclusive(c) else c for c in checked]
+    unproved = [c for c in checked if c.sufficient and c.result is ConditionResult.INCONCLUSIVE]
+    if unproved and not fails and with_costates and _has_unique_solution(problem, lasting):
+        checked = [_change_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
     kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "none", KINKS)
     if concave is not None:
         kinks = kink_condition(concave, False, falls=True)
@@ -190,7 +191,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     if missing.value:
         checked = [_mark_incomplete(c, missing.where) for c in checked]
     if not with_costates:
-        checked = [_mark_without_costates(c) for c in checked]
+        checked = [_mark_inconclusive(c, "everywhere", _NO_COSTATES) for c in checked]
     conditions = (*trajectory, *checked[: len(first)], kinks, *checked[len(first) :])
     return Verdict(solution.problem_name, conditions, not_checked="" if with_costates else "no costates")
 
@@ -218,9 +219,8 @@ def _check_first_order(
 
 def _join_conditions(name: str, parts: list[Condition]) -> Condition:
     """Return one condition with the result of several; its number and place are those of the part that decides."""
-    order = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
     passed = all(c.result is ConditionResult.PASS for c in parts)
-    decisive = min(parts, key=lambda c: (order[c.result], not passed and c.sufficient, c.name != name))
+    decisive = min(parts, key=lambda c: (SEVERITY[c.result], not passed and c.sufficient, c.name != name))
     where = decisive.where if decisive.name == name else f"{decisive.name}: {decisive.where}"
     return replace(decisive, name=name, where=where)
 
@@ -260,8 +260,9 @@ def _treat_as_multiplier_error(condition: Condition) -> Condition:
     """Where no other control has a smaller H, downward curvature of H is an error of a solver's multipliers."""
     if condition.result is not ConditionResult.FAIL:
         return condition
-    where = f"{condition.where}; no control gains more than the errors of the multipliers"
-    return replace(condition, result=ConditionResult.INCONCLUSIVE, where=where)
+    return _change_result(
+        condition, _INCONCLUSIVE, "no control gains more than the errors of the multipliers"
+    )
 
 
 def check_second_order_parts(
@@ -308,38 +309,30 @@ def _check_second_variation(
     return [check_reduced_hessian(solution, samples, cone)]
 
 
+def _change_result(condition: Condition, result: ConditionResult, reason: str) -> Condition:
+    return replace(condition, result=result, where=f"{condition.where}; {reason}")
+
+
 def _pass_by_convexity(condition: Condition) -> Condition:
     """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
-    if condition.result is ConditionResult.PASS or not condition.sufficient:
+    if condition.result is _PASS or not condition.sufficient:
         return condition
-    where = f"{condition.where}; the problem is convex, nothing curves downwards, and the minimum may be one of many"
-    return replace(condition, result=ConditionResult.INCONCLUSIVE, where=where)
+    reason = "the problem is convex, nothing curves downwards, and the minimum may be one of many"
+    return _change_result(condition, _INCONCLUSIVE, reason)
 
 
 def _pass_by_least_cost(condition: Condition) -> Condition:
     """Where no trajectory can cost less, costates are rounding errors and no evidence against it."""
-    if condition.result is ConditionResult.PASS:
+    if condition.result is _PASS:
         return condition
-    result = ConditionResult.INCONCLUSIVE if condition.sufficient else ConditionResult.PASS
-    where = f"{condition.where}; the cost is the least that there can be, and the minimum may be one of many"
-    return replace(condition, result=result, where=where)
+    result = _INCONCLUSIVE if condition.sufficient else _PASS
+    reason = "the cost is the least that there can be, and the minimum may be one of many"
+    return _change_result(condition, result, reason)
 
 
 def _has_unique_solution(problem: Problem, samples: list[PhaseSamples]) -> bool:
-    every_phase_lasts = len(samples) == len(problem.phases)
-    return every_phase_lasts and has_unique_solution(
-        problem, {s.leg.name: controls_determined_by_slope(s) for s in samples}
-    )
-
-
-def _is_sufficient_and_inconclusive(condition: Condition) -> bool:
-    return condition.sufficient and condition.result is ConditionResult.INCONCLUSIVE
-
-
-def _pass_by_uniqueness(condition: Condition) -> Condition:
-    """Where the first order suffices and the minimum is unique, no other condition is needed."""
-    where = f"{condition.where}; the problem is convex and has one solution only"
-    return replace(condition, result=ConditionResult.PASS, where=where)
+    known = {s.leg.name: controls_determined_by_slope(s) for s in samples}
+    return len(known) == len(problem.phases) and has_unique_solution(problem, known)
 
 
 def _inconclusive_condition(name: str, where: str, meaning: str) -> Condition:
@@ -347,24 +340,8 @@ def _inconclusive_condition(name: str, where: str, meaning: str) -> Condition:
 
 
 def _mark_inconclusive(condition: Condition, where: str, meaning: str) -> Condition:
-    value = float("nan")
-    return replace(
-        condition,
-        result=ConditionResult.INCONCLUSIVE,
-        value=value,
-        where=where,
-        meaning=meaning,
-        loss=None,
-        unit="",
-    )
-
-
-def _mark_without_costates(condition: Condition) -> Condition:
-    return _mark_inconclusive(
-        condition,
-        "everywhere",
-        "The solution has no costates (none finite and non-zero), so that the minimum principle cannot be checked.",
-    )
+    found = replace(condition, result=_INCONCLUSIVE, value=float("nan"), where=where, meaning=meaning)
+    return replace(found, loss=None, unit="")
 
 
 def _mark_incomplete(condition: Condition, where: str) -> Condition:

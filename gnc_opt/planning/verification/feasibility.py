@@ -19,7 +19,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.reach import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.interval import Interval, stack_all
 from gnc_opt.planning.solution.propagation import segment_misses
 from gnc_opt.planning.solution.quality import NOTHING, Limits, Worst, defined, violations, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -53,7 +53,6 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
     worst = NOTHING
     for s in samples:
-        worst = worst.or_worse(_find_missing_number(s) or NOTHING)
         for at in (s, s.finer(SCANNED)):
             worst = worst.or_worse(_find_worst_defect(s, at, scales, tolerance))
     return condition_from_violation(
@@ -69,10 +68,7 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
     leg, ellipsoid = s.leg, scales.phases[s.leg.name].along
     rates = defined(at.functions.rates, at.times, at.x, at.u, leg.control_bounds)
     residual = at.x_rate - rates
-    starts = np.searchsorted(at.segments, np.arange(leg.mesh.segments))
-    total = np.add.reduceat(residual * at.weights, starts, axis=1)
-    running = np.cumsum(residual * at.weights, axis=1)
-    running -= (running[:, starts] - residual[:, starts] * at.weights[starts])[:, at.segments]
+    total, running = at.segment_integrals(residual), at.running_integrals(residual)
     held = np.flatnonzero(np.any(leg.flown.held, axis=0))
     if held.size:  # the control jumps inside of these
         total[:, held] = segment_misses(leg, s.functions, held) if at is s else 0.0
@@ -81,7 +77,7 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
     if inner.size:
         total[:, :-1] += leg.x(inner, "right") - leg.x(inner, "left")
     missed = ellipsoid.displacement(total)
-    inside = np.maximum.reduceat(ellipsoid.displacement(running), starts) * np.sqrt(tolerance)
+    inside = at.segment_maxima(ellipsoid.displacement(running)) * np.sqrt(tolerance)
     shares = np.fmax(missed, inside)
     shares = np.where(np.isnan(missed), np.inf, shares)
     k = int(np.argmax(shares))
@@ -93,7 +89,7 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
         ]
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
     worst = Worst(float(shares[k]), s.segment_place(k, what))
-    weighted = np.add.reduceat(np.sum(s.lam * residual, axis=0) * at.weights, starts) if at is s else None
+    weighted = s.segment_integrals(np.sum(s.lam * residual, axis=0)) if at is s else None
     if s.has_length and worst.value <= tolerance and weighted is not None and np.all(np.isfinite(weighted)):
         ends = leg.lam(leg.breaks[1:], "left")
         weighted[held] = np.sum(ends * total, axis=0)[held]
@@ -101,14 +97,6 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
         k = int(np.argmax(price))
         worst = worst.or_worse(Worst(float(price[k]), s.segment_place(k, "effect on the cost")))
     return worst
-
-
-def _find_missing_number(s: PhaseSamples) -> Worst | None:
-    """The first sample at which a number is missing."""
-    if not np.all(np.isfinite(s.functions.q)):
-        return Worst(np.inf, "a free parameter is not finite")
-    gaps = ~np.all(np.isfinite(np.vstack([s.times[None, :], s.x, s.u])), axis=0)
-    return Worst(np.inf, f"{s.place(int(np.argmax(gaps)))}: not finite") if np.any(gaps) else None
 
 
 def check_limits(
@@ -243,10 +231,7 @@ def check_boundary_conditions(
                 _end_state_violation(values, interval, ellipsoid, labels, leg.states.units)
             )
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
-        boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
-        interval = Interval(
-            np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes])
-        )
+        interval = stack_all([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
         lasts = np.full(3, s.span if s.has_length else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.or_worse(_worst_excess(times, interval, lasts, labels, ("s",) * 3))

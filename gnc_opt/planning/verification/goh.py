@@ -64,11 +64,11 @@ def find_flat_controls(s: PhaseSamples) -> Mask:
 
 def singular_samples(s: PhaseSamples) -> Mask:
     """Where a control is between its bounds, H does not curve in it, and no active constraint determines it (m, n)."""
-    lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-    singular = find_flat_controls(s) & ~(lower | upper | s.idle)
+    inside: Mask = ~np.any(s.at_control_bounds, axis=0)
+    singular = find_flat_controls(s) & inside & ~s.idle
     if not np.any(singular):
         return singular
-    bases = free_control_directions(s, ~(lower | upper), s.control_span)
+    bases = free_control_directions(s, inside, s.control_span)
     left = np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
     return np.asarray(singular & left)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.functions import EndGradients, end_gradients
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.extract import model_parameters
+from gnc_opt.planning.solution.extract import problem_fields
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
@@ -70,10 +69,7 @@ def recompute_from_problem(solution: Solution) -> Solution:
 def evaluate_ends(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the trajectory's own ends."""
     problem = solution.need_problem("verify")
-    ends: dict[str, list[Any]] = {}
-    for name, leg in solution.phases.items():
-        first, last = leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left")
-        ends[name] = [first, last, leg.initial_time, leg.final_time, leg.integrals, leg.parameters]
+    ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
     return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
@@ -172,25 +168,11 @@ def _largest_end_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
 
 
 def _phase_from_problem(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
-    leg, stored = problem.phases[name], solution.phases[name]
-    initial_time, final_time = leg.times()
+    leg = problem.phases[name]
     return replace(
-        stored,
-        states=leg.model.states,
-        controls=leg.model.controls,
-        model_parameters=leg.model.parameters,
-        path_labels=leg.path_labels,
-        integral_labels=tuple(leg.integrands),
+        solution.phases[name],
         integral_weights=np.zeros(len(leg.integrands)),
-        parameters=model_parameters(problem, leg, solution.parameter_values),
-        state_bounds=leg.numbers.states,
-        control_bounds=leg.numbers.controls,
-        path_bounds=leg.path_interval(),
-        initial_bounds=leg.numbers.initial,
-        final_bounds=leg.numbers.final,
-        initial_time_bounds=initial_time,
-        final_time_bounds=final_time,
-        duration_bounds=leg.numbers.duration,
+        **problem_fields(problem, leg, solution.parameter_values),
     )
 
 

@@ -235,7 +235,7 @@ def _mesh_for_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> 
 def _find_jumping_control(samples: list[PhaseSamples]) -> str:
     """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
     for s in samples:
-        lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+        lower, upper = s.at_control_bounds
         open_to_both = find_flat_controls(s)
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
             s.times[1:], _variable_breakpoints(s)

@@ -24,6 +24,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.reach import cell_edges, end_response
 from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.functions import EndGradients, end_values
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -340,7 +341,7 @@ class _ShiftedPhase:
         for k, (a, b) in enumerate(itertools.pairwise(self.nodes)):
             if np.array_equal(a, b):
                 continue
-            y = _runge_kutta_step(self.rates, a, b, y, self.controls(k))
+            y = runge_kutta_step(self.rates, a, b, y, self.controls(k))
             if np.any(b != b[0]):
                 continue
             time, moved = float(b[0]), y[:n] - y[:n, -1:]
@@ -349,16 +350,6 @@ class _ShiftedPhase:
                 misses.append(jumps[time] @ moved / cost)
             misses += [gradient @ moved for gradient in limits.get(time, [])]
         return y[:n], y[n:-1], terms + y[-1], [row[None] for row in misses]
-
-
-def _runge_kutta_step(rates: Any, a: Array, b: Array, y: Array, controls: list[Array]) -> Array:
-    """Return the states after a step of the classical Runge-Kutta method from times a to b (n_columns,)."""
-    h, middle = b - a, 0.5 * (a + b)
-    start, inner, end = controls
-    k1 = rates(a, y, start)
-    k2 = rates(middle, y + 0.5 * h * k1, inner)
-    k3 = rates(middle, y + 0.5 * h * k2, inner)
-    return np.asarray(y + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(b, y + h * k3, end)))
 
 
 def _costate_jumps(leg: PhaseSolution) -> dict[float, Array]:

@@ -103,15 +103,6 @@ def find_first_order_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], toleranc
     return found
 
 
-def is_chattering(problem: Problem, s: PhaseSamples, channel: int) -> bool:
-    """Whether singular arcs are of second order, hence chatter (McDanell & Powers, SIAM J. Control 9(2), 1971)."""
-    key = ("derivatives of switching functions", s.leg.name, (channel,), ())
-    alone = np.array([channel]), np.zeros(0, dtype=int)
-    derivatives: Derivatives = problem.reuse(key, lambda: Derivatives(s, *alone))
-    contained = (j for j in range(5) if derivatives.contains_controls(j))
-    return next(contained, 0) > 2
-
-
 def analyse_singular_arcs(
     problem: Problem, s: PhaseSamples, singular: Mask, inside: Mask, tolerance: float
 ) -> list[SingularArc]:
@@ -224,10 +215,6 @@ class Derivatives:
             self._functions[j] = function if function.n_instructions() <= MOST_INSTRUCTIONS else None
         found: Callable[..., Any] | None = self._functions[j]
         return found
-
-    def contains_controls(self, j: int) -> bool:
-        """Whether the j-th time derivative depends on the controls anywhere."""
-        return bool(ca.jacobian(self._derivative(j), self._own).nnz() > 0)
 
     def _derivative(self, j: int) -> Any:
         while len(self._values) <= j:

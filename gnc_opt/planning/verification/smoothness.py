@@ -14,6 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.optimality.narrow_features import bisect_sign_changes
 from gnc_opt.planning.optimality.reference_scales import Scales, second_differences
 from gnc_opt.planning.problem.kinks import Kinks, kinks_of
 from gnc_opt.planning.problem.problem import Problem
@@ -30,8 +31,6 @@ KINKS = (
     "constraint."
 )
 
-
-_BISECTIONS = 60
 
 STEPS = 1e-4, 1e-6
 """Steps of second differences, in shares of the reach."""
@@ -142,20 +141,13 @@ def _kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Ar
 
 def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> Roughness | None:
     """What dx/dt and integrands jump by where an argument changes its sign between two times."""
-    left, right = between
 
-    def argument_at(time: float) -> float:
-        times = np.array([time])
-        return float(_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))[i, 0])
+    def arguments_at(times: Array) -> Array:
+        return _kink_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))
 
-    rising = argument_at(right - SAME_TIME * s.span) > argument_at(left + SAME_TIME * s.span)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (left + right)
-        left, right = (left, middle) if (argument_at(middle) > 0) == rising else (middle, right)
-    sides = np.clip(
-        np.array([left - SAME_TIME * s.span, right + SAME_TIME * s.span]),
-        *s.leg.breaks[[0, -1]],
-    )
+    aside = SAME_TIME * s.span  # at the samples themselves the side may be that of another segment
+    left, right = bisect_sign_changes(arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside)
+    sides = np.clip(np.append(left - aside, right + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.flown(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
@@ -163,7 +155,7 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
     if not size > tolerance:
         return None
     return Roughness(
-        size, f"{s.place_at(float(right))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
+        size, f"{s.place_at(float(right[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
     )
 
 

@@ -44,7 +44,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
-from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, RANK, ROUNDING
+from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
 """A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
@@ -105,10 +105,9 @@ def _fixes_start(equal: Array, same: Mask, initial: Indices) -> bool:
 
 def controls_determined_by_slope(s: PhaseSamples) -> Mask:
     """Which controls are on bounds all along, their switching functions zero for a moment at most (m,)."""
-    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
     opens = holds_for_share(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = holds_for_share(s.times, ~(at_lower | at_upper), SMEARED)
+    between = holds_for_share(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 
 
@@ -234,9 +233,10 @@ def reaches_least_cost(
 ) -> bool:
     """Whether cost and costates are at their least possible value, to ``tolerance`` of the scale ``amount``."""
     problem = solution.need_problem("verify")
-    above = problem.sense * cost - lower_cost_limit(problem)
     worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
-    near = above <= tolerance**2 * amount and max(worths) <= tolerance * amount
+    if not max(worths) <= tolerance * amount:
+        return False
+    near = problem.sense * cost - lower_cost_limit(problem) <= tolerance**2 * amount
     return bool(near and np.all(_excess_over_least(solution) <= tolerance**2))
 
 

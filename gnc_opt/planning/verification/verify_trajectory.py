@@ -26,21 +26,20 @@ from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.check import check_unused_controls
-from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.solution.extract import extract_phases, model_parameters
+from gnc_opt.planning.solution.extract import extract_phases, functions_at, model_parameters
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.unwrap import unwound
-from gnc_opt.planning.solution.verdict import FIRST_ORDER, ConditionResult, Verdict
+from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, NOTABLE, SAME_TIME, SMALL
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
 
 
 def reformulate_samples(
@@ -98,10 +97,6 @@ def _continue_directions(directions: Array) -> Array:
 PARTS = (2, 4)
 """Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
 change faster than the states."""
-
-INTERPOLATION_GROWTH, FEWEST_SAMPLES = 4.0, 8
-"""Least growth of an error of interpolation if every second sample is left out; least number of samples of a phase to
-measure that."""
 
 NEARER = 1e-7, 1e-9
 """Distances from limits, in shares of their scales, beyond which they do not push: tried where estimated multipliers
@@ -190,41 +185,7 @@ def _check_samples(problem: Problem, samples: Mapping[str, Samples], q: Array, t
         if verdict["stationarity"].result is not ConditionResult.FAIL:
             break
         verdict = verify(_build_solution(problem, samples, q, parts), tol=tol)
-    return replace(_excuse_interpolation_errors(verdict, problem, samples, q, tol), estimated=True)
-
-
-def _excuse_interpolation_errors(
-    verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
-) -> Verdict:
-    """The same with failures inconclusive that are errors of interpolation: they grow with every second sample."""
-    failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
-    few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
-    if not failed or few or any(not c.value <= NOTABLE for c in failed):
-        return verdict
-    coarse = verify(
-        _build_solution(problem, {k: _thin_samples(leg) for k, leg in samples.items()}, q), tol=tol
-    )
-    doubted = {c.name for c in failed if coarse[c.name].value >= INTERPOLATION_GROWTH * c.value}
-    if doubted != {c.name for c in failed}:
-        return verdict
-    where = "the samples are too coarse to tell: give denser ones"
-    return replace(
-        verdict,
-        conditions=tuple(
-            replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {where}") if c in failed else c
-            for c in verdict.conditions
-        ),
-    )
-
-
-def _thin_samples(samples: Samples) -> Samples:
-    """Every second sample, the ends, and both sides of jumps."""
-    t = samples.t
-    twice = np.append(np.diff(t) == 0, False)
-    kept = np.arange(t.size) % 2 == 0
-    kept |= twice | np.roll(twice, 1)
-    kept[[0, -1]] = True
-    return Samples(t[kept], samples.x[:, kept], samples.u[:, kept])
+    return replace(verdict, estimated=True)
 
 
 def _check_reformulated(
@@ -271,9 +232,7 @@ def _build_solution(
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name in problem.phases:
-        fitted[name] = fit_trajectory(samples[name], _build_phase_functions(problem, name, q).rates).split(
-            parts
-        )
+        fitted[name] = fit_trajectory(samples[name], functions_at(problem, name, q).rates).split(parts)
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
@@ -312,17 +271,12 @@ def _with_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
     )
 
 
-def _build_phase_functions(problem: Problem, name: str, q: Array) -> PhaseFunctions:
-    leg = problem.phases[name]
-    return phase_functions(problem, name, model_parameters(problem, leg, q), q, np.zeros(len(leg.integrands)))
-
-
 def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
     """The samples with angles that other tools keep within a turn as they run on."""
     found = {}
     for name, leg in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwound(_build_phase_functions(problem, name, q), bounds, leg.t, leg.x, leg.u)
+        controls = unwound(functions_at(problem, name, q), bounds, leg.t, leg.x, leg.u)
         found[name] = replace(leg, u=controls)
     return found
 

@@ -22,7 +22,7 @@ from gnc_opt.planning.solution.quality import (
     worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, sampling_rule
+from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, sampled_places
 from gnc_opt.tolerances import GONE
 
 CART = cart()
@@ -42,16 +42,14 @@ def stepped(t: Array, k: int) -> Array:
 
 
 def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
-    rule = sampling_rule(4)
+    places, weights = sampled_places(4)
     n = 4 + SAMPLES_BEYOND_POINTS
-    assert rule.n == n and sampling_rule(60).n == 64
+    assert places.size == n + 2 and sampled_places(60)[0].size == 64 + 2
     assert right.times.size == 2 * (n + 2) and right.segments.tolist() == [0] * (n + 2) + [1] * (n + 2)
     assert right.times[[0, n + 1, n + 2, -1]].tolist() == [0.0, 0.5, 0.5, 1.0]
-    assert right.times[1 : n + 1] == pytest.approx(0.25 * (1 + rule.points))
+    assert right.times[1 : n + 1] == pytest.approx(0.25 * (1 + places[1:-1]))
     assert right.weights[[0, n + 1, n + 2, -1]].tolist() == [0.0] * 4
-    assert right.weights.sum() == pytest.approx(1.0) and right.weights[1] == pytest.approx(
-        0.25 * rule.weights[0]
-    )
+    assert right.weights.sum() == pytest.approx(1.0) and right.weights[1] == pytest.approx(0.25 * weights[1])
     assert np.flatnonzero(right.at_end).tolist() == [n + 1, 2 * n + 3]
     assert right.span == 1.0
     assert right.weights @ right.times**9 == pytest.approx(0.1, rel=1e-13)

@@ -14,7 +14,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, end_spans, state_spans, without_effect
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, state_spans, without_effect
 
 # How far states and controls move on a flight, and what controls could move: closed forms.
 
@@ -105,47 +105,6 @@ def test_what_nothing_moves_has_the_width_of_its_limits(boxes: dict[str, Any], s
     problem = built({"m": 1, "x": 1}, 1, lambda m, x, u: [1 + 0 * m, 0 * x])
     limits = {name: interval([0.0, low], [0.0, up]) for name, (low, up) in boxes.items()}
     assert found(problem, lambda t, k: [t, 0 * t], [1.0], **limits)[1] == pytest.approx(span)
-
-
-# --- ends -------------------------------------------------------------------------------------------------
-
-
-def ends(moved: Sequence[float], used: float, *, breaks: Any = (0.0, 0.25, 1.0)) -> Array:
-    leg = phase(CART, breaks=breaks)
-    return end_spans(leg, functions(CART), np.asarray(moved), np.array([used]))
-
-
-def test_what_a_push_does_later_is_what_the_dynamics_make_of_it() -> None:
-    """An oscillator: |sin| and |cos| of the phase from the middle of each segment to the end."""
-    w = 2.0
-    problem = built({"q": 1, "v": 1}, 1, lambda q, v, u: [v, u - w**2 * q])
-    edges = np.array([0.0, 0.2, 0.6, 1.4, 2.0])
-    leg = phase(problem, still(0.0, 0.0), still(0.0), still(0.0, 0.0), breaks=edges)
-    to_go, widths = 2.0 - 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
-    reach = [np.sum(np.abs(np.sin(w * to_go)) / w * widths), np.sum(np.abs(np.cos(w * to_go)) * widths)]
-    moved, used = np.array([3.0, 5.0]), np.array([0.1])
-    assert end_spans(leg, functions(problem, (1.0,)), moved, used) == pytest.approx(0.1 * np.array(reach))
-
-
-def test_the_dynamics_of_each_segment_in_their_order() -> None:
-    """q' = s v and v' = u with s = t: a push at t moves q by (T^2 - t^2) / 2, here s constant along a segment."""
-    problem = built({"q": 1, "v": 1, "s": 1}, 1, lambda q, v, s, u: [s * v, u, 1 + 0 * s])
-    edges = np.array([1.0, 2.0, 4.0])
-    leg = phase(problem, lambda t, k: [0 * t, 0 * t, t], still(0.0), still(0.0, 0.0, 0.0), breaks=edges)
-    reached = end_spans(leg, functions(problem, (1.0,)), np.array([100.0, 100.0, 3.0]), np.array([1.0]))
-    # From the middle of the first: 0.5 s at 1.5 and 2 s at 3; of the second: 1 s at 3, for 2 s.
-    assert reached == pytest.approx([(0.75 + 6.0) * 1 + 3.0 * 2, 3.0, 3.0])
-
-
-def test_components_of_a_vector_share_their_reach_and_no_number_is_no_reach() -> None:
-    problem = built({"r": 2, "n": 1}, 1, lambda r, n, u: [[u, 0 * u], n**0.5 * u])
-    leg = phase(problem, still(0.0, 0.0, -1.0), still(0.0), still(0.0, 0.0, 0.0))
-    moved = np.array([4.0, 4.0, 1.0])
-    assert end_spans(leg, functions(problem, (1.0,)), moved, np.array([0.5])) is moved
-    leg = phase(problem, still(0.0, 0.0, 4.0), still(0.0), still(0.0, 0.0, 0.0))
-    assert end_spans(leg, functions(problem, (1.0,)), moved, np.array([0.2])) == pytest.approx(
-        [0.2, 0.2, 0.4]
-    )
 
 
 # --- controls ---------------------------------------------------------------------------------------------

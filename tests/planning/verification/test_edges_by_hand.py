@@ -38,7 +38,6 @@ from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
-    _controls_on_bound,
     _find_worst_crossing,
     nearest_multipliers,
 )
@@ -501,7 +500,8 @@ def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
         s = bang(unit=unit)
         box = by_hand.interval([-unit, -off * unit, -3 * unit], [unit, (4.0 + off) * unit, 2 * unit])
         s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
-        assert bool(np.all(_controls_on_bound(s)[1])) is told and np.all(_controls_on_bound(s)[[0, 2]])
+        on_bound = np.any(s.at_control_bounds, axis=0)
+        assert bool(np.all(on_bound[1])) is told and np.all(on_bound[[0, 2]])
 
 
 def test_given_times_do_not_change_the_cost() -> None:
@@ -530,22 +530,6 @@ def test_derivatives_that_grow_too_large_are_not_reported(monkeypatch: pytest.Mo
     (arc,) = singular.analyse_singular_arcs(problem, s, *controls.find_undetermined(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
     assert arc.why == "the switching function has too large a derivative of order 0"
-
-
-def test_the_first_sample_without_a_number_ends_the_flight() -> None:
-    """A state that has none from the second segment on, a parameter that has none at all."""
-    problem = by_hand.cart()
-
-    def hole(t: Array, k: int) -> Array:
-        return by_hand.rest(t, k) * np.array([[1.0], [np.nan if k else 1.0]])
-
-    s = by_hand.samples(problem, hole)
-    worst = feasibility._find_missing_number(s)
-    assert worst is not None and worst.value == np.inf and worst.where == "phase leg, t = 0.5 s: not finite"
-    assert feasibility._find_missing_number(by_hand.samples(problem)) is None
-    lost = replace(s.functions, q=np.array([np.nan]))
-    gone = feasibility._find_missing_number(PhaseSamples.of(by_hand.phase(problem), lost))
-    assert gone is not None and gone.where == "a free parameter is not finite"
 
 
 def test_a_verdict_is_kept_for_the_default_tolerance() -> None:

@@ -40,7 +40,6 @@ from gnc_opt.planning.verification.reduced_hessian import (
     _find_jumping_control,
     _has_partly_singular_segment,
 )
-from gnc_opt.planning.verification.singular_arcs import is_chattering
 from gnc_opt.planning.verification.verify_trajectory import _find_bound_arcs
 from gnc_opt.tolerances import NEGLIGIBLE
 from problems import rendezvous
@@ -536,13 +535,6 @@ def test_an_order_beyond_those_looked_for_is_not_reported() -> None:
         condition.result is go.ConditionResult.INCONCLUSIVE
         and "no derivative up to order 6" in condition.where
     )
-
-
-@pytest.mark.parametrize(("order", "told"), [(1, False), (2, True), (3, False)])
-def test_arcs_of_second_order_are_met_by_chattering(order: int, told: bool) -> None:
-    problem = chain(order, 1.0)
-    samples = go.solve(problem, mesh="3x3", tol=None).samples()["leg"]
-    assert is_chattering(problem, samples, 0) is told
 
 
 def plane(gyration: float, weights: tuple[float, float] = (1.0, 1.0)) -> go.Problem:
