@@ -20,8 +20,8 @@ from testing.internals import (
     Statistics,
     collocation_rule,
     free,
+    interpolate_points,
     phase_functions,
-    piecewise,
 )
 from testing.models import one_phase
 
@@ -115,7 +115,7 @@ def phase(
         "path_labels": leg.path_labels,
         "integral_labels": tuple(leg.integrands),
         "x": PiecewisePolynomial(edges, (rule.state_nodes,) * segments, pieces(x, rule.state_nodes)),
-        "u": piecewise(edges, rules, np.hstack(pieces(u, rule.points))),
+        "u": interpolate_points(edges, rules, np.hstack(pieces(u, rule.points))),
         "lam": PiecewisePolynomial(edges, (ends,) * segments, pieces(lam, ends)),
         "lam_start": np.hstack(lam_ends[0]),
         "lam_end": np.hstack(lam_ends[1]),

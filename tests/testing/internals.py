@@ -80,14 +80,14 @@ from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
-from gnc_opt.planning.solution.phase_solution import piecewise
+from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import control_spans
 from gnc_opt.planning.solution.summary import overshooting_controls
-from gnc_opt.planning.solution.unwrap import unwound
+from gnc_opt.planning.solution.unwrap import unwrap_angles
 from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution
 from gnc_opt.planning.transcription.arc_constraints import (

@@ -17,7 +17,7 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.diagnosis import find_violations
-from gnc_opt.planning.solution.extract import extract_phases, unwound_controls
+from gnc_opt.planning.solution.extract import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
@@ -125,7 +125,7 @@ class Attempt:
         box = transcription.variable_interval(problem)
         # Scaling and unscaling rounds: a variable at its bound must sit exactly there.
         iterate = replace(iterate, x=np.where(box.fixed, box.lower, iterate.x))
-        iterate = replace(iterate, x=unwound_controls(transcription, problem, iterate.x))
+        iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
         phases, gradients = extract_phases(transcription, problem, iterate)
         places = transcription.parameter_places
         return Solution(

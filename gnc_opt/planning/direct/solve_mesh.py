@@ -29,7 +29,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import (
     ProgramStart,
     guess_from_solution,
-    mesh_at_rest,
+    mesh_with_fixed_breaks,
     program_start,
     start_from_guess,
 )
@@ -129,7 +129,9 @@ def solve_mesh(
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         known = {name: guess.phases[name] for name in problem.phases}
         # Boundaries that moved with arcs would, without these, move to where the points see least.
-        meshes = {name: mesh_at_rest(leg) if guess.structure else leg.mesh for name, leg in known.items()}
+        meshes = {
+            name: mesh_with_fixed_breaks(leg) if guess.structure else leg.mesh for name, leg in known.items()
+        }
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
     task = _Task(problem, meshes, scheme, chosen, progress, limits)

@@ -95,10 +95,10 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
     if leg.path_labels:
         # One that holds all along hardly moves: it is near by what could move it.
         scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_reach, s.path_scale, s.path_reach)
-        near = _at_limits(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
+        near = _is_at_limit(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span
-    on_state = _at_limits(s.x, leg.state_bounds, s.state_scale)
+    on_state = _is_at_limit(s.x, leg.state_bounds, s.state_scale)
     on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
     on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
     if s.pure_paths.size:
@@ -117,7 +117,7 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
     return np.concatenate(found)
 
 
-def _at_limits(values: Array, box: Any, scale: Array) -> Mask:
+def _is_at_limit(values: Array, box: Any, scale: Array) -> Mask:
     at_lower, at_upper = box.near(values, ACTIVE * scale)
     return np.asarray(at_lower | at_upper)
 
@@ -222,7 +222,7 @@ def _hold_constraints(
     )
 
 
-def _pushing(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
+def _find_pushing_constraints(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
     """Which constraints are at their limits, and which push there (2, n_rows, n_boundaries): lower and upper ones."""
     s = rows.samples
     times = s.leg.breaks[list(boundaries)]
@@ -245,7 +245,7 @@ def with_movable_touches(solution: Solution) -> Solution:
         if not mesh.movable or mesh.segments < 3:
             continue
         rows = StateConstraints(solution.need_problem("linearise"), s)
-        near, pushing = _pushing(rows, range(1, mesh.segments))
+        near, pushing = _find_pushing_constraints(rows, range(1, mesh.segments))
         near = np.pad(near, ((0, 0), (0, 0), (1, 1)))
         alone = pushing & ~near[:, :, :-2] & ~near[:, :, 2:]
         touched = 1 + np.flatnonzero(np.any(alone, axis=(0, 1)))
@@ -257,7 +257,9 @@ def with_movable_touches(solution: Solution) -> Solution:
 def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
     """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
     boundaries, found = s.leg.mesh.movable, []
-    for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), _pushing(rows, boundaries)[1], strict=True):
+    for kind, here in zip(
+        (ArcKind.LOWER, ArcKind.UPPER), _find_pushing_constraints(rows, boundaries)[1], strict=True
+    ):
         for row, k in np.argwhere(here):
             order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:

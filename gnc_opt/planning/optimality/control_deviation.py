@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, STILL_STATE_SHARE, steering
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, STILL_STATE_SHARE, required_control_sizes
 from gnc_opt.tolerances import EQUAL, NOTABLE, TINY
 
 MEAN_SHARE = 0.1
@@ -58,7 +58,7 @@ def _constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> A
 
 def _resting_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero."""
-    asked, rounding = steering(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
+    asked, rounding = required_control_sizes(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
     # Where the effect of a control vanishes at its value only, as that of an angle of 180 degrees, it is not rounding.

@@ -92,7 +92,7 @@ class Magnitudes:
         boxes: dict[int, tuple[Array, Array]] = {}
         for s in samples:
             leg = s.leg
-            boxes.update({len(values) + k: s.flown_box for k in range(2)})
+            boxes.update({len(values) + k: s.state_range for k in range(2)})
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
             values += [np.atleast_1d(v) for v in leg.end_arguments]
             spans += [s.state_scale, s.state_scale, *(np.where(b.fixed, 0.0, s.span) for b in bounds)]
@@ -130,9 +130,9 @@ def integral_spans(s: PhaseSamples) -> Array:
     above = values - np.min(values, axis=1, keepdims=True)
     below = np.max(values, axis=1, keepdims=True) - values
     spans = np.minimum(above @ s.weights, below @ s.weights)
-    if not s.lasts_as_told:
+    if not s.has_fixed_duration:
         spans = np.fmax(spans, np.abs(values) @ s.weights)
-    for rows, steps, box in ((s.x, s.state_scale, s.flown_box), (s.u, s.control_span, None)):
+    for rows, steps, box in ((s.x, s.state_scale, s.state_range), (s.u, s.control_span, None)):
         for i, step in enumerate(steps):
             for moved in (step, -step):
                 other = rows.copy()

@@ -222,10 +222,10 @@ class NullSpace:
         unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
-        jacobian, norms = _normed(point.jacobian[rows] @ unit)
-        parts = [jacobian, _normed(moved)[0]]
+        jacobian, norms = _normalise_rows(point.jacobian[rows] @ unit)
+        parts = [jacobian, _normalise_rows(moved)[0]]
         if further is not None:
-            parts.append(_normed(further @ unit)[0])
+            parts.append(_normalise_rows(further @ unit)[0])
         return cls(unit, rows, norms, scipy.sparse.vstack(parts, format="csc"))
 
     @property
@@ -275,7 +275,7 @@ class NullSpace:
         return inverse
 
 
-def quadratic(hessian: Any, direction: Array) -> tuple[float, float]:
+def curvature_along(hessian: Any, direction: Array) -> tuple[float, float]:
     """Return the curvature along a direction, and in shares of the terms that add up to it."""
     value = float(direction @ (hessian @ direction))
     terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
@@ -298,7 +298,7 @@ def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tupl
             image = image - space[: k + 1].T @ (space[: k + 1] @ image)
         length = float(np.linalg.norm(image))
         if length <= NEGLIGIBLE * max(map(abs, diagonal)) or (
-            k % 10 == 9 and _settled(diagonal, beside, length)
+            k % 10 == 9 and _are_ends_found(diagonal, beside, length)
         ):
             break
         beside.append(length)
@@ -308,7 +308,7 @@ def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tupl
     return values, space[:n].T @ vectors
 
 
-def _settled(diagonal: list[float], beside: list[float], length: float) -> bool:
+def _are_ends_found(diagonal: list[float], beside: list[float], length: float) -> bool:
     """Whether both ends of the spectrum are found, by the last components of their eigenvectors."""
     values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
     return bool(
@@ -316,7 +316,7 @@ def _settled(diagonal: list[float], beside: list[float], length: float) -> bool:
     )
 
 
-def _normed(rows: Any) -> tuple[Any, Array]:
+def _normalise_rows(rows: Any) -> tuple[Any, Array]:
     """Rows scaled to unit length, and what they have been divided by."""
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
     norms = np.where(norms > 0, norms, 1.0)

@@ -29,9 +29,9 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.costates import Iterate
-from gnc_opt.planning.solution.extract import functions_at
+from gnc_opt.planning.solution.extract import phase_functions_at
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
-from gnc_opt.planning.solution.warm_start import with_integrals
+from gnc_opt.planning.solution.warm_start import set_integral_variables
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -69,7 +69,7 @@ class PointMultipliers:
         """Find them along a trajectory; ``scales`` (n_variables,) are what the variables of the program vary by."""
         found = [cls._none(transcription.n_variables)]
         for name, part in transcription.parts.items():
-            leg, functions, phase = problem.phases[name], functions_at(problem, name, q), fitted[name]
+            leg, functions, phase = problem.phases[name], phase_functions_at(problem, name, q), fitted[name]
             orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
             pure = np.flatnonzero([order != 0 for order in orders])
             if not pure.size:
@@ -175,7 +175,7 @@ def estimate_multipliers(
     near : float
         Distance from a limit, in shares of the scale, within which it may push.
     """
-    x = _variables(transcription, problem, fitted, q)
+    x = _program_variables(transcription, problem, fitted, q)
     scales = _variable_spans(transcription, problem, fitted, x)
     values, gradient, nonzeros = transcription.evaluate(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
@@ -329,14 +329,14 @@ def _select_multipliers(
         if not (np.any(pulling) or np.any(wrong)):
             break
         if not np.any(imposed & limits.anywhere) and np.all(pushing == row_limits.anywhere):
-            right = _right_signs(form, unknowns, limits, row_limits, size)
+            right = _multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
             if right is not None:
                 return form.multipliers(right)
         imposed, pushing = imposed | pulling, pushing & ~wrong
     return form.multipliers(unknowns)
 
 
-def _right_signs(
+def _multipliers_with_right_signs(
     form: _CostateForm, first: Array, limits: _Limits, row_limits: _Limits, size: float
 ) -> Array | None:
     """Unknowns with the right signs, by a linear programme, where they are not unique and others explain all too."""
@@ -371,7 +371,7 @@ def _right_signs(
     return None if found.status != 0 else np.asarray(found.x[:-1])
 
 
-def _variables(
+def _program_variables(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
 ) -> Array:
     x = np.zeros(transcription.n_variables)
@@ -385,7 +385,7 @@ def _variables(
         free_times = part.times < transcription.n_variables
         x[part.times[free_times]] = breaks[list(collocation.mesh.anchors)][free_times]
     x[transcription.parameter_places] = q
-    return with_integrals(transcription, problem, x)
+    return set_integral_variables(transcription, problem, x)
 
 
 def _adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
@@ -419,7 +419,7 @@ def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q:
     middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
     x = phase.x(middles)
     jacobian = np.moveaxis(
-        np.nan_to_num(functions_at(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
+        np.nan_to_num(phase_functions_at(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
     )
     size = _replace_zeros_by_one(np.ptp(x, axis=1))
     steps = matrix_exponentials(jacobian * size / size[:, None] * widths[:, None, None])

@@ -129,9 +129,9 @@ class ProgramPoint:
             variables,
             rows,
             rounding * objective,
-        )._with_jumps()
+        )._with_junction_multipliers()
 
-    def _with_jumps(self) -> ProgramPoint:
+    def _with_junction_multipliers(self) -> ProgramPoint:
         """Return the point with the multipliers of its junctions: what jumps of the costates leave of the gradient."""
         if not self.transcription.junctions:
             return self

@@ -203,7 +203,9 @@ def phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)
-    if not s.lasts_as_told:  # what controls do not reach is reached by the time at which the flow arrives
+    if (
+        not s.has_fixed_duration
+    ):  # what controls do not reach is reached by the time at which the flow arrives
         radius, final = (
             np.where(r > STILL_STATE_SHARE * moved, r, np.fmax(r, moved)) for r in (radius, final)
         )

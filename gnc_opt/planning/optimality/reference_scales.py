@@ -54,7 +54,7 @@ from gnc_opt.planning.optimality.reach import (
 )
 from gnc_opt.planning.problem.functions import end_gradients, end_values
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.extract import functions_at
+from gnc_opt.planning.solution.extract import phase_functions_at
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY
@@ -248,7 +248,7 @@ def second_differences(s: PhaseSamples, moves: Array, step: float, every: int = 
 
 def _cost_of_time(s: PhaseSamples, slope: float) -> float:
     """Return the duration times cost rates where it is free, else zero."""
-    if s.lasts_as_told:
+    if s.has_fixed_duration:
         return 0.0
     rate = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights
     return float(rate) + s.span * slope
@@ -286,7 +286,7 @@ def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSa
     ends = {}
     slope = np.zeros(q.size)
     for s in samples:
-        functions = functions_at(problem, s.leg.name, q, s.functions.weights)
+        functions = phase_functions_at(problem, s.leg.name, q, s.functions.weights)
         ends[s.leg.name] = [*s.leg.end_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
     return slope + end_gradients(problem, ends, q, solution.constraint_multipliers).parameters
@@ -350,7 +350,7 @@ class EndPoints:
 
         If requested with the boundary constraints and their multipliers.
         """
-        found = self._differences(self._principal_moves(reach))
+        found = self._central_differences(self._principal_moves(reach))
         if found is None:
             return 0.0
         change = found[1][-1]
@@ -367,9 +367,9 @@ class EndPoints:
         moves = self._principal_moves(reach)
         moves += self._parameter_moves(parameters)
         for k, s in enumerate(self.samples):
-            if not s.lasts_as_told:
+            if not s.has_fixed_duration:
                 moves += self._time_shift_moves(k, s)
-        found = self._differences(moves)
+        found = self._central_differences(moves)
         jacobians = link_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.zeros(n)
         for k, name in enumerate(self.solution.phases):
@@ -388,16 +388,16 @@ class EndPoints:
             start, _, _, end = reach[s.leg.name]
             free, n = ~s.leg.initial_bounds.fixed, s.leg.states.size
             for column in ((start.directions if still else start.principal)[:, free] * free[:, None]).T:
-                moves.append(self._move({6 * k: column}))
+                moves.append(self._end_changes({6 * k: column}))
             for column in (end.directions if still else end.principal).T:
-                moves.append(self._move({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
+                moves.append(self._end_changes({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
         return moves
 
-    def _move(self, changes: Mapping[int, Array]) -> list[Array]:
+    def _end_changes(self, changes: Mapping[int, Array]) -> list[Array]:
         return [changes.get(k, np.zeros_like(v)) for k, v in enumerate(self.values)]
 
     def _parameter_moves(self, deviations: Array) -> list[list[Array]]:
-        return [self._move({len(self.values) - 1: row}) for row in np.diag(deviations)]
+        return [self._end_changes({len(self.values) - 1: row}) for row in np.diag(deviations)]
 
     def _time_shift_moves(self, k: int, s: PhaseSamples) -> list[list[Array]]:
         """Return moves of the ends of a phase along its flow, together with their times, by its duration."""
@@ -407,25 +407,27 @@ class EndPoints:
             if not box.fixed[0]:
                 rate = s.functions.rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
                 step = SECOND_DIFFERENCE_STEP_SHARE * s.span
-                moves.append(self._move({place: replace_nonfinite(rate) * step, place + 2: np.array([step])}))
+                moves.append(
+                    self._end_changes({place: replace_nonfinite(rate) * step, place + 2: np.array([step])})
+                )
         return moves
 
-    def kink(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
+    def second_differences_at_ends(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by directions (2, n)."""
         moves = self._principal_moves(reach, still=True)
         moves += self._parameter_moves(parameters)
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.fixed[0]:
-                    moves.append(self._move({place: np.array([s.span])}))
-        found = self._differences([[step * v for v in move] for move in moves])
+                    moves.append(self._end_changes({place: np.array([s.span])}))
+        found = self._central_differences([[step * v for v in move] for move in moves])
         if found is None:
             return np.zeros((2, 0))
         sense = self.solution.need_problem("verify").sense
         weights = np.append(self.solution.constraint_multipliers, sense)
         return np.stack([weights @ found[0], 0.5 * (weights @ found[1])]) / step
 
-    def _differences(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
+    def _central_differences(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""
         if not moves:
             return None

@@ -62,7 +62,7 @@ class StateConstraints:
         order = self._constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
-    def holders(self, row: int) -> tuple[int, ...]:
+    def controls_of(self, row: int) -> tuple[int, ...]:
         """The controls that can hold a row on its limit, first the one that moves it most where it does least."""
         controls = self._constraint_order(row).controls
         if len(controls) < 2:
@@ -71,9 +71,9 @@ class StateConstraints:
             sorted(controls, key=lambda c: float(np.min(np.abs(self._control_effect(row, c)))), reverse=True)
         )
 
-    def leans(self, row: int) -> tuple[int, ...]:
+    def control_effect_signs(self, row: int) -> tuple[int, ...]:
         """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
-        moved = [self._control_effect(row, control) for control in self.holders(row)]
+        moved = [self._control_effect(row, control) for control in self.controls_of(row)]
         return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
     def _control_effect(self, row: int, control: int) -> Array:

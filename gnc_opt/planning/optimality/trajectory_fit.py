@@ -83,10 +83,10 @@ class FittedPhase:
             tuple(n for n in self.mesh.degrees for _ in range(parts)),
             tuple(parts * k for k in self.mesh.movable),
         )
-        return FittedPhase(mesh, *(_subdivide(p, breaks, parts) for p in (self.x, self.u)))
+        return FittedPhase(mesh, *(_subdivide_polynomials(p, breaks, parts) for p in (self.x, self.u)))
 
 
-def _subdivide(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
+def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
     """The same polynomials, with values at the nodes of every part of their segments."""
     nodes = tuple(n for n in whole.nodes for _ in range(parts))
     values = tuple(
@@ -180,8 +180,8 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
     found, start = [], 0
     for k in at:
         left, right = (
-            _interpolants(t[start : k + 1], u[start : k + 1])[0],
-            _interpolants(t[k + 1 :], u[k + 1 :])[0],
+            _build_interpolants(t[start : k + 1], u[start : k + 1])[0],
+            _build_interpolants(t[k + 1 :], u[k + 1 :])[0],
         )
         time = _intersection_time(left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u)))
         if time is not None:
@@ -214,7 +214,7 @@ class _Controls:
         for c, own in enumerate(self._jumps):
             edges = [0, *(j.after + 1 for j in own), samples.t.size]
             pairs = itertools.pairwise(edges)
-            self._pieces.append([_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs])
+            self._pieces.append([_build_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs])
 
     def __call__(self, t: float | Array, middle: float | Array) -> Array:
         """Controls (m, n_times) at times t that lie in a segment with the given middle."""
@@ -241,7 +241,7 @@ class _Controls:
         self._kinked[long] = misses[1] < misses[0]
 
 
-def _interpolants(t: Array, u: Array) -> tuple[Any, Any]:
+def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
     """A smooth interpolant and one without ripples."""
     if t.size < 4:
         polynomial = np.polynomial.Polynomial.fit(t, u, t.size - 1, domain=[t[0] - 0.5, t[0] + 0.5])

@@ -13,7 +13,7 @@ from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.stages import Stages
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.warm_start import mesh_at_rest
+from gnc_opt.planning.solution.warm_start import mesh_with_fixed_breaks
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
@@ -125,7 +125,7 @@ def _without_fixed_arcs(solution: Solution, stages: Stages) -> Solution:
     given = replace(solution, problem=problem.frozen())
     found = solve_mesh(
         given.need_problem("refine"),
-        {name: mesh_at_rest(leg) for name, leg in solution.phases.items()},
+        {name: mesh_with_fixed_breaks(leg) for name, leg in solution.phases.items()},
         scheme=next(iter(solution.phases.values())).scheme,
         guess=given,
         options=stages.options,

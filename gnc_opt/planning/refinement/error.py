@@ -23,7 +23,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.quality import defined
+from gnc_opt.planning.solution.quality import evaluate_within_bounds
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED, NEGLIGIBLE
@@ -104,7 +104,7 @@ class ErrorScales:
         """Measure a phase."""
         leg, functions = samples.leg, samples.functions
         at = samples.times, samples.x, samples.u_polynomial
-        integrands = defined(functions.integrands, *at, leg.control_bounds)
+        integrands = evaluate_within_bounds(functions.integrands, *at, leg.control_bounds)
         integral = np.sum(np.abs(integrands) * samples.weights, axis=1)
         path, has_control = np.zeros(0), np.zeros(0, dtype=bool)
         if leg.path_labels:
@@ -112,9 +112,8 @@ class ErrorScales:
                 np.where(np.isfinite(b), np.abs(b), 0.0)
                 for b in (leg.path_bounds.lower, leg.path_bounds.upper)
             ]
-            path = np.maximum(
-                np.max(np.abs(defined(functions.paths, *at, leg.control_bounds)), axis=1), np.maximum(*limits)
-            )
+            values = evaluate_within_bounds(functions.paths, *at, leg.control_bounds)
+            path = np.maximum(np.max(np.abs(values), axis=1), np.maximum(*limits))
             has_control = np.any(functions.path_control_jacobian(*at) != 0, axis=(1, 2))
         return cls(
             leg,
@@ -142,9 +141,9 @@ class ErrorScales:
         """
         f, leg = self.functions, self.leg
         at = pieces.times, pieces.x, pieces.u
-        rates = defined(f.rates, *at, leg.control_bounds)
+        rates = evaluate_within_bounds(f.rates, *at, leg.control_bounds)
         dynamics = pieces.total(np.abs(pieces.x_rate - rates)) / self.state[:, None]
-        exact = pieces.total(defined(f.integrands, *at, leg.control_bounds))
+        exact = pieces.total(evaluate_within_bounds(f.integrands, *at, leg.control_bounds))
         integrals = np.abs(exact - pieces.integrals) / self.integral[:, None]
         span = leg.duration
         states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state, pieces.times))
@@ -152,7 +151,7 @@ class ErrorScales:
         controls = np.maximum(pieces.total(excess) / span, CONTROL_PEAK_WEIGHT * pieces.largest(excess))
         overshoot = [states, controls]
         if leg.path_labels:
-            values = defined(f.paths, *at, leg.control_bounds)
+            values = evaluate_within_bounds(f.paths, *at, leg.control_bounds)
             mean = pieces.total(_excess(values, leg.path_bounds, self.path)) / span
             peak = pieces.largest(_excess(values, leg.path_bounds, self.path, pieces.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.control_conditions import minimise_hamiltonian
@@ -31,4 +31,4 @@ def _with_controls_of_least_h(s: PhaseSamples) -> PhaseSolution:
     nearest = np.clip(np.searchsorted(times, s.leg.point_times), 1, times.size - 1)
     nearest -= s.leg.point_times - times[nearest - 1] < times[nearest] - s.leg.point_times
     values: Array = controls[:, nearest]
-    return replace(s.leg, u=piecewise(s.leg.breaks, s.leg.rules, values))
+    return replace(s.leg, u=interpolate_points(s.leg.breaks, s.leg.rules, values))

@@ -53,7 +53,7 @@ SIDES: tuple[Side, Side] = ("right", "left")
 """From which side the start and the end of a segment belong to it."""
 
 
-def settle_held_paths(leg: PhaseSolution, held: Held | None, functions: PhaseFunctions) -> PhaseSolution:
+def path_arc_costates(leg: PhaseSolution, held: Held | None, functions: PhaseFunctions) -> PhaseSolution:
     """Return the solution of a phase with the costates and multipliers of what is held along its segments."""
     if held is None or not held.paths or leg.scheme != GAUSS:
         return leg
@@ -72,11 +72,11 @@ def settle_held_paths(leg: PhaseSolution, held: Held | None, functions: PhaseFun
             ends[:, k] += gradients @ _fit_directions(gradients, continued[:, column] - ends[:, k])
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
-    multipliers = _with_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
+    multipliers = _path_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
     return replace(leg, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
 
 
-def _with_densities(
+def _path_densities(
     leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
 ) -> Array:
     """The multipliers of path constraints, where they are at their limits what the adjoint equation leaves for them."""
@@ -175,7 +175,7 @@ def map_costates(
     """
     pieces = _CostatePieces.of(collocation, iterate, weights, gradient, path_push)
     if collocation.family.has_end_row:
-        pieces.settle_redundant_rows()
+        pieces.extrapolate_costates_along_bounds()
     else:
         pieces.split_boundary_multipliers()
     return Costates(
@@ -183,7 +183,9 @@ def map_costates(
     )
 
 
-def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask) -> Array:
+def split_duplicate_path_multipliers(
+    collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask
+) -> Array:
     """Share out the multipliers of path constraints that LGL states twice.
 
     At a boundary of segments only the sum of both multipliers is determined. An active side takes all of it; two
@@ -205,7 +207,7 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
     pushed = np.abs(paths) * lengths > NEGLIGIBLE * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
     shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.offsets[1:-1]])
     shared |= np.append(shared[1:], False)
-    held = _held_segments(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
+    held = _segments_with_multipliers(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
     for k, right in enumerate(collocation.mesh.offsets[1:-1]):
         share = np.stack([held[:, k] * weights[right - 1], held[:, k + 1] * weights[right]], axis=1)
         total = paths[:, right - 1 : right + 1] @ weights[right - 1 : right + 1]
@@ -268,7 +270,10 @@ class _CostatePieces:
         lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
         bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > NEGLIGIBLE * size
         pushed = bounded | (np.abs(path_push) * lengths > NEGLIGIBLE * size)
-        held, still = _held_segments(collocation, pushed, shared), _still_segments(collocation, x)
+        held, still = (
+            _segments_with_multipliers(collocation, pushed, shared),
+            _constant_segments(collocation, x),
+        )
         return cls(
             collocation, weights, lam, start, end, densities,
             lam_x[collocation.boundary_states].copy(), pull, held, still, pushed, bounded,
@@ -296,7 +301,7 @@ class _CostatePieces:
         self.densities[rows, point] = gap[rows] / self.weights[point]
         self.impulses[rows, boundary] -= gap[rows]
 
-    def settle_redundant_rows(self) -> None:
+    def extrapolate_costates_along_bounds(self) -> None:
         """LG: if a bound is active at every node of a segment, extrapolate the costate of the points."""
         for k, rule in enumerate(self.collocation.rules):
             here = _segment_points(self.collocation, k)
@@ -345,7 +350,7 @@ def _segment_durations(collocation: PhaseCollocation, weights: Array) -> Array:
     return np.add.reduceat(weights, collocation.mesh.offsets[:-1])
 
 
-def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
+def _segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
     """Segments with a multiplier at an interior point, or (trapezoidal rule) at every point; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
@@ -354,7 +359,7 @@ def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) ->
     return np.stack(columns, axis=1)
 
 
-def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
+def _constant_segments(collocation: PhaseCollocation, x: Array) -> Mask:
     """Segments on which a state has the same value at every node, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]

@@ -62,7 +62,7 @@ def find_violations(
     if result.status is Status.UNBOUNDED:
         special = _unbounded_variables(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
-        special = _not_finite(problem, phases, parameters)
+        special = _nonfinite_functions(problem, phases, parameters)
     return (*special, *_violated_rows(transcription, problem, result, scaling))[:_LISTED_VIOLATIONS]
 
 
@@ -96,7 +96,9 @@ def _unbounded_variables(transcription: Transcription, scaled: Array) -> list[Vi
     return list(largest.values())
 
 
-def _not_finite(problem: Problem, phases: dict[str, PhaseSolution], parameters: Array) -> list[Violation]:
+def _nonfinite_functions(
+    problem: Problem, phases: dict[str, PhaseSolution], parameters: Array
+) -> list[Violation]:
     """The functions and derivatives that are NaN or infinite at the collocation points."""
     found = []
     for name, phase in phases.items():

@@ -13,13 +13,13 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import (
     Iterate,
     map_costates,
+    path_arc_costates,
     point_costates,
-    settle_doubled_paths,
-    settle_held_paths,
+    split_duplicate_path_multipliers,
 )
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.unwrap import unwound
+from gnc_opt.planning.solution.unwrap import unwrap_angles
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
@@ -36,7 +36,7 @@ def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
     return p
 
 
-def functions_at(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
+def phase_functions_at(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
     """Return the functions of a phase for values of the free parameters; without ``weights`` no integral counts."""
     leg = problem.phases[name]
     weights = np.zeros(len(leg.integrands)) if weights is None else weights
@@ -71,7 +71,9 @@ def extract_phases(
     q = iterate.x[transcription.parameter_places]
     nu = iterate.lam_g[transcription.constraint_rows]
     extended = np.concatenate([iterate.x, transcription.fixed_times(problem)])
-    integrals = {name: _integrals(transcription, problem, name, extended, q) for name in transcription.parts}
+    integrals = {
+        name: _integral_values(transcription, problem, name, extended, q) for name in transcription.parts
+    }
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
         states = iterate.x[part.collocation.boundary_states]
@@ -86,29 +88,31 @@ def extract_phases(
     return phases, gradients
 
 
-def unwound_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
+def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
     """Return the variables with angles among the controls unwound; see `gnc_opt.planning.solution.unwrap`."""
     q = variables[transcription.parameter_places]
     extended = np.concatenate([variables, transcription.fixed_times(problem)])
     found = variables.copy()
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
-        functions = functions_at(problem, name, q)
+        functions = phase_functions_at(problem, name, q)
         times, _ = _point_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
-        turned = unwound(functions, leg.numbers.controls, times, x, u)
+        turned = unwrap_angles(functions, leg.numbers.controls, times, x, u)
         if turned is not u:
             found[collocation.point_controls] = turned
     return found
 
 
-def _integrals(transcription: Transcription, problem: Problem, name: str, extended: Array, q: Array) -> Array:
+def _integral_values(
+    transcription: Transcription, problem: Problem, name: str, extended: Array, q: Array
+) -> Array:
     leg, part = problem.phases[name], transcription.parts[name]
     if not leg.integrands:
         return np.zeros(0)
     collocation = part.collocation
     times, spans = _point_times(collocation, extended[part.times])
-    values = functions_at(problem, name, q).integrands(
+    values = phase_functions_at(problem, name, q).integrands(
         times, extended[collocation.point_states], extended[collocation.point_controls]
     )
     return np.asarray(values @ (collocation.quadrature * spans))
@@ -145,13 +149,13 @@ def _extract_phase(
     q = iterate.x[transcription.parameter_places]
     anchors = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
     times, spans = _point_times(collocation, anchors)
-    functions = functions_at(problem, part.name, q, gradients.integrals[part.name])
+    functions = phase_functions_at(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
     lam = point_costates(collocation, iterate.lam_g)
     weights = collocation.quadrature * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
-    paths = settle_doubled_paths(collocation, paths, weights, mixed)
+    paths = split_duplicate_path_multipliers(collocation, paths, weights, mixed)
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _mesh_in_time(collocation.mesh, anchors)
@@ -170,7 +174,7 @@ def _extract_phase(
         initial_time=float(anchors[0]),
         final_time=float(anchors[-1]),
         x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
-        u=piecewise(breaks, collocation.rules, u),
+        u=interpolate_points(breaks, collocation.rules, u),
         lam=costates.polynomial,
         lam_start=costates.start,
         lam_end=costates.end,
@@ -187,7 +191,7 @@ def _extract_phase(
         turns=leg.numbers.turns,
         **problem_fields(problem, leg, q),
     )
-    return settle_held_paths(found, leg.numbers.arcs, functions)
+    return path_arc_costates(found, leg.numbers.arcs, functions)
 
 
 def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:

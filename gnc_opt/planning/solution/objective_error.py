@@ -30,7 +30,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.quality import defined
+from gnc_opt.planning.solution.quality import evaluate_within_bounds
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 
@@ -69,7 +69,7 @@ class ObjectiveError:
     @property
     def value(self) -> float:
         """A, in units of the objective; infinite where the functions of the problem have no value."""
-        return _finite(float(sum(np.sum(phase.segments) for phase in self.phases.values())))
+        return _infinite_if_missing(float(sum(np.sum(phase.segments) for phase in self.phases.values())))
 
     @property
     def relative(self) -> float:
@@ -80,26 +80,28 @@ class ObjectiveError:
     def infeasible(self) -> float:
         """Sum of |d| + o: the part of A that defects and exceeded limits contribute."""
         parts = (np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values())
-        return _finite(float(sum(parts)))
+        return _infinite_if_missing(float(sum(parts)))
 
     @property
     def suboptimal(self) -> float:
         """Sum of |g|: the part of A that controls contribute."""
-        return _finite(float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values())))
+        return _infinite_if_missing(
+            float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values()))
+        )
 
 
 def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
     """Estimate the error of an objective from a trajectory and its multipliers."""
     scale = max([abs(objective), *(NEGLIGIBLE * s.cost_scale for s in samples.values())])
-    return ObjectiveError({name: _of_phase(s) for name, s in samples.items()}, scale)
+    return ObjectiveError({name: _phase_error(s) for name, s in samples.items()}, scale)
 
 
-def _of_phase(s: PhaseSamples) -> PhaseObjectiveError:
+def _phase_error(s: PhaseSamples) -> PhaseObjectiveError:
     with np.errstate(all="ignore"):  # what has no value makes the estimate infinite
-        return PhaseObjectiveError(_defects(s), _exceeded(s), _suboptimal(s))
+        return PhaseObjectiveError(_defect_values(s), _limit_violation_values(s), _control_gains(s))
 
 
-def _finite(value: float) -> float:
+def _infinite_if_missing(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
@@ -108,13 +110,15 @@ def _segment_integrals(s: PhaseSamples, values: Array) -> Array:
     return s.segment_integrals(np.where(s.weights > 0, values, 0.0))
 
 
-def _defects(s: PhaseSamples) -> Array:
+def _defect_values(s: PhaseSamples) -> Array:
     """d of each segment (K,); a jump of the states at a boundary counts for the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
-    rates = defined(s.functions.rates, *at, leg.control_bounds)
+    rates = evaluate_within_bounds(s.functions.rates, *at, leg.control_bounds)
     total = _segment_integrals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
     if weights.size:
-        exact = _segment_integrals(s, weights @ defined(s.functions.integrands, *at, leg.control_bounds))
+        exact = _segment_integrals(
+            s, weights @ evaluate_within_bounds(s.functions.integrands, *at, leg.control_bounds)
+        )
         total = total + exact - _quadrature_values(leg, s)
     inner = leg.breaks[1:-1]
     if inner.size:
@@ -134,17 +138,19 @@ def _quadrature_values(leg: PhaseSolution, s: PhaseSamples) -> Array:
     return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1]))
 
 
-def _exceeded(s: PhaseSamples) -> Array:
+def _limit_violation_values(s: PhaseSamples) -> Array:
     """o of each segment (K,)."""
     leg = s.leg
-    total = _priced_excess(s, s.x, leg.state_bounds, s.state_multiplier)
+    total = _priced_violations(s, s.x, leg.state_bounds, s.state_multiplier)
     if leg.path_labels:
-        paths = defined(s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds)
-        total = total + _priced_excess(s, paths, leg.path_bounds, s.mu)
+        paths = evaluate_within_bounds(
+            s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds
+        )
+        total = total + _priced_violations(s, paths, leg.path_bounds, s.mu)
     return total
 
 
-def _priced_excess(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _priced_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
     """Return how far limits are exceeded times their multipliers, where these have the right sign (K,).
 
     Errors of equations have both signs: absolute values are taken after integrating over a segment.
@@ -157,7 +163,7 @@ def _priced_excess(s: PhaseSamples, values: Array, bounds: Interval, multipliers
     return np.asarray(np.sum(np.abs(_segment_integrals(s, priced)), axis=0))
 
 
-def _suboptimal(s: PhaseSamples) -> Array:
+def _control_gains(s: PhaseSamples) -> Array:
     """g of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)

@@ -262,10 +262,10 @@ class PhaseSolution:
         return Signal(name, layout[name].unit, layout[name].labels, source, rows)
 
     def _through_points(self, values: Array) -> PiecewisePolynomial:
-        return piecewise(self.breaks, self.rules, values)
+        return interpolate_points(self.breaks, self.rules, values)
 
 
-def piecewise(breaks: Array, rules: Sequence[CollocationRule], values: Array) -> PiecewisePolynomial:
+def interpolate_points(breaks: Array, rules: Sequence[CollocationRule], values: Array) -> PiecewisePolynomial:
     """Return the polynomials through values (n, N) at the collocation points."""
     offsets = np.concatenate([[0], np.cumsum([r.n for r in rules])])
     pieces = tuple(values[:, offsets[k] : offsets[k + 1]] for k in range(len(rules)))

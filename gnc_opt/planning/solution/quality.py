@@ -58,7 +58,7 @@ class Limits:
         finite, n = np.flatnonzero(np.isfinite(both)), bounds.lower.size
         return cls(quantities, finite % max(n, 1), np.where(finite < n, -1.0, 1.0), both[finite])
 
-    def some(self, chosen: Indices) -> Limits:
+    def select(self, chosen: Indices) -> Limits:
         """Return some of the limits, in the order given; any may come several times."""
         return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
 
@@ -101,7 +101,7 @@ class Violations:
         return f"{text} (at {'most' if side > 0 else 'least'} {allowed})"
 
 
-def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
+def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
     """Return the times and amounts by which the polynomials of a phase, or its applied controls, exceed limits."""
     if not limits.rows.size:
         leg, nothing = samples.leg, np.zeros(0)
@@ -114,21 +114,21 @@ def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) 
     times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
     promise = excess + PEAK_RISE_RATIO * tops.swing
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
-    hidden = hidden[_highest_places(k[hidden], promise[hidden])]
+    hidden = hidden[_indices_of_highest(k[hidden], promise[hidden])]
     if hidden.size:
-        peaks, heights = _refined_peaks(
-            samples, limits.some(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
+        peaks, heights = _locate_peaks(
+            samples, limits.select(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
         )
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
         x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
-    beyond = beyond[_highest_places(k[beyond], excess[beyond])]
-    return Violations(limits.some(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond])
+    beyond = beyond[_indices_of_highest(k[beyond], excess[beyond])]
+    return Violations(limits.select(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond])
 
 
-def _highest_places(groups: Indices, values: Array) -> Indices:
+def _indices_of_highest(groups: Indices, values: Array) -> Indices:
     """Return where the `PEAKS_PER_LIMIT` highest values of each group are."""
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
@@ -175,13 +175,13 @@ class _Tops:
         return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
 
 
-def _refined_peaks(
+def _locate_peaks(
     samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, all narrowed at once."""
     leg, columns = samples.leg, np.arange(left.size)
     times, best = left, np.full(left.size, -np.inf)
-    all_limits = limits.some(np.tile(columns, _TRIED.size))
+    all_limits = limits.select(np.tile(columns, _TRIED.size))
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
         tried = (middle + half * _TRIED[:, None]).ravel()
@@ -194,7 +194,7 @@ def _refined_peaks(
     return times, best
 
 
-def defined(
+def evaluate_within_bounds(
     function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
 ) -> Array:
     """Return a function's values (n, n_times), of controls within their bounds where others have none."""
@@ -267,7 +267,7 @@ def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
 def worst_defect(samples: PhaseSamples) -> Worst:
     """Return the worst defect, or jump between segments."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
-    rates = defined(
+    rates = evaluate_within_bounds(
         samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
     )
     errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
@@ -284,7 +284,7 @@ def worst_bound_violation(samples: PhaseSamples) -> Worst:
         (Limits.of(lambda _, x, __: x, leg.state_bounds), samples.state_scale, leg.states.labels),
         (Limits.of(lambda _, __, u: u, leg.control_bounds), samples.control_scale, leg.controls.labels),
     ):
-        found = violations(samples, limits)
+        found = find_limit_violations(samples, limits)
         if found.times.size:
             shares = found.excess / scale[found.limits.rows]
             i = int(np.argmax(shares))
@@ -298,16 +298,16 @@ def worst_path_violation(samples: PhaseSamples) -> Worst:
     leg = samples.leg
     if not leg.path_labels:
         return NOTHING
-    found = violations(samples, Limits.of(samples.functions.paths, leg.path_bounds))
+    found = find_limit_violations(samples, Limits.of(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING
-    shares = _distances(found, samples)
+    shares = _distances_to_path_limits(found, samples)
     i = int(np.argmax(shares))
     what = f"{leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
     return Worst(float(shares[i]), samples.place_at(found.times[i], what))
 
 
-def _distances(found: Violations, samples: PhaseSamples) -> Array:
+def _distances_to_path_limits(found: Violations, samples: PhaseSamples) -> Array:
     """Return first-order distances (m,) from path limits in shares of the trajectory's size."""
     at, rows, columns = (found.times, found.x, found.u), found.limits.rows, np.arange(found.times.size)
     by_state = samples.functions.path_state_jacobian(*at)[rows, :, columns] * samples.state_scale

@@ -15,12 +15,12 @@ from gnc_opt.planning.solution.scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
     control_spans,
-    shared,
+    find_inactive_controls,
+    required_control_sizes,
+    share_components,
     state_spans,
-    steering,
-    without_effect,
 )
-from gnc_opt.planning.solution.unwrap import periods
+from gnc_opt.planning.solution.unwrap import find_periods
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, points, weights
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, magnitude
@@ -68,7 +68,7 @@ class PhaseSamples:
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
         """Sample a phase."""
-        places = [sampled_places(degree) for degree in leg.mesh.degrees]
+        places = [sample_places_and_weights(degree) for degree in leg.mesh.degrees]
         segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
         tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
         halves = 0.5 * np.diff(leg.breaks)[segments]
@@ -85,7 +85,7 @@ class PhaseSamples:
         vars(other).update(cached)
         return other
 
-    def finer(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
+    def resample_evenly(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
         """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends.
 
         With ``least`` steps per segment at least.
@@ -162,7 +162,9 @@ class PhaseSamples:
             if vector.length in rows
             for i in range(*layout.slice(vector.direction).indices(layout.size))
         }
-        idle = without_effect(self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms)
+        idle = find_inactive_controls(
+            self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms
+        )
         for vector in vectors:
             magnitude = self.u[layout.slice(vector.magnitude)]
             scale = self.control_scale[layout.slice(vector.magnitude), None]
@@ -219,7 +221,7 @@ class PhaseSamples:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
         most = float(np.nanmax(self._costate_terms, initial=0.0))
-        asked = steering(self.leg, self.functions)
+        asked = required_control_sizes(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
         spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
         still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
@@ -243,7 +245,7 @@ class PhaseSamples:
         """Periods of all that controls act on (m,); 0 for those that are no angles, or have bounds."""
         bounds = self.leg.control_bounds
         unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
-        return periods(
+        return find_periods(
             self.functions, self.times, self.x, self.u, unbounded & ~self.functions.separable_controls
         )
 
@@ -258,16 +260,16 @@ class PhaseSamples:
         return self.functions.switching(self.times, self.x, self.u, np.zeros_like(self.lam))
 
     @cached_property
-    def _single_worths(self) -> Array:
+    def _hamiltonian_changes(self) -> Array:
         amplitude = 0.5 * self.control_span[:, None]
         slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
         by_slope = _largest_finite(slopes * amplitude)
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
         flown = np.fmax(by_slope, _largest_finite(bends))
-        return np.asarray(np.fmax(flown, self._balanced_slopes * amplitude[:, 0]))
+        return np.asarray(np.fmax(flown, self._slopes_of_cancelling_costates * amplitude[:, 0]))
 
     @cached_property
-    def _balanced_slopes(self) -> Array:
+    def _slopes_of_cancelling_costates(self) -> Array:
         """Slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel."""
         leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
         at = middles, leg.x(middles), leg.flown(middles)
@@ -296,12 +298,15 @@ class PhaseSamples:
         curvature; where costates vanish, by the terms that cancel in their rates. Constant states, and drift
         without the controls, do not count.
         """
-        return max(float(np.sum(self._single_worths)), self.least_worth)
+        return max(float(np.sum(self._hamiltonian_changes)), self.least_worth)
 
     @property
     def control_worth(self) -> Array:
         """The same of each control, shared by components of a vector; at least `NOTABLE` of the sum (m,)."""
-        return np.maximum(shared(self._single_worths, self.leg.controls), NOTABLE * self.joint_worth)
+        return np.maximum(
+            share_components(self._hamiltonian_changes, self.leg.controls),
+            NOTABLE * self.joint_worth,
+        )
 
     @property
     def least_worth(self) -> float:
@@ -346,13 +351,13 @@ class PhaseSamples:
         """
         terms = self._costate_terms
         integrands = self.functions.integrands(self.times, self.x, self.u)
-        if self.lasts_as_told and integrands.size:
+        if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
         return max(float(np.max(terms, initial=0.0)), self.joint_worth, self.least_worth)
 
     @property
-    def lasts_as_told(self) -> bool:
+    def has_fixed_duration(self) -> bool:
         """Whether the phase's initial and final time, or its duration, are given."""
         leg = self.leg
         ends = leg.initial_time_bounds.fixed[0] and leg.final_time_bounds.fixed[0]
@@ -383,7 +388,7 @@ class PhaseSamples:
         return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
 
     @cached_property
-    def flown_box(self) -> tuple[Array, Array]:
+    def state_range(self) -> tuple[Array, Array]:
         """Least and largest states within their spans, so wide that they hold the flight (n,) each."""
         least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
         return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
@@ -445,7 +450,7 @@ class PhaseSamples:
 
 
 @cache
-def sampled_places(degree: int) -> tuple[Array, Array]:
+def sample_places_and_weights(degree: int) -> tuple[Array, Array]:
     """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
     n = min(
         degree + SAMPLES_BEYOND_POINTS, MAX_POINTS

@@ -6,7 +6,7 @@ with the mean deviation :math:`\Delta u_k` of each control (a constant one: its 
 state. A state that no control affects has the width of its limits, or its size. Spans are at least `SPAN_MIN_SHARE`
 of the size.
 
-Controls may be without effect, as the steering angle of an engine that is off (`without_effect`).
+Controls may be without effect, as the steering angle of an engine that is off (`find_inactive_controls`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CONTROL_STEP_SHARES = 0.37, -0.61
 turns."""
 
 
-def without_effect(
+def find_inactive_controls(
     functions: PhaseFunctions,
     bounds: Interval,
     t: Array,
@@ -52,7 +52,7 @@ def without_effect(
     effects = [functions.effects(t, x, base) for base in bases]
     for i in coupled:
         changes = [
-            np.abs(functions.effects(t, x, _state_motion(base, int(i), share * scale[i])) - before)
+            np.abs(functions.effects(t, x, _shift_control(base, int(i), share * scale[i])) - before)
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]
@@ -64,7 +64,7 @@ def without_effect(
     return idle
 
 
-def _state_motion(u: Array, i: int, by: float) -> Array:
+def _shift_control(u: Array, i: int, by: float) -> Array:
     other = u.copy()
     other[i] += by
     return other
@@ -82,10 +82,10 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     """Return how far each state moves along a phase (n_states,); ``used`` (n_controls,) are the controls' spans."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
-    moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    moved = share_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return magnitude(shared(size, leg.states))
-    movable = shared(_reachable_motion(leg, functions, used), leg.states)
+        return magnitude(share_components(size, leg.states))
+    movable = share_components(_reachable_motion(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
@@ -107,31 +107,31 @@ def control_spans(
     terms : float
         Size of the products of costates and rates in H, used if all controls are inactive.
     asked : array (n_controls,)
-        Controls needed for the trajectory's motion (`steering`): the span of a constant control without a range, or its
-        own size if less.
+        Controls needed for the trajectory's motion (`required_control_sizes`): the span of a constant control without a
+        range, or its own size if less.
     """
     extent, size = _finite_width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = np.maximum(_within_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
-    spans = shared(spans, leg.controls)
+    spans = np.maximum(_limit_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
+    spans = share_components(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = shared(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
+    spans = share_components(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = shared(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    spans = share_components(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
     return _fallback_span(np.where(spans > ROUNDING, spans, extent), magnitude(size))
 
 
-def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+def required_control_sizes(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) that the motion needs, by the least moved state; zero without effect."""
     middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
-    moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    moved = share_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
     x, u = leg.x(middles), leg.flown(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     lasts = leg.breaks[-1] - leg.breaks[0]
@@ -176,13 +176,13 @@ def _mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
-def _within_range(spans: Array, extent: Array) -> Array:
+def _limit_to_range(spans: Array, extent: Array) -> Array:
     return np.where(
         extent > 0, np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent), spans
     )
 
 
-def shared(values: Array, layout: Layout) -> Array:
+def share_components(values: Array, layout: Layout) -> Array:
     """Return the largest value among the components of each variable."""
     values = np.where(np.isfinite(values), values, 0.0)  # a copy
     for variable in layout.variables:

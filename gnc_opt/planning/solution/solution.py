@@ -29,7 +29,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.diagnosis import Violation
-from gnc_opt.planning.solution.export import records
+from gnc_opt.planning.solution.export import time_history_records
 from gnc_opt.planning.solution.history import (
     Actions,
     History,
@@ -318,7 +318,7 @@ class Solution(Printed):
         GncOptError
             pandas is not installed; it comes with the extra ``data``.
         """
-        return records(self.phase(phase), times).to_pandas()
+        return time_history_records(self.phase(phase), times).to_pandas()
 
     def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
         """Return states, applied controls and costates as variables over time (s), each with its unit.
@@ -341,7 +341,11 @@ class Solution(Printed):
             xarray is not installed; it comes with the extra ``data``.
         """
         told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
-        return records(self.phase(phase), times).to_xarray().assign_attrs({**told, **self.provenance})
+        return (
+            time_history_records(self.phase(phase), times)
+            .to_xarray()
+            .assign_attrs({**told, **self.provenance})
+        )
 
     def export(self, path: str | Path, phase: str | None = None, times: ArrayLike | None = None) -> Path:
         """Write states, applied controls and costates to a file for other programs, and return its path.
@@ -360,7 +364,7 @@ class Solution(Printed):
         ArgumentError
             Another suffix.
         """
-        return records(self.phase(phase), times).write(path)
+        return time_history_records(self.phase(phase), times).write(path)
 
     def save(self, path: str | Path) -> Path:
         """Write the numbers to a file that `load` reads without the model.

@@ -18,7 +18,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import SAME_TIME
 
 
-def rest_of(solution: Solution, time: float) -> Solution:
+def remaining_solution(solution: Solution, time: float) -> Solution:
     """Return what of a solution of one phase lies after a time, which begins there with the state it had.
 
     Costates and multipliers go with it; integrals, cost and bounds remain those of the whole, arcs are left out.
@@ -29,10 +29,10 @@ def rest_of(solution: Solution, time: float) -> Solution:
         s, at or after the beginning and before the end.
     """
     ((name, leg),) = solution.phases.items()
-    return replace(solution, phases={name: _rest_of_phase(leg, time)}, structure=())
+    return replace(solution, phases={name: _remaining_phase(leg, time)}, structure=())
 
 
-def _rest_of_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
+def _remaining_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
     slack = SAME_TIME * leg.duration
     first = int(np.searchsorted(leg.breaks[1:-1], time + slack, "right"))
     breaks = np.append(time, leg.breaks[first + 1 :])

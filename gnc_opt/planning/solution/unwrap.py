@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 
 
-def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
+def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
     """Return controls (m, N) with angles moved by whole periods to be nearest to those before them.
 
     Angles that would leave their bounds are unchanged, and so are all angles without jumps.
@@ -50,7 +50,7 @@ def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: 
     return np.where(inside[:, None], turned, u)
 
 
-def periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask) -> Array:
+def find_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask) -> Array:
     """Return the periods of controls along a trajectory (m,); 0 for those without, or not among some (m,)."""
     if not np.any(among):
         return np.zeros(u.shape[0])

@@ -54,7 +54,7 @@ def program_start(transcription: Transcription, problem: Problem, guess: Solutio
     """
     if guess is None:
         return ProgramStart(
-            with_integrals(
+            set_integral_variables(
                 transcription, problem, start_from_guess(transcription, with_curved_guess(problem))
             )
         )
@@ -80,7 +80,7 @@ def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
     return np.clip(x, box.lower, np.maximum(box.lower, box.upper))
 
 
-def with_integrals(transcription: Transcription, problem: Problem, x: Array) -> Array:
+def set_integral_variables(transcription: Transcription, problem: Problem, x: Array) -> Array:
     """Set integral variables to the integrals along x: their rows are (integral - quadrature)."""
     places = transcription.integral_places
     if not places.size:
@@ -116,10 +116,10 @@ def start_from_solution(
     _put_end_rows(transcription, guess, lam_g)
     box = transcription.variable_interval(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
-    return ProgramStart(with_integrals(transcription, problem, x), lam_x, lam_g)
+    return ProgramStart(set_integral_variables(transcription, problem, x), lam_x, lam_g)
 
 
-def mesh_at_rest(leg: PhaseSolution) -> Mesh:
+def mesh_with_fixed_breaks(leg: PhaseSolution) -> Mesh:
     """Return the mesh with its boundaries where they were found, and without segments that have vanished."""
     if leg.duration < SHORTEST:
         return replace(leg.mesh, movable=())

@@ -25,7 +25,7 @@ from gnc_opt.planning.problem.functions import phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.extract import model_parameters, state_polynomial
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, piecewise
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.kkt_sensitivity import Change, KktPoint, Response
@@ -438,7 +438,7 @@ def _differentiate(
     anchors = moved[part.times]
     rates = _rate_changes(program, part, leg, change, moved)
     states = state_polynomial(collocation, leg.breaks, response.variables, rates)
-    controls = piecewise(leg.breaks, leg.rules, response.variables[collocation.point_controls])
+    controls = interpolate_points(leg.breaks, leg.rules, response.variables[collocation.point_controls])
     shifts = _break_changes(transcription, part, anchors)
     return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
 

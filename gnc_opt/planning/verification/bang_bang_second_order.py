@@ -231,7 +231,7 @@ def _second_order_for_switch_order(
     jacobian = _extrapolate_richardson(jacobian, coarse.conditions.jacobian)
     cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
     at_lower, at_upper = conditions.active
-    active, rows, norms, multipliers = nearest_multipliers(gradient, jacobian, fine)
+    active, rows, norms, multipliers = estimate_nearest_multipliers(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
     precedences = _switch_order_constraints(unknowns, orders, switches)[:, free]
     residual, precedence_multipliers = _explain_residual_by_order(
@@ -261,7 +261,7 @@ def _second_order_for_switch_order(
     return SecondOrder(float(eigenvalues[0]) / (size + cost), error, null.shape[1], attained)
 
 
-def nearest_multipliers(
+def estimate_nearest_multipliers(
     gradient: Array, jacobian: Array, induced: InducedProblem
 ) -> tuple[Indices, Array, Array, Array]:
     """Return the multipliers nearest to the solution's that leave least of the gradient.

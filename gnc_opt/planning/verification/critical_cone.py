@@ -21,7 +21,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.optimality.multiplier_estimate import path_gradients_at_boundaries
 from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoint
-from gnc_opt.planning.solution.phase_solution import piecewise
+from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
@@ -158,7 +158,7 @@ class CriticalCone:
             told = ProgramLimits.of(limits.box, values, multipliers, limits.labels)
             doubtful = told.weak(values, multipliers)
             held = told.active & ~doubtful
-            _hold_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
+            _hold_limits_along_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
             strong.append(held)
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
@@ -183,7 +183,7 @@ class CriticalCone:
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
         dx = s.sample(_interpolate_nodes(breaks, part.collocation, change))
         rules = part.collocation.rules
-        du = s.sample(piecewise(breaks, rules, change[part.collocation.point_controls]))
+        du = s.sample(interpolate_points(breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
         dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)
@@ -217,7 +217,9 @@ def _variables_by_line(point: ProgramPoint) -> tuple[list[Indices], list[Indices
     return variables, rows
 
 
-def _hold_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask) -> None:
+def _hold_limits_along_arcs(
+    lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask
+) -> None:
     """Hold, in place, what is at the same limit as a pushed node of its line."""
     for line in lines:
         if not (np.any(pushed[line]) and np.any(doubtful[line])):

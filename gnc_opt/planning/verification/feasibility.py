@@ -21,7 +21,14 @@ from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval, stack_all
 from gnc_opt.planning.solution.propagation import segment_misses
-from gnc_opt.planning.solution.quality import NOTHING, Limits, Worst, defined, violations, worst_index
+from gnc_opt.planning.solution.quality import (
+    NOTHING,
+    Limits,
+    Worst,
+    evaluate_within_bounds,
+    find_limit_violations,
+    worst_index,
+)
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
@@ -53,7 +60,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
     worst = NOTHING
     for s in samples:
-        for at in (s, s.finer(SCANNED)):
+        for at in (s, s.resample_evenly(SCANNED)):
             worst = worst.or_worse(_find_worst_defect(s, at, scales, tolerance))
     return condition_from_violation(
         "dynamics",
@@ -66,7 +73,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     leg, ellipsoid = s.leg, scales.phases[s.leg.name].along
-    rates = defined(at.functions.rates, at.times, at.x, at.u, leg.control_bounds)
+    rates = evaluate_within_bounds(at.functions.rates, at.times, at.x, at.u, leg.control_bounds)
     residual = at.x_rate - rates
     total, running = at.segment_integrals(residual), at.running_integrals(residual)
     held = np.flatnonzero(np.any(leg.flown.held, axis=0))
@@ -106,11 +113,11 @@ def check_limits(
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").parameter_interval()
     values = solution.parameter_values
-    worst = _worst_excess(values, box, scales.parameters, labels, solution.free_parameters.units)
+    worst = _worst_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
         worst = worst.or_worse(_control_violation(s, scales)).or_worse(_state_violation(s, scales))
         if s.leg.path_labels:
-            for at in (s, s.finer(SCANNED_PATHS)):
+            for at in (s, s.resample_evenly(SCANNED_PATHS)):
                 worst = worst.or_worse(_path_violation(s, at, scales))
             worst = worst.or_worse(_path_violation_price(s, scales))
     return condition_from_violation(
@@ -137,7 +144,7 @@ def _control_violation(s: PhaseSamples, scales: Scales) -> Worst:
 
 
 def _state_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    found = violations(s, Limits.of(lambda _, x, __: x, s.leg.state_bounds))
+    found = find_limit_violations(s, Limits.of(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
     shares = found.excess / scales.phases[s.leg.name].along.radius[found.limits.rows]
@@ -151,7 +158,7 @@ def _state_violation(s: PhaseSamples, scales: Scales) -> Worst:
 def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     """By the distance to the limit along the constraint's own gradient, at peaks and at samples that violate it."""
     limits = Limits.of(s.functions.paths, s.leg.path_bounds)
-    found = violations(at, limits, applied=True)
+    found = find_limit_violations(at, limits, applied=True)
     if not found.times.size:
         return NOTHING
     shares = _path_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
@@ -160,7 +167,7 @@ def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     excess = limits.excess(at.times, at.x, at.u)
     beyond = np.flatnonzero(np.any(excess > 0, axis=0))
     for k in range(limits.rows.size) if beyond.size else ():
-        here = limits.some(np.full(beyond.size, k))
+        here = limits.select(np.full(beyond.size, k))
         beside = _path_distances(
             s, scales, here, excess[k, beyond], (at.times[beyond], at.x[:, beyond], at.u[:, beyond])
         )
@@ -234,13 +241,13 @@ def check_boundary_conditions(
         interval = stack_all([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
         lasts = np.full(3, s.span if s.has_length else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.or_worse(_worst_excess(times, interval, lasts, labels, ("s",) * 3))
+        worst = worst.or_worse(_worst_interval_violation(times, interval, lasts, labels, ("s",) * 3))
         # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
         slack = 10 * SHORTEST + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.or_worse(_worst_excess(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+        worst = worst.or_worse(_worst_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
     worst = worst.or_worse(_boundary_constraint_violation(solution, ends, scales))
     return condition_from_violation(
         "boundary conditions",
@@ -306,13 +313,13 @@ def check_cost(
         if not leg.integral_labels:
             continue
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        narrow = integrate_samples(s.finer(SCANNED))
+        narrow = integrate_samples(s.resample_evenly(SCANNED))
         if (
             np.max(np.abs(leg.integral_weights * (narrow - leg.integrals)), initial=0.0)
             > tolerance * yardstick
         ):
             narrow = integrate_samples(
-                s.finer(SCANNED, LAYER_STEPS)
+                s.resample_evenly(SCANNED, LAYER_STEPS)
             )  # of layers, the scan itself may be in error
         rows = [
             ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
@@ -339,7 +346,7 @@ def integrate_samples(s: PhaseSamples) -> Array:
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
-def _worst_excess(
+def _worst_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     """Return the worst excess beyond limits, in shares of a scale (n,)."""

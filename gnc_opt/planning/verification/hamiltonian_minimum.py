@@ -93,12 +93,12 @@ def coupled_gains(
         search = _Search(s, group, chosen, deviation, cost / s.span)
         vector = find_vector_control(s, group)
         if vector is not None:
-            gains.append(search.lasting(search.aligned(vector)))
+            gains.append(search.averaged_gain(search.vector_minima(vector)))
         elif not search.only_one_minimum:
-            gains.append(search.everywhere(tolerance))
+            gains.append(search.search_gain(tolerance))
             searched = True
         else:
-            gains.append(search.lasting(search.nearest()))
+            gains.append(search.averaged_gain(search.minima_near_applied()))
     return gains, searched
 
 
@@ -109,7 +109,9 @@ def coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
     for group in s.functions.coupled_controls:
         search = _Search(s, group, chosen)
         vector = find_vector_control(s, group)
-        u[group] = search.physical(search.anywhere() if vector is None else search.aligned(vector))
+        u[group] = search.controls_of_shares(
+            search.global_minima() if vector is None else search.vector_minima(vector)
+        )
     return s.times[chosen], u
 
 
@@ -135,7 +137,7 @@ class _Search:
         return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
 
     @cached_property
-    def _room(self) -> Array:
+    def _path_limits(self) -> Array:
         """Room that path constraints leave: their limits, or the flown value if that is beyond (n_paths, n) each."""
         s, bounds = self.s, self.s.leg.path_bounds
         values = s.functions.paths(s.times, s.x, s.u)[:, self.chosen]
@@ -160,13 +162,13 @@ class _Search:
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_paths):
-            least, most = self._room[:, :, at]
+            least, most = self._path_limits[:, :, at]
             paths = s.functions.paths(times, x, u)
             inside = (paths >= least) & (paths <= most)
             admissible &= np.all(inside | ~s.functions.mixed_paths[:, None], axis=0)
         return np.where(admissible, value, np.inf)
 
-    def _restored(self, shares: Array, at: Indices) -> Array:
+    def _restore_path_constraints(self, shares: Array, at: Indices) -> Array:
         """Controls beyond a path constraint's limit, moved to it the shortest way (Gauss-Newton)."""
         functions = self.s.functions
         if not np.any(functions.mixed_paths):
@@ -176,7 +178,7 @@ class _Search:
             times, x, u = self._at(shares[:, off], at[off])
             paths = functions.paths(times, x, u)
             beyond = np.where(
-                functions.mixed_paths[:, None], np.clip(paths, *self._room[:, :, at[off]]) - paths, 0
+                functions.mixed_paths[:, None], np.clip(paths, *self._path_limits[:, :, at[off]]) - paths, 0
             )
             there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
             if not np.any(there):
@@ -221,11 +223,11 @@ class _Search:
         terms = np.abs(base) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
         return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
 
-    def nearest(self) -> Array:
+    def minima_near_applied(self) -> Array:
         """Return the minima that descents from the flown controls reach (group, n_times)."""
         return self.descend(self._flown, np.arange(self.chosen.size))[0]
 
-    def aligned(self, vector: VectorControl) -> Array:
+    def vector_minima(self, vector: VectorControl) -> Array:
         """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
@@ -241,19 +243,19 @@ class _Search:
         away = u[self.group] - lower
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
-    def physical(self, shares: Array) -> Array:
+    def controls_of_shares(self, shares: Array) -> Array:
         """Return the controls (group, n_times) for shares of their range; as flown where they have none."""
         lower, span = self._box
         return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
 
-    def anywhere(self) -> Array:
+    def global_minima(self) -> Array:
         """Return the controls (group, n_times) of least H that descents from all points tried reach."""
-        shares, _, _, _, best = self._points()
-        return self._followed(np.zeros((self.group.size, 0)), shares[:, best])
+        shares, _, _, _, best = self._trial_points()
+        return self._descend_from_best_of(np.zeros((self.group.size, 0)), shares[:, best])
 
-    def everywhere(self, tolerance: float) -> Gain:
+    def search_gain(self, tolerance: float) -> Gain:
         """Search among all controls; what gains is followed to all times."""
-        shares, at, value, first, best = self._points()
+        shares, at, value, first, best = self._trial_points()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first of a time's points is any
         lowest, low = self.descend(
@@ -263,7 +265,7 @@ class _Search:
         found = np.concatenate([shares[:, best], lowest], axis=1)
         when = np.concatenate([at[best], at[starts], some])
         values = np.concatenate([value[best], low])
-        gain, share = self._gain(found, values, when)
+        gain, share = self._gain_and_share(found, values, when)
         if np.max(share, initial=0.0) <= tolerance:
             most = np.zeros((2, self.chosen.size))
             for row, values in zip(most, (gain, share), strict=True):
@@ -271,9 +273,9 @@ class _Search:
             return Gain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: max(1, when.size // 4)]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.lasting(self._followed(kept, shares[:, best]))
+        return self.averaged_gain(self._descend_from_best_of(kept, shares[:, best]))
 
-    def _points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
+    def _trial_points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return points, their times, H, and which are the first and the best of each time.
 
         Half of them are anywhere in the range, the others at log-uniform distances from the applied control.
@@ -295,20 +297,20 @@ class _Search:
         value, first = self.value(shares, at), np.arange(n) * (at.size // n)
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
-    def _followed(self, kept: Array, best: Array) -> Array:
+    def _descend_from_best_of(self, kept: Array, best: Array) -> Array:
         """Return the minima that descents reach from the least, at every time, of some controls."""
         every = np.arange(self.chosen.size)
         trials = np.stack([self._flown, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
         lowest = np.argmin([self.value(w, every) for w in trials], axis=0)
         return self.descend(trials[lowest, :, every].T, every)[0]
 
-    def lasting(self, better: Array) -> Gain:
+    def averaged_gain(self, better: Array) -> Gain:
         """What these controls (group, n_times) gain, averaged over what is brief."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
-        gain, share = self._gain(better, self.value(better, every), every)
+        gain, share = self._gain_and_share(better, self.value(better, every), every)
         return Gain(times, *average_over_time(times, np.stack([gain, share])))
 
-    def _gain(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
+    def _gain_and_share(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         """What controls with these values of H gain, and its share."""
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
         terms = np.fmax(self.s.hamiltonian_terms[self.chosen[at]], np.abs(value))
@@ -338,13 +340,16 @@ class _Search:
 
     def descend(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return controls that Newton's method reaches within the bounds, downwards only, and H there."""
-        shares = self._restored(shares.copy(), at)
+        shares = self._restore_path_constraints(shares.copy(), at)
         value = self.value(shares, at)
         active = np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            step, here = self._step(shares[:, active], at[active]), np.tile(at[active], len(_STEP_LENGTHS))
+            step, here = (
+                self._newton_step(shares[:, active], at[active]),
+                np.tile(at[active], len(_STEP_LENGTHS)),
+            )
             trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
-            trials = self._restored(np.clip(trials, 0.0, 1.0), here)
+            trials = self._restore_path_constraints(np.clip(trials, 0.0, 1.0), here)
             values = self.value(trials, here).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
@@ -356,7 +361,7 @@ class _Search:
             active = active[lower]
         return shares, value
 
-    def _step(self, shares: Array, at: Indices) -> Array:
+    def _newton_step(self, shares: Array, at: Indices) -> Array:
         """Newton's step (group, n) along the bounds and path constraints that H pushes against."""
         gradient, bends = self.slopes(shares, at)
         blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
@@ -378,7 +383,7 @@ class _Search:
         """Derivatives (n, n_paths, group) and multipliers (n_paths, n) of path constraints that H pushes against."""
         functions = self.s.functions
         paths = functions.paths(*self._at(shares, at))
-        least, most = self._room[:, :, at]
+        least, most = self._path_limits[:, :, at]
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near
         active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)

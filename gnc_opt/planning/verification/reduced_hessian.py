@@ -32,7 +32,7 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.cost_scale import state_variations
-from gnc_opt.planning.optimality.kkt import NullSpace, lanczos, quadratic
+from gnc_opt.planning.optimality.kkt import NullSpace, curvature_along, lanczos
 from gnc_opt.planning.optimality.program_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -284,7 +284,7 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     direction = _least_direction(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
-    curvature, share = quadratic(hessian, direction)
+    curvature, share = curvature_along(hessian, direction)
     whole = space.variables(direction)
     # What is varied by its integral may have peaks of any height; they count where nothing else varies.
     single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)

@@ -85,7 +85,7 @@ class ShiftedTrajectory:
         order = sorted(samples, key=lambda s: s.leg.initial_time)
         return cls(solution, order, ends, scales, jumps, regular)
 
-    def fall(self) -> Fall | None:
+    def find_decrease(self) -> Fall | None:
         """Return the direction in which the Lagrangian falls most, if it does so at second order."""
         n, m = len(self.jumps), len(self.regular)
         unit = np.eye(n + m)
@@ -119,9 +119,9 @@ class ShiftedTrajectory:
             vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
             directions.append(vector / np.max(np.abs(vector)))
         chosen = scale[:, None] * np.array([*directions, *(-v for v in directions)]).T
-        return self._second_order_fall(full @ chosen, single @ chosen**2)
+        return self._second_order_decrease(full @ chosen, single @ chosen**2)
 
-    def _second_order_fall(self, directions: Array, terms: Array) -> Fall | None:
+    def _second_order_decrease(self, directions: Array, terms: Array) -> Fall | None:
         """Return the largest fall along directions (n_jumps + n_regular, n), if it is of second order at two steps."""
         n = len(self.jumps)
         largest = np.max(np.abs(directions[:n]), axis=0)
@@ -171,7 +171,9 @@ class ShiftedTrajectory:
             for other, by_end in self.scales.links.get(name, {}).items():
                 if other in finals and position[other] < position[name]:
                     begin = begin + by_end @ (finals[other] - finals[other][:, -1:])
-            x, integrals, extra, active_rows = self._phase(s, amounts).integrate(begin, self.scales.cost)
+            x, integrals, extra, active_rows = self._shift_phase(s, amounts).integrate(
+                begin, self.scales.cost
+            )
             rows += active_rows
             finals[name] = x
             lagrangian += extra
@@ -201,21 +203,21 @@ class ShiftedTrajectory:
         misses = np.vstack(rows)
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
-    def _phase(self, s: PhaseSamples, amounts: Array) -> _ShiftedPhase:
+    def _shift_phase(self, s: PhaseSamples, amounts: Array) -> _ShiftedPhase:
         """Return a phase with amounts (n_jumps + n_regular, n_columns)."""
         name = s.leg.name
         jumps, steps = [], []
         for jump, shifts in zip(self.jumps, amounts, strict=False):
             if name in (jump.phase, jump.beyond):
                 step = SHIFT_STEP_SHARE * jump.shorter_arc
-                before, after = self._side(jump, "left"), self._side(jump, "right")
+                before, after = self._control_beside(jump, "left"), self._control_beside(jump, "right")
                 jumps.append((jump.channel, jump.time, before, after, jump.time + step * shifts))
                 steps.append(step)
         of_regular = zip(self.regular, amounts[len(self.jumps) :], strict=True)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
         return _ShiftedPhase.of(s, jumps, steps, variations, amounts.shape[1])
 
-    def _side(self, jump: Jump, side: Any) -> float:
+    def _control_beside(self, jump: Jump, side: Any) -> float:
         leg = self.solution.phases[jump.phase]
         if side == "right" and jump.beyond:
             other = self.solution.phases[jump.beyond]

@@ -104,7 +104,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
     Along ends, times, integrals and parameters, and along the states of phases on one of their kinks: second
     differences of the Lagrangian that are proportional to the step.
     """
-    found = [scales.ends.kink(scales.reach, scales.parameters, step) for step in STEPS]
+    found = [scales.ends.second_differences_at_ends(scales.reach, scales.parameters, step) for step in STEPS]
     share = _largest_decrease(found[0], found[1], scales.cost)
     if share > 0:
         return Roughness(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)

@@ -215,10 +215,10 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
 
 def lower_cost_limit(problem: Problem) -> float:
     """Return what the minimised cost is at least, by interval arithmetic; minus infinity if nothing is known."""
-    return float(_least_values(problem, [problem.sense * problem.cost])[0])
+    return float(_lower_bounds_of_ends(problem, [problem.sense * problem.cost])[0])
 
 
-def _least_values(problem: Problem, expressions: Sequence[Any]) -> Array:
+def _lower_bounds_of_ends(problem: Problem, expressions: Sequence[Any]) -> Array:
     """Return what expressions of the ends are at least."""
     q, boxes = problem.parameter_interval(), []
     for leg in problem.phases.values():
@@ -270,7 +270,7 @@ def _excess_over_least(solution: Solution) -> Array:
     )
     apart = recompute_from_problem(apart)
     amounts = Magnitudes.of(apart, list(apart.samples().values())).constraints
-    return np.asarray((evaluate_ends(apart).constraints - _least_values(problem, terms)) / amounts)
+    return np.asarray((evaluate_ends(apart).constraints - _lower_bounds_of_ends(problem, terms)) / amounts)
 
 
 def _split_sum(expression: Any, factor: float = 1.0) -> Iterator[Any]:

@@ -77,7 +77,7 @@ def largest_decrease(
     """Return the direction of switching times in which the Lagrangian falls most, or None."""
     found = []
     for group in _group_jumps(jumps):
-        fall = ShiftedTrajectory.of(solution, samples, ends, scales, group).fall()
+        fall = ShiftedTrajectory.of(solution, samples, ends, scales, group).find_decrease()
         if fall is not None:
             found.append(fall)
     return max(found, key=lambda f: f.value, default=None)

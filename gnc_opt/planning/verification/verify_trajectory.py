@@ -29,12 +29,12 @@ from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.solution.extract import extract_phases, functions_at, model_parameters
+from gnc_opt.planning.solution.extract import extract_phases, model_parameters, phase_functions_at
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.unwrap import unwound
+from gnc_opt.planning.solution.unwrap import unwrap_angles
 from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
@@ -63,7 +63,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> 
     controls = leg.model.controls
     for vector in leg.vectors:
         direction = controls.slice(vector.direction)
-        u[direction] = _directions(u[controls.slice(vector.magnitude)][0], u[direction])
+        u[direction] = _fill_directions(u[controls.slice(vector.magnitude)][0], u[direction])
     return replace(own, u=u)
 
 
@@ -80,7 +80,7 @@ def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
     return Samples(own.t, x, u)
 
 
-def _directions(size: Array, direction: Array) -> Array:
+def _fill_directions(size: Array, direction: Array) -> Array:
     """Directions (n, n_times) of vectors of a size (n_times,), where it is zero those nearby."""
     return _continue_directions(np.where(size <= AT_LIMIT * np.max(size), np.nan, direction))
 
@@ -232,11 +232,11 @@ def _build_solution(
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name in problem.phases:
-        fitted[name] = fit_trajectory(samples[name], functions_at(problem, name, q).rates).split(parts)
+        fitted[name] = fit_trajectory(samples[name], phase_functions_at(problem, name, q).rates).split(parts)
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
-    phases = {name: _with_trajectory(leg, fitted[name]) for name, leg in phases.items()}
+    phases = {name: _replace_trajectory(leg, fitted[name]) for name, leg in phases.items()}
     return Solution(
         problem_name=problem.name,
         status=Status.ACCEPTABLE,
@@ -257,7 +257,7 @@ def _build_solution(
     )
 
 
-def _with_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
+def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
     """The samples' own trajectory and times, also where the problem would have others."""
     breaks = phase.x.breaks
     return replace(
@@ -276,7 +276,7 @@ def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -
     found = {}
     for name, leg in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwound(functions_at(problem, name, q), bounds, leg.t, leg.x, leg.u)
+        controls = unwrap_angles(phase_functions_at(problem, name, q), bounds, leg.t, leg.x, leg.u)
         found[name] = replace(leg, u=controls)
     return found
 
@@ -374,7 +374,7 @@ def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
             shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.where}"
             parts = control.decompose(_read_shape(found.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
-                parts = parts[0], _directions(parts[0][0], parts[1])
+                parts = parts[0], _fill_directions(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)
     return found
 

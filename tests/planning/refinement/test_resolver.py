@@ -19,7 +19,7 @@ from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _without_slivers
 from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.solution.tail import rest_of
+from gnc_opt.planning.solution.tail import remaining_solution
 from gnc_opt.planning.solver import SolveMethod
 
 
@@ -104,7 +104,7 @@ def test_a_start_on_a_smooth_way_is_solved_from_the_rest() -> None:
 @pytest.mark.parametrize("scheme", ["LG", "LGR"])
 def test_the_rest_of_a_solution_is_the_same_flight(begin: float, scheme: Any) -> None:
     first = go.solve(cart("effort"), mesh="4x3", scheme=scheme, tol=None)
-    rest = rest_of(first, begin).phase()
+    rest = remaining_solution(first, begin).phase()
     times = np.linspace(begin, 1.0, 57)
     whole = first.phase()
     assert rest.initial_time == begin and rest.final_time == 1.0

@@ -17,10 +17,10 @@ from gnc_opt.planning.solution.costates import (
     Iterate,
     _boundary_costates,
     _CostatePieces,
+    path_arc_costates,
     point_costates,
     point_multipliers,
-    settle_doubled_paths,
-    settle_held_paths,
+    split_duplicate_path_multipliers,
 )
 from gnc_opt.planning.solution.warm_start import start_from_solution
 
@@ -132,7 +132,9 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
 
 def doubled(left: list[float], right: list[float], *, mixed: bool = False, scheme: Scheme = "LGL") -> Array:
     part = collocation(scheme, Mesh((0.0, 0.5, 1.0), (3, 3)), n=1, paths=1)
-    return settle_doubled_paths(part, np.array([[*left, *right]]), 2 * part.quadrature, np.array([mixed]))
+    return split_duplicate_path_multipliers(
+        part, np.array([[*left, *right]]), 2 * part.quadrature, np.array([mixed])
+    )
 
 
 def test_a_path_constraint_that_is_stated_twice_belongs_to_the_side_where_it_is_active() -> None:
@@ -314,7 +316,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
     def settled(part: PhaseCollocation, numbers: Iterate, gradient: Array, push: Array) -> _CostatePieces:
         found = _CostatePieces.of(part, numbers, weights, gradient, push)
         if scheme == "LG":
-            found.settle_redundant_rows()
+            found.extrapolate_costates_along_bounds()
         else:
             found.split_boundary_multipliers()
         return found
@@ -351,9 +353,9 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes,
         np.array([False, True, False]),
     )
-    shared_out = settle_doubled_paths(whole, paths, weights, mixed)
+    shared_out = split_duplicate_path_multipliers(whole, paths, weights, mixed)
     for i in range(3):
-        one = settle_doubled_paths(whole, paths[[i]], weights, mixed[[i]])
+        one = split_duplicate_path_multipliers(whole, paths[[i]], weights, mixed[[i]])
         assert shared_out[i] == pytest.approx(one[0])
 
 
@@ -504,7 +506,7 @@ def held(*rows: tuple[ArcKind, ...]) -> Held:
 def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> None:
     """q v is held along the second segment: its gradient is (v, q), from within the segment."""
     before = leg()
-    after = settle_held_paths(before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS)
+    after = path_arc_costates(before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS)
     for ends, old, at, off in (
         ("lam_start", before.lam_start, 0.25, 1),
         ("lam_end", before.lam_end, 0.5, -1),
@@ -524,7 +526,7 @@ def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> No
 def test_the_density_is_what_the_adjoint_equation_leaves() -> None:
     """lam_q' = -(mu_q + v mu_qv): with lam_q = t^2 and mu_qv = 4 then mu_q = -2 t - 4 (2 - t), where q is held."""
     before = leg(lam_end=leg().lam_end + np.array([[5.0], [7.0]]))  # ends that are right
-    after = settle_held_paths(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
+    after = path_arc_costates(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
     t = before.point_times
     expected = np.where((t > 0.25) & (t < 0.5), 5.0, -2 * t - 4 * (2 - t))
     assert after.path_multipliers[2] == pytest.approx(expected, abs=1e-9)

@@ -17,12 +17,12 @@ from gnc_opt.planning import PhaseSolution
 from gnc_opt.planning.solution import quality as limits
 from gnc_opt.planning.solution.quality import (
     Limits,
-    violations,
+    find_limit_violations,
     worst_defect,
     worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, sampled_places
+from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, sample_places_and_weights
 from gnc_opt.tolerances import GONE
 
 CART = cart()
@@ -42,9 +42,9 @@ def stepped(t: Array, k: int) -> Array:
 
 
 def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
-    places, weights = sampled_places(4)
+    places, weights = sample_places_and_weights(4)
     n = 4 + SAMPLES_BEYOND_POINTS
-    assert places.size == n + 2 and sampled_places(60)[0].size == 64 + 2
+    assert places.size == n + 2 and sample_places_and_weights(60)[0].size == 64 + 2
     assert right.times.size == 2 * (n + 2) and right.segments.tolist() == [0] * (n + 2) + [1] * (n + 2)
     assert right.times[[0, n + 1, n + 2, -1]].tolist() == [0.0, 0.5, 0.5, 1.0]
     assert right.times[1 : n + 1] == pytest.approx(0.25 * (1 + places[1:-1]))
@@ -224,7 +224,7 @@ def test_finite_limits_one_side_each() -> None:
     assert found.rows.tolist() == [1, 2, 0, 2] and found.sides.tolist() == [-1, -1, 1, 1]
     assert found.values.tolist() == [0, 1, 2, 3]
     assert Limits.of(identity, free(0)).rows.size == 0
-    chosen = found.some(np.array([3, 0, 3]))
+    chosen = found.select(np.array([3, 0, 3]))
     assert (chosen.rows.tolist(), chosen.sides.tolist(), chosen.values.tolist()) == (
         [2, 1, 2],
         [1, -1, 1],
@@ -240,7 +240,7 @@ def test_finite_limits_one_side_each() -> None:
 def test_violations_are_peaks_found_between_samples() -> None:
     """q = sin(20 t) / 2 has its peaks at odd multiples of pi / 40; at most 0.4 is allowed, at least -0.45."""
     wavy = samples(CART, lambda t, k: [0.5 * np.sin(20 * t), 0 * t], breaks=(0.0, 0.9), degree=30)
-    found = violations(wavy, Limits.of(lambda t, x, u: x[:1], interval(-0.45, 0.4)))
+    found = find_limit_violations(wavy, Limits.of(lambda t, x, u: x[:1], interval(-0.45, 0.4)))
     high = found.limits.sides > 0
     assert np.sort(found.times[high]) == pytest.approx(np.pi / 40 * np.array([1, 5, 9]), abs=1e-6)
     assert np.sort(found.times[~high]) == pytest.approx(np.pi / 40 * np.array([3, 7, 11]), abs=1e-6)
@@ -254,7 +254,7 @@ def test_violations_are_peaks_found_between_samples() -> None:
 
 
 def test_only_the_highest_of_each_limit_are_returned() -> None:
-    assert limits._highest_places(
+    assert limits._indices_of_highest(
         np.array([0, 1, 0, 0, 0, 0, 0]), np.array([3.0, 9, 1, 2, 7, 8, 5])
     ).tolist() == [
         5,
@@ -265,17 +265,17 @@ def test_only_the_highest_of_each_limit_are_returned() -> None:
         1,
     ]
     many = samples(CART, lambda t, k: [np.sin(60 * t), 0 * t], degree=40)
-    found = violations(many, Limits.of(lambda t, x, u: x[:1], interval(-np.inf, 0.5)))
+    found = find_limit_violations(many, Limits.of(lambda t, x, u: x[:1], interval(-np.inf, 0.5)))
     assert found.times.size == limits.PEAKS_PER_LIMIT
 
 
 def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> None:
     for upper, count in ((1.5, 0), (1.5 - 1e-13, 0), (1.5 - 1e-9, 1), (0.0, 1)):
-        found = violations(
+        found = find_limit_violations(
             samples(CART, breaks=(0.0, 1.0)), Limits.of(identity, interval([-9, -9], [9, upper]))
         )
         assert found.times.size == count
-    assert violations(samples(CART), Limits.of(identity, free(2))).times.size == 0
+    assert find_limit_violations(samples(CART), Limits.of(identity, free(2))).times.size == 0
 
 
 # --- signals of a phase -----------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, state_spans, without_effect
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, find_inactive_controls, state_spans
 
 # How far states and controls move on a flight, and what controls could move: closed forms.
 
@@ -195,7 +195,7 @@ def idle(
     if path:
         leg.path("effect", effect, upper=1.0)
     functions = phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
-    return without_effect(functions, leg.numbers.controls, T, np.zeros((1, N)), u, np.array(scale))
+    return find_inactive_controls(functions, leg.numbers.controls, T, np.zeros((1, N)), u, np.array(scale))
 
 
 def flown(*others: float, off: float = 0.0) -> Array:
@@ -271,5 +271,5 @@ def test_the_length_of_a_direction_is_no_effect() -> None:
     leg.path("norm", direction**2, upper=1.0)
     functions = phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
     arguments = functions, leg.numbers.controls, T, np.zeros((1, N)), flown(0.3), np.ones(2)
-    assert not np.any(without_effect(*arguments))
-    np.testing.assert_array_equal(without_effect(*arguments, {1: 0})[1], OFF)
+    assert not np.any(find_inactive_controls(*arguments))
+    np.testing.assert_array_equal(find_inactive_controls(*arguments, {1: 0})[1], OFF)

@@ -28,19 +28,23 @@ from gnc_opt.planning.optimality.costate_jumps import (
     integrate_nearby_multipliers,
 )
 from gnc_opt.planning.optimality.kkt import variation_weights
-from gnc_opt.planning.optimality.multiplier_estimate import _adjoint_rows, _quadrature_weights, _variables
+from gnc_opt.planning.optimality.multiplier_estimate import (
+    _adjoint_rows,
+    _program_variables,
+    _quadrature_weights,
+)
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
-from gnc_opt.planning.verification.bang_bang_second_order import nearest_multipliers
+from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
 from gnc_opt.planning.verification.control_conditions import find_undetermined
 from gnc_opt.planning.verification.costate_conditions import _inadmissible_multipliers
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    _hold_arcs,
+    _hold_limits_along_arcs,
     _state_node_variables,
     _variables_by_line,
 )
@@ -310,7 +314,9 @@ def test_multipliers_nearest_to_the_solutions_own() -> None:
         unknowns=SimpleNamespace(free=np.array([True, True, False])),
         conditions=SimpleNamespace(active=(at_lower, at_upper), multipliers=np.array([1.0, 5.0, 5.0, 0.5])),
     )
-    active, rows, norms, multipliers = nearest_multipliers(np.array([-9.0, -12.0, 4.0]), jacobian, induced)
+    active, rows, norms, multipliers = estimate_nearest_multipliers(
+        np.array([-9.0, -12.0, 4.0]), jacobian, induced
+    )
     np.testing.assert_array_equal(active, [0, 3])
     np.testing.assert_allclose(rows, [[0.6, 0.8], [0.6, 0.8]])
     np.testing.assert_allclose(norms, [5.0, 10.0])
@@ -339,7 +345,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
         Samples(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
     transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
-    x = _variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
+    x = _program_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
     (part,) = transcription.parts.values()
     collocation = part.collocation
     points = 0.5 + 2 * collocation.fractions
@@ -393,7 +399,7 @@ def test_arcs_on_a_limit_are_held_throughout() -> None:
     values = np.array([1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 2.0, 2.0])
     pushed = np.array([True, False, False, False, False, False, True, False])
     held, doubtful = pushed.copy(), np.array([False, True, True, False, True, True, False, False])
-    _hold_arcs(lines, values, pushed, held, doubtful)
+    _hold_limits_along_arcs(lines, values, pushed, held, doubtful)
     np.testing.assert_array_equal(held, [True, True, False, False, False, False, True, False])
     np.testing.assert_array_equal(doubtful, [False, False, True, False, True, True, False, False])
 

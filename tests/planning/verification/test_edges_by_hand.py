@@ -19,7 +19,12 @@ import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, average_over_time, integral_spans
-from gnc_opt.planning.optimality.kkt import LANCZOS_RESIDUAL_TOLERANCE, NullSpace, _settled, lanczos
+from gnc_opt.planning.optimality.kkt import (
+    LANCZOS_RESIDUAL_TOLERANCE,
+    NullSpace,
+    _are_ends_found,
+    lanczos,
+)
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
 from gnc_opt.planning.optimality.switches import Switches, _controls_with_vanishing_switching
 from gnc_opt.planning.optimality.switching_problem import Unknowns
@@ -39,9 +44,9 @@ from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_worst_crossing,
-    nearest_multipliers,
+    estimate_nearest_multipliers,
 )
-from gnc_opt.planning.verification.feasibility import _worst_excess
+from gnc_opt.planning.verification.feasibility import _worst_interval_violation
 from gnc_opt.planning.verification.goh import find_flat_controls
 from gnc_opt.planning.verification.recomputed import (
     evaluate_ends,
@@ -168,7 +173,7 @@ def test_rows_that_say_the_same_to_rounding_share_their_multiplier() -> None:
             active=(np.array([True, True]), np.array([True, True])), multipliers=np.zeros(2)
         ),
     )
-    multipliers = nearest_multipliers(np.array([4.0, 1.0]), rows, induced)[3]
+    multipliers = estimate_nearest_multipliers(np.array([4.0, 1.0]), rows, induced)[3]
     np.testing.assert_allclose(multipliers, [-2.0, -2.0], rtol=1e-6)
 
 
@@ -302,13 +307,18 @@ def test_misses_are_reported_in_their_units() -> None:
     """The worst in shares of its scale, with its excess in its own unit."""
     box = Interval(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
     values, scale = np.array([1.5, -0.4]), np.array([10.0, 1.0])
-    worst = _worst_excess(values, box, scale, ["a", "b"], ["m", "kg"])
+    worst = _worst_interval_violation(values, box, scale, ["a", "b"], ["m", "kg"])
     assert worst.value == pytest.approx(0.4) and worst.where == "b off by 0.4 kg"
-    assert _worst_excess(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
-    assert _worst_excess(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where == "nowhere"
-    gone = _worst_excess(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
+    assert _worst_interval_violation(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
+    assert (
+        _worst_interval_violation(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where == "nowhere"
+    )
+    gone = _worst_interval_violation(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
     assert gone.value == np.inf and gone.where.startswith("b off by")
-    assert _worst_excess(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value == 0.0
+    assert (
+        _worst_interval_violation(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value
+        == 0.0
+    )
 
 
 def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
@@ -455,7 +465,10 @@ def test_both_ends_of_a_spectrum_must_have_settled() -> None:
     values, vectors = np.linalg.eigh(np.array([[0.0, 1.0], [1.0, 3.0]]))
     worst, largest = np.max(np.abs(vectors[-1])), np.max(np.abs(values))
     for factor, settled in ((0.99, True), (1.01, False)):
-        assert _settled(diagonal, beside, factor * LANCZOS_RESIDUAL_TOLERANCE * largest / worst) is settled
+        assert (
+            _are_ends_found(diagonal, beside, factor * LANCZOS_RESIDUAL_TOLERANCE * largest / worst)
+            is settled
+        )
 
 
 def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.MonkeyPatch) -> None:

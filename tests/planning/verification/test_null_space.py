@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
-from gnc_opt.planning.optimality.kkt import NullSpace, lanczos, quadratic
+from gnc_opt.planning.optimality.kkt import NullSpace, curvature_along, lanczos
 from gnc_opt.planning.optimality.multiplier_estimate import _Limits, _select_multipliers
 from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.problem.interval import Interval
@@ -76,8 +76,8 @@ def test_variations_are_shares_of_the_metric() -> None:
 def test_curvature_and_its_share_of_its_terms() -> None:
     """d = (1, -1): 1 + 3 - 2 * 1.5 = 1 out of 7."""
     matrix = np.array([[1.0, 1.5], [1.5, 3.0]])
-    assert quadratic(sparse(matrix), np.array([1.0, -1.0])) == pytest.approx((1.0, 1 / 7))
-    assert quadratic(sparse(0 * matrix), np.array([1.0, -1.0])) == (0.0, 0.0)
+    assert curvature_along(sparse(matrix), np.array([1.0, -1.0])) == pytest.approx((1.0, 1 / 7))
+    assert curvature_along(sparse(0 * matrix), np.array([1.0, -1.0])) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 9])

@@ -135,7 +135,7 @@ def test_controls_beyond_a_mixed_path_are_not_admissible(u: float, w: float, ins
 def test_a_path_that_is_violated_leaves_room_to_what_is_flown() -> None:
     """u + 2 w = 2.5, 0.5 beyond its limit: to there others may go as well."""
     s = flown(coupled(bowl, (MIXED[0], -9.0, 2.0)))
-    least, most = search(s)._room[:, 0]
+    least, most = search(s)._path_limits[:, 0]
     slack = EQUAL * (s.path_scale[0] + 2.5)
     np.testing.assert_allclose(most, 2.5 + slack, rtol=0, atol=1e-13)
     np.testing.assert_allclose(least, -9.0 - slack, rtol=0, atol=1e-13)
@@ -143,7 +143,7 @@ def test_a_path_that_is_violated_leaves_room_to_what_is_flown() -> None:
 
 def test_the_room_is_as_wide_for_what_is_negative() -> None:
     s = flown(coupled(bowl, (lambda t, x, u, w: -MIXED[0](t, x, u, w), -2.0, 9.0)))
-    least, most = search(s)._room[:, 0]
+    least, most = search(s)._path_limits[:, 0]
     slack = EQUAL * (s.path_scale[0] + 2.5)
     np.testing.assert_allclose(least, -2.5 - slack, rtol=0, atol=1e-13)
     np.testing.assert_allclose(most, 9.0 + slack, rtol=0, atol=1e-13)
@@ -154,26 +154,26 @@ def test_what_is_beyond_a_path_moves_to_it_the_shortest_way() -> None:
     s = flown(coupled(bowl, MIXED))
     found, at = search(s), np.array([1, 2, 3])
     shares = np.array([[0.5, 0.5, 0.5], [0.5, 0.9, 0.05]])
-    moved = found._restored(shares, at)
+    moved = found._restore_path_constraints(shares, at)
     expected = shares.copy()
     over = -4 + 4 * shares[0] + 8 * shares[1]
     for j, beyond in ((1, over[1] - 4.0),):
         expected[:, j] -= np.array([4.0, 8.0]) * beyond / 80.0
     np.testing.assert_allclose(moved, expected, atol=1e-8)
-    low = found._restored(np.array([[0.0], [0.0]]), np.array([0]))
+    low = found._restore_path_constraints(np.array([[0.0], [0.0]]), np.array([0]))
     np.testing.assert_allclose(low[:, 0], np.array([4.0, 8.0]) / 80.0, atol=1e-8)
     free = search(flown(coupled(bowl)))
-    assert free._restored(shares, at) is shares
+    assert free._restore_path_constraints(shares, at) is shares
 
 
 def test_restoring_follows_a_curve_and_keeps_the_bounds() -> None:
     """Into u^2 + w^2 <= 4 from (1.5, 2) along the ray, by Newton's method from outside; w cannot exceed 3."""
     s = flown(coupled(bowl, (lambda t, x, u, w: u**2 + w**2, -1.0, 4.0)), u=0.0, w=0.5)
-    shares = search(s)._restored(np.array([[3.5 / 4], [3.0 / 4]]), np.array([4]))
+    shares = search(s)._restore_path_constraints(np.array([[3.5 / 4], [3.0 / 4]]), np.array([4]))
     u, w = 4 * shares[0, 0] - 2, 4 * shares[1, 0] - 1
     assert u**2 + w**2 == pytest.approx(4.0, abs=1e-6) and w / u == pytest.approx(4 / 3, abs=1e-6)
     far = flown(coupled(bowl, (lambda t, x, u, w: w + 0.01 * u, 3.5, 99.0)), u=2.0, w=3.0)
-    least = search(far)._restored(np.array([[0.5], [0.5]]), np.array([4]))
+    least = search(far)._restore_path_constraints(np.array([[0.5], [0.5]]), np.array([4]))
     assert least[1, 0] == 1.0
 
 
@@ -220,23 +220,23 @@ def test_step_of_newton_within_one_range() -> None:
     minimum = np.linalg.solve([[6.0, 1.0], [1.0, 2.0]], [6 - 0.3, 4 + 0.2])
     goal = (minimum + OFFSET) / 4
     shares = np.array([[0.6], [0.6]])
-    np.testing.assert_allclose(found._step(shares, at)[:, 0], goal - shares[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(found._newton_step(shares, at)[:, 0], goal - shares[:, 0], rtol=1e-9)
     outside = np.array([[0.0], [0.9]])  # H falls towards larger u: nothing blocks
-    assert np.all(np.abs(found._step(outside, at)) <= 1.0 + 1e-12)
-    blocked = found._step(np.array([[1.0], [0.2]]), at)[:, 0]
+    assert np.all(np.abs(found._newton_step(outside, at)) <= 1.0 + 1e-12)
+    blocked = found._newton_step(np.array([[1.0], [0.2]]), at)[:, 0]
     assert blocked[0] != 0.0  # H grows with u: away from the bound
     steep = flown(coupled(lambda t, x, u, w: -9 * u + w**2 + 1e-3 * u * w))
-    held = search(steep)._step(np.array([[1.0], [0.2]]), at)[:, 0]
+    held = search(steep)._newton_step(np.array([[1.0], [0.2]]), at)[:, 0]
     assert held[0] == 0.0
     np.testing.assert_allclose(held[1], (0.1 - 1e-3 - (-1 + 0.8)) / 4, rtol=1e-9)
-    across = search(steep)._step(np.array([[0.2], [0.2]]), at)[:, 0]
+    across = search(steep)._newton_step(np.array([[0.2], [0.2]]), at)[:, 0]
     assert np.max(np.abs(across)) == pytest.approx(1.0) and across[0] > 0
 
 
 def test_negative_curvature_is_left_downhill() -> None:
     """H = -(u - 0.1)^2 / 2 + ...: from u = 0.5 its step is to larger u, of the same length as if it curved upwards."""
     s = flown(coupled(lambda t, x, u, w: -0.5 * (u - 0.1) ** 2 - 0.3 * u + w**2 + 1e-6 * u * w))
-    step = search(s)._step(np.array([[0.625], [0.275]]), np.array([2]))[:, 0]
+    step = search(s)._newton_step(np.array([[0.625], [0.275]]), np.array([2]))[:, 0]
     assert step[0] == pytest.approx(0.4 / 4, rel=1e-4)
 
 
@@ -284,16 +284,18 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     better = found._flown.copy()
     better[0] += 0.25
     value = found.value(better, at)
-    gain, share = found._gain(better, value, at)
+    gain, share = found._gain_and_share(better, value, at)
     before, after = hamiltonian(0.5, 1.0, s.times), hamiltonian(1.5, 1.0, s.times)
     np.testing.assert_allclose(gain, np.maximum(before - after, 0.0), atol=1e-12)
     span = s.control_span[0]
     worth = max(abs(6 * -0.5 + 1 + 0.3) * span, 0.5 * 6 * span**2)
     np.testing.assert_allclose(share, gain / (worth + gain), rtol=1e-9)
     np.testing.assert_allclose(found._largest_change(-7.0 * (better - found._flown)), worth, rtol=1e-9)
-    none, share = found._gain(found._flown, np.full(at.size, np.inf), at)
+    none, share = found._gain_and_share(found._flown, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
-    endless, share = found._gain(found._flown, np.full(at.size, -np.inf), at)  # a pole of H is no gain
+    endless, share = found._gain_and_share(
+        found._flown, np.full(at.size, -np.inf), at
+    )  # a pole of H is no gain
     assert not np.any(endless) and not np.any(share)
 
 
@@ -301,7 +303,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
     """Half of them are near the applied control, and half of both differ in u or in w alone; bounds are among them."""
     s = flown(coupled(bowl))
     found = search(s)
-    shares, at = found._points()[:2]
+    shares, at = found._trial_points()[:2]
     n = s.times.size
     assert at.size == (POINTS // n) * n and np.all(np.bincount(at) == POINTS // n)
     assert np.min(shares) == 0.0 and np.max(shares) == 1.0
@@ -321,7 +323,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
         assert np.mean(row == 1.0) == pytest.approx(0.05 / 1.1, rel=0.05)
         inner = row[(row > 0) & (row < 1)]
         assert np.mean(inner) == pytest.approx(0.5, abs=0.01)
-    alone = search(s, [1])._points()[0]
+    alone = search(s, [1])._trial_points()[0]
     assert alone.shape == (1, at.size)
 
 
@@ -368,7 +370,7 @@ def test_slopes_that_are_no_numbers_point_nowhere() -> None:
     assert gradient[0, 0] == 0.0 and np.isfinite(gradient[1, 0]) and bends[0, 0, 0] == 0.0
     assert found.value(np.array([[0.5], [0.1]]), at) == [np.inf]
     shares = np.array([[0.5, 0.9], [0.1, 0.5]])  # w = -0.6 and 1: the second one is beyond the path
-    moved = found._restored(shares, np.array([3, 4]))
+    moved = found._restore_path_constraints(shares, np.array([3, 4]))
     np.testing.assert_array_equal(moved[:, 0], shares[:, 0])
     assert np.all(np.isfinite(moved)) and moved[0, 1] < 0.9
 
@@ -379,12 +381,16 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
     slope = np.array([0.0, -8.0])
     monkeypatch.setattr(_Search, "slopes", lambda self, shares, at, mu=None: (slope[:, None], curved[None]))
     found, at = search(flown(coupled(bowl))), np.array([2])
-    step = found._step(np.array([[0.0], [0.25]]), at)[:, 0]
+    step = found._newton_step(np.array([[0.0], [0.25]]), at)[:, 0]
     np.testing.assert_allclose(step, -np.linalg.solve(curved, slope), rtol=1e-9)
     slope[0] = 1e-3
-    np.testing.assert_allclose(found._step(np.array([[0.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
+    np.testing.assert_allclose(
+        found._newton_step(np.array([[0.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9
+    )
     slope[0] = -1e-3
-    np.testing.assert_allclose(found._step(np.array([[1.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
+    np.testing.assert_allclose(
+        found._newton_step(np.array([[1.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9
+    )
     slope[0] = 1e-3
-    away = found._step(np.array([[1.0], [0.25]]), at)[:, 0]
+    away = found._newton_step(np.array([[1.0], [0.25]]), at)[:, 0]
     np.testing.assert_allclose(away, -np.linalg.solve(curved, slope), rtol=1e-9)

@@ -18,8 +18,8 @@ from benchmarks.performance.scale import RADIUS, THRUST, spiral
 from gnc_opt.planning.optimality.trajectory_fit import (
     FittedPhase,
     Samples,
+    _build_interpolants,
     _Controls,
-    _interpolants,
     _intersection_time,
     _Jump,
     _propagate_states,
@@ -66,7 +66,7 @@ def test_interpolants_are_exact_for_polynomials_of_their_degree(n: int) -> None:
     t = np.linspace(1.0, 3.0, n) ** 2
     degree = min(n - 1, 3)
     u = (t - 2.0) ** degree
-    smooth, _ = _interpolants(t, u)
+    smooth, _ = _build_interpolants(t, u)
     at = np.linspace(1.0, 9.0, 11)
     np.testing.assert_allclose(smooth(at), (at - 2.0) ** degree, atol=1e-9)
 
@@ -229,7 +229,7 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
     controls = _Controls(samples, [])
     controls.choose(samples, lambda t, x, u: np.array([u[0], 1 + 0 * t]))
     at = np.array([0.2, 0.6])
-    assert np.max(np.abs(_interpolants(t, u)[0](at))) > 1e-3  # the ripples
+    assert np.max(np.abs(_build_interpolants(t, u)[0](at))) > 1e-3  # the ripples
     np.testing.assert_allclose(controls(at, at)[0], 0.0, atol=1e-12)
     smooth = Samples(t, np.array([t**4 / 4]), (t**3)[None])
     controls = _Controls(smooth, [])

@@ -84,7 +84,7 @@ def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
         at_lower, at_upper = leg.control_bounds.near(mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale)
         found += [
             Determined(i, float(start), float(end), run.row, run.kind)
-            for i in constraints.holders(run.row)
+            for i in constraints.controls_of(run.row)
             if not at_lower[i] and not at_upper[i]
         ]
     return found
@@ -108,9 +108,9 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         for k, (order, on) in enumerate(zip(orders, held, strict=True))
     ]
     known = structure.holders[first:]
-    holders = [constraints.holders(row) if ask else known[row] for row, ask in enumerate(asked)]
+    holders = [constraints.controls_of(row) if ask else known[row] for row, ask in enumerate(asked)]
     known = structure.leans[first:]
-    leans = [constraints.leans(row) if ask else known[row] for row, ask in enumerate(asked)]
+    leans = [constraints.control_effect_signs(row) if ask else known[row] for row, ask in enumerate(asked)]
     structure = replace(
         structure,
         orders=(*(0,) * first, *orders),

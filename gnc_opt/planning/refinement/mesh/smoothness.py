@@ -7,7 +7,7 @@ from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error import PhaseError, states_at_points
-from gnc_opt.planning.solution.phase_solution import piecewise
+from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.tolerances import TINY
 
 COEFFICIENT_ROUNDING = 1e-14
@@ -63,7 +63,7 @@ def error_density(error: PhaseError) -> Array:
     leg, points = error.samples.leg, error.samples.leg.point_times
     if leg.integral_labels:
         known = functions.integrands(points, states_at_points(leg), np.hstack(leg.u.values))
-        interpolant = error.samples.sample(piecewise(leg.breaks, leg.rules, known))
+        interpolant = error.samples.sample(interpolate_points(leg.breaks, leg.rules, known))
         gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
         density = density + np.max(gap, axis=0)
     costates = np.max(error.errors.costates, axis=0) >= error.worst

@@ -18,7 +18,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.switching.flight import SwitchFlight
 from gnc_opt.planning.refinement.switching.step import final_gradient
 from gnc_opt.planning.solution.history import Statistics
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import worst_bound_violation, worst_path_violation
 from gnc_opt.planning.solution.solution import Solution
@@ -79,7 +79,7 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
         initial_time=float(breaks[0]),
         final_time=float(breaks[-1]),
         x=_integrated(breaks, rules, [r.state_nodes for r in rules], x[:, first[:-1]], rates),
-        u=piecewise(breaks, rules, u),
+        u=interpolate_points(breaks, rules, u),
         lam=of_lam,
         lam_start=lam[:, first[:-1]],
         lam_end=lam[:, first[1:]],

@@ -16,7 +16,7 @@ from gnc_opt.planning.refinement.switching.newton import settle_flow
 from gnc_opt.planning.refinement.switching.step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.tail import rest_of
+from gnc_opt.planning.solution.tail import remaining_solution
 from gnc_opt.planning.verification.recomputed import recompute_from_problem
 
 FLOW_COST_ACCURACY = 1e-9
@@ -81,7 +81,7 @@ def on_the_way(known: Solution, problem: Problem) -> Solution:
     begins = problem.phases[name].numbers.initial_time
     if begins is None or not begins.fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
         return known
-    return rest_of(known, float(begins.lower[0]))
+    return remaining_solution(known, float(begins.lower[0]))
 
 
 def _with_moved_start(known: Solution) -> Solution | None:
