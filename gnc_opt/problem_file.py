@@ -182,8 +182,8 @@ def load_problem_file(path: str | Path) -> ProblemFile:
 
     Raises
     ------
+    ProblemFileError
         No such file, not Python, an error while it runs, no ``build``, or a package hidden by another module.
-        module of the same name hides.
     """
     source = _source(Path(path))
     module = _imported(source) if source.is_dir() else _executed(source)
