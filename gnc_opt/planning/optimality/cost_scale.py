@@ -28,10 +28,7 @@ SMEARED = 1e-4
 
 
 def average_over_time(times: Array, violation: Array) -> Array:
-    """Violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE` of the phase, since a kink between
-    two nodes hardly
-    affects the cost.
-    """
+    """Violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE`: a kink costs little."""
     half = 0.5 * AVERAGING_SHARE_OF_PHASE * (times[-1] - times[0])
     areas = 0.5 * (violation[:, 1:] + violation[:, :-1]) * np.diff(times)
     total = np.concatenate([np.zeros((violation.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)

@@ -1,8 +1,4 @@
-"""Rest of a solution: what of a trajectory lies after a time.
-
-By the principle of optimality it solves the same problem from there on, which makes it the natural guess where the
-problem is to be solved again on the way.
-"""
+"""The part of a solution after a time: it solves the same problem from there on (principle of optimality)."""
 
 from __future__ import annotations
 

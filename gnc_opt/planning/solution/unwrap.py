@@ -1,8 +1,7 @@
 """Controls that are angles: the same turn of the problem's functions, unwound to the values nearest to each other.
 
-An angle without bounds means the same after any number of turns, and a solver that takes long steps leaves every point
-with a number of its own: states, cost and multipliers are right, yet polynomials through the points are not. Of an
-azimuth and an elevation, (a, e) and (a + half a turn, half a turn - e) are the same direction too.
+A solver that takes long steps leaves points that differ by whole turns: states, cost and multipliers are right, yet
+polynomials through the points are not. (a, e) and (a + half a turn, half a turn - e) are one direction, too.
 """
 
 from __future__ import annotations
