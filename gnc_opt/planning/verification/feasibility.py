@@ -1,9 +1,9 @@
 r"""Conditions on the trajectory alone: dynamics, limits, boundary conditions, cost.
 
 Displacements are shares of the reach of the states, prices shares of the cost scale (module `reference_scales`). A
-defect of the differential equation counts by its integral over a segment, with its sign; inside a segment, where it changes the cost
-to second order only, by the square root of the tolerance; and by its effect on the cost, :math:`\int\lambda^T(\dot x -
-f)\,dt`. The control is the applied one, within its bounds.
+defect of the differential equation counts by its integral over a segment, with its sign; inside a segment, where it
+changes the cost to second order only, by the square root of the tolerance; and by its effect on the cost,
+:math:`\int\lambda^T(\dot x - f)\,dt`. The control is the applied one, within its bounds.
 """
 
 from __future__ import annotations
