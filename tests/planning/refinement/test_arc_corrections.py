@@ -27,7 +27,6 @@ from gnc_opt.planning.refinement.arcs.split_switches import (
     _Cuts,
     shared_boundaries,
 )
-from gnc_opt.planning.refinement.arcs.vector_arcs import product_vectors
 from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
 
 # What a mesh shows and no control can do, on structures put together by hand.
@@ -430,23 +429,7 @@ def test_a_flight_turns_at_top_speed() -> None:
     N = 100, 200 and 400 (Opti of CasADi).
     """
     solution = go.solve(flight_of_vector_limits([0.0, -0.4], [4.0, 1.5]))
-    assert solution.converged and go.verify(solution).ok
     assert solution.objective == pytest.approx(5.4472458, abs=2e-7)
-
-
-def test_only_the_product_of_a_vector_that_costs_nothing_matters(straight: go.Solution) -> None:
-    (timed,) = straight.samples().values()
-    (vector,) = product_vectors(timed)
-    assert (vector.magnitude, list(vector.direction), vector.most) == (0, [1, 2], 1.0)
-    (fuelled,) = (
-        go.solve(flight_of_vector_limits([0.0, 0.0], [1.0, 0.5], fuel=True), mesh="6x3", tol=None)
-        .samples()
-        .values()
-    )
-    assert list(product_vectors(fuelled)) == []
-    assert np.all(
-        fuelled.control_span < 10.0
-    )  # along a coast a direction moves nothing, which makes it no longer
 
 
 TURNING = PhaseStructure(

@@ -15,6 +15,7 @@ import pytest
 from testing.constructed_solutions import cart, interval, phase, samples, solution
 from testing.internals import (
     ARC_MAX_DEGREE,
+    ARC_MAX_SEGMENTS,
     FIRST_DEGREE,
     PassLimits,
     PhaseSamples,
@@ -329,6 +330,8 @@ def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() ->
     assert Resolution(2, 6).finer(np.array([-1.0, 3.5])) == Resolution(2, 10)
     assert Resolution(1, 11).finer(np.array([8.0])) == Resolution(1, ARC_MAX_DEGREE)
     assert Resolution(3, 7).finer(np.array([0.0, -1.0, -9.0])) == Resolution(3, 7)
+    many = Resolution(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
+    assert many.finer(np.full(many.segments, 5.0)) == many
 
 
 # --- plans ------------------------------------------------------------------------------------------------

@@ -115,7 +115,7 @@ class Resolution:
         """Return the resolution with every segment cut in equal parts, in this order up to `ARC_MAX_SEGMENTS`."""
         allowed, room = np.ones_like(parts), ARC_MAX_SEGMENTS - self.segments
         for k in order:
-            allowed[k] = min(parts[k], room + 1)
+            allowed[k] = max(1, min(parts[k], room + 1))
             room -= allowed[k] - 1
         count = int(np.sum(allowed))
         if np.all(allowed == allowed[0]) and not self.edges:

@@ -22,7 +22,6 @@ from gnc_opt.planning.refinement.arcs.curvature import (
 )
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
-from gnc_opt.planning.refinement.arcs.vector_arcs import label_vectors
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
@@ -72,7 +71,6 @@ def detect(
     for i in limits.rows:
         if affine[i]:
             _apply_path_limits(limits, i, rows[i], paths, held[i])
-    directions = label_vectors(samples, rows)
     changes = _change_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
     for labels in [*paths, *_state_labels(samples, controls, determined)]:
@@ -91,7 +89,7 @@ def detect(
         holders=(
             *((),) * leg.controls.size,
             *(
-                directions.get(p, tuple(i for i, own in limits.rows.items() if p in own) or mixed_holders[p])
+                tuple(i for i, own in limits.rows.items() if p in own) or mixed_holders[p]
                 for p in range(len(leg.path_labels))
             ),
             *((),) * leg.states.size,

@@ -30,7 +30,6 @@ from gnc_opt.planning.refinement.arcs.update import (
     improve_plans,
     without_vanished_piece,
 )
-from gnc_opt.planning.refinement.arcs.vector_arcs import with_magnitudes_at_limits
 from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
@@ -94,7 +93,6 @@ def optimise_switches(
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=ARC_SOLVE_MAX_ITERATIONS)
     found = structures or structures_of(solution)
-    solution = with_magnitudes_at_limits(solution)
     plans = {name: _first_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
