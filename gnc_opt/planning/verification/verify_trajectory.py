@@ -35,11 +35,11 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.unwrap import unwrap_angles
-from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
+from gnc_opt.planning.solution.verdict import FIRST_ORDER, ConditionResult, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, NOTABLE, SAME_TIME, SMALL
 
 
 def reformulate_samples(
@@ -97,6 +97,10 @@ def _continue_directions(directions: Array) -> Array:
 PARTS = (2, 4)
 """Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
 change faster than the states."""
+
+INTERPOLATION_GROWTH, FEWEST_SAMPLES = 4.0, 8
+"""Least growth of an error of interpolation if every second sample is left out; least number of samples of a phase to
+measure that."""
 
 NEARER = 1e-7, 1e-9
 """Distances from limits, in shares of their scales, beyond which they do not push: tried where estimated multipliers
@@ -185,7 +189,42 @@ def _check_samples(problem: Problem, samples: Mapping[str, Samples], q: Array, t
         if verdict["stationarity"].result is not ConditionResult.FAIL:
             break
         verdict = verify(_build_solution(problem, samples, q, parts), tol=tol)
-    return replace(verdict, estimated=True)
+    return replace(_with_interpolation_errors_open(verdict, problem, samples, q, tol), estimated=True)
+
+
+def _with_interpolation_errors_open(
+    verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
+    """Return the verdict with failures inconclusive that are errors of interpolation.
+
+    These grow with every second sample left out.
+    """
+    failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
+    few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
+    if not failed or few or any(not c.value <= NOTABLE for c in failed):
+        return verdict
+    thinned = {name: _thin_samples(leg) for name, leg in samples.items()}
+    coarse = verify(_build_solution(problem, thinned, q), tol=tol)
+    if any(coarse[c.name].value < INTERPOLATION_GROWTH * c.value for c in failed):
+        return verdict
+    where = "the samples are too coarse to tell: give denser ones"
+    return replace(
+        verdict,
+        conditions=tuple(
+            replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {where}") if c in failed else c
+            for c in verdict.conditions
+        ),
+    )
+
+
+def _thin_samples(samples: Samples) -> Samples:
+    """Return every second sample, the ends, and both sides of jumps."""
+    t = samples.t
+    twice = np.append(np.diff(t) == 0, False)
+    kept = np.arange(t.size) % 2 == 0
+    kept |= twice | np.roll(twice, 1)
+    kept[[0, -1]] = True
+    return Samples(t[kept], samples.x[:, kept], samples.u[:, kept])
 
 
 def _check_reformulated(

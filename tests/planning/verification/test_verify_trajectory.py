@@ -380,3 +380,25 @@ def test_vector_control_by_its_own_name() -> None:
     assert not go.verify_trajectory(problem, t, states, {"F": wrong * sign}).ok
     with pytest.raises(go.ProblemError, match=r"control 'F' .* has shape"):
         go.verify_trajectory(problem, t, states, {"F": sign})
+
+
+@pytest.mark.parametrize(
+    ("samples", "off", "word"), [(33, 0.0, "not checked"), (65, 0.0, "ok"), (33, 0.02, "NOT ok")]
+)
+def test_errors_of_interpolation_are_no_failures(samples: int, off: float, word: str) -> None:
+    """Least of the integral of x^2 + u^2 with x' = u over 8 s: x = cosh(T - t) / cosh(T), u = x'.
+
+    Few samples leave errors that grow where half of them are left out; those of another trajectory do not.
+    """
+    model, x, u = dynamics("leak", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("regulator", model, 0.0, 8.0)
+    leg.initial(x=1.0)
+    leg.bounds(u=(-10.0, 10.0))
+    problem.minimize(leg.integral(x**2 + u**2))
+    t = np.linspace(0.0, 8.0, samples)
+    rate = 1.0 + off
+    states = np.cosh(rate * (8.0 - t)) / np.cosh(rate * 8.0)
+    controls = -rate * np.sinh(rate * (8.0 - t)) / np.cosh(rate * 8.0)
+    verdict = go.verify_trajectory(problem, t, {"x": states}, {"u": controls})
+    assert verdict.word.startswith(word)
+    assert (word == "not checked") == any("too coarse to tell" in c.where for c in verdict.conditions)
