@@ -74,8 +74,8 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     uniform_points,
 )
 from gnc_opt.planning.refinement.arcs.detection import detect
-from gnc_opt.planning.refinement.arcs.loop import optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switches
 from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh

@@ -17,9 +17,9 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.diagnosis import find_violations
-from gnc_opt.planning.solution.extract import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_variables

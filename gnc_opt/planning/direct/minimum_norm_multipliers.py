@@ -21,7 +21,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
-from gnc_opt.planning.optimality.program_point import to_scipy_sparse
+from gnc_opt.planning.optimality.nlp_point import to_scipy_sparse
 from gnc_opt.planning.transcription.transcription import Transcription
 
 SMALL_WEIGHT = 1e-6

@@ -18,7 +18,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.optimality.program_point import ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.planning.optimality.nlp_point import ProgramPoint, quadrature_weights, saddle_matrix
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 

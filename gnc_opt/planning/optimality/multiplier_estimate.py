@@ -29,8 +29,8 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.costates import Iterate
-from gnc_opt.planning.solution.extract import phase_functions_at
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
+from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.warm_start import set_integral_variables
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart

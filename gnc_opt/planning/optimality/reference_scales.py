@@ -54,9 +54,9 @@ from gnc_opt.planning.optimality.reach import (
 )
 from gnc_opt.planning.problem.functions import end_gradients, end_values
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.extract import phase_functions_at
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11

@@ -16,8 +16,11 @@ from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits,
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.refinement.arcs.loop import ARC_SOLVE_TOLERANCE, optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
+    ARC_SOLVE_TOLERANCE,
+    optimise_switches,
+)
 from gnc_opt.planning.refinement.candidates import Candidate, answer_of
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh

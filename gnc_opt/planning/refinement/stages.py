@@ -37,13 +37,17 @@ from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, convex_channels, curved_channels
 from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.refinement.arcs.loop import ARC_SOLVE_TOLERANCE, Segments, optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
+    ARC_SOLVE_TOLERANCE,
+    Segments,
+    optimise_switches,
+)
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.candidates import Candidate, answer_of
 from gnc_opt.planning.refinement.iterations import PassLimits
-from gnc_opt.planning.refinement.least_control import with_least_controls
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.refinement.minimum_hamiltonian_guess import with_least_controls
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh

@@ -33,7 +33,7 @@ from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
-from gnc_opt.planning.optimality.program_point import (
+from gnc_opt.planning.optimality.nlp_point import (
     ProgramLimits,
     ProgramPoint,
     saddle_matrix,
@@ -41,8 +41,8 @@ from gnc_opt.planning.optimality.program_point import (
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.solution.costates import Iterate
-from gnc_opt.planning.solution.extract import extract_phases
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.scaling import scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe

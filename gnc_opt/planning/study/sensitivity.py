@@ -20,14 +20,14 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.optimality.program_point import ProgramPoint
+from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.functions import phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.extract import model_parameters, state_polynomial
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import model_parameters, state_polynomial
 from gnc_opt.planning.study.kkt_sensitivity import Change, KktPoint, Response
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.transcription import Transcription

@@ -11,12 +11,12 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.functions import EndGradients, end_gradients
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.extract import problem_fields
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import problem_fields
 from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.feasibility import condition_from_violation, integrate_samples
 from gnc_opt.tolerances import TINY

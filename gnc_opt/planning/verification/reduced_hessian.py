@@ -33,7 +33,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.cost_scale import state_variations
 from gnc_opt.planning.optimality.kkt import NullSpace, curvature_along, lanczos
-from gnc_opt.planning.optimality.program_point import ProgramPoint
+from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution

@@ -29,11 +29,11 @@ from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.solution.extract import extract_phases, model_parameters, phase_functions_at
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import extract_phases, model_parameters, phase_functions_at
 from gnc_opt.planning.solution.unwrap import unwrap_angles
 from gnc_opt.planning.solution.verdict import FIRST_ORDER, ConditionResult, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS

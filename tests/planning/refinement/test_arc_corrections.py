@@ -19,7 +19,6 @@ import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.refinement.arcs.contact_cleanup import without_overlaps
-from gnc_opt.planning.refinement.arcs.loop import structures_of
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.refinement.arcs.split_switches import (
     FREE_SPAN,
@@ -27,6 +26,7 @@ from gnc_opt.planning.refinement.arcs.split_switches import (
     _Cuts,
     shared_boundaries,
 )
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import structures_of
 from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
 
 # What a mesh shows and no control can do, on structures put together by hand.

@@ -16,7 +16,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
-from gnc_opt.planning.refinement.arcs import loop as switching
+from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
 from gnc_opt.planning.refinement.budget import WORK_PER_SECOND, WorkBudget, variables_per_point
 from gnc_opt.planning.refinement.candidates import CANDIDATE_ERROR_MARGIN
 from gnc_opt.planning.refinement.iterations import PassLimits

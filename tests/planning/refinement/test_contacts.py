@@ -19,7 +19,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.optimality import state_constraints as sc
 from gnc_opt.planning.optimality.active_set import add_touch_points
-from gnc_opt.planning.optimality.program_point import ProgramPoint
+from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.refinement.arcs import contact_detection as p

@@ -18,21 +18,21 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs import loop as switching
-from gnc_opt.planning.refinement.switching import collocated_flight as c
+from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
+from gnc_opt.planning.refinement.switching import collocated_trajectory as c
 from gnc_opt.planning.refinement.switching import newton as n
-from gnc_opt.planning.refinement.switching import step as switch_step
+from gnc_opt.planning.refinement.switching import newton_step as switch_step
 from gnc_opt.planning.refinement.switching import warm_start as v
-from gnc_opt.planning.refinement.switching.collocated_flight import collocated
-from gnc_opt.planning.refinement.switching.flight import _interpolated
+from gnc_opt.planning.refinement.switching.collocated_trajectory import collocated
 from gnc_opt.planning.refinement.switching.newton import settle, settle_flow
-from gnc_opt.planning.refinement.switching.step import (
+from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
     independent,
     model_minimum,
     newton_step,
     simplified_newton_step,
 )
+from gnc_opt.planning.refinement.switching.switched_trajectory import _interpolated
 from problems.rendezvous import SWITCHES, build
 
 # Newton's method on switch times against closed forms.

@@ -220,7 +220,9 @@ def test_ctrl_c_keeps_the_best_solution_wherever_it_comes(
 def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     """No mesh is refined afterwards, and what is returned is no worse than what was given."""
     start = go.solve(van_der_pol.build(), tol=None)  # three passes
-    interrupt_after(count, monkeypatch, "gnc_opt.planning.refinement.arcs.loop", "estimate_errors")
+    interrupt_after(
+        count, monkeypatch, "gnc_opt.planning.refinement.arcs.switching_time_optimization", "estimate_errors"
+    )
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.refinement.stages")

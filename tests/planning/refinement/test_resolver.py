@@ -19,7 +19,7 @@ from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _without_slivers
 from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.solution.tail import remaining_solution
+from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
 from gnc_opt.planning.solver import SolveMethod
 
 

@@ -33,7 +33,7 @@ from gnc_opt.planning import Arc, ArcKind, RefinementStatus, SolverOptions, Stat
 from gnc_opt.planning.refinement.arcs import arc_refinement as f
 from gnc_opt.planning.refinement.arcs import curvature as b
 from gnc_opt.planning.refinement.arcs import detection as d
-from gnc_opt.planning.refinement.arcs import loop as s
+from gnc_opt.planning.refinement.arcs import switching_time_optimization as s
 from gnc_opt.planning.refinement.arcs.detection import switching
 from problems.classics import van_der_pol
 

@@ -17,7 +17,7 @@ import gnc_opt as go
 from gnc_opt.planning.direct.minimum_norm_multipliers import _null_space_part, minimum_norm_multipliers
 from gnc_opt.planning.optimality import kkt as saddle
 from gnc_opt.planning.optimality.kkt import SaddlePoint
-from gnc_opt.planning.optimality.program_point import (
+from gnc_opt.planning.optimality.nlp_point import (
     ProgramLimits,
     ProgramPoint,
     quadrature_weights,

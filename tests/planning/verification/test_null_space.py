@@ -15,7 +15,7 @@ from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.kkt import NullSpace, curvature_along, lanczos
 from gnc_opt.planning.optimality.multiplier_estimate import _Limits, _select_multipliers
-from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoint
+from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _explain_residual_by_order,

@@ -18,8 +18,8 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.costates import Iterate
-from gnc_opt.planning.solution.extract import extract_phases
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.solution.warm_start import program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe

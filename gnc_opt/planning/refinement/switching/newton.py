@@ -7,7 +7,7 @@ its points. The result is a structure to start from: pieces that vanish are drop
 ask for are added, and the collocated problem, whose solution is what counts, is then solved near its optimum.
 
 Far from the optimum every step has derivatives of its own; near it the matrices of the last one serve on, as long as
-steps shrink fast enough (module `switch_step`).
+steps shrink fast enough (module `newton_step`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
-from gnc_opt.planning.refinement.switching.flight import SwitchFlight
-from gnc_opt.planning.refinement.switching.step import SwitchStep, newton_step, simplified_newton_step
+from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, newton_step, simplified_newton_step
+from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchFlight
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, TINY

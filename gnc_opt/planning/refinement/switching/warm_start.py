@@ -11,12 +11,12 @@ from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.detection import detect
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.switching.collocated_flight import completed, keeps_limits
+from gnc_opt.planning.refinement.switching.collocated_trajectory import completed, keeps_limits
 from gnc_opt.planning.refinement.switching.newton import settle_flow
-from gnc_opt.planning.refinement.switching.step import SwitchStep
+from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.tail import remaining_solution
 from gnc_opt.planning.verification.recomputed import recompute_from_problem
 
 FLOW_COST_ACCURACY = 1e-9

@@ -11,8 +11,8 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.update import violation_interval
-from gnc_opt.planning.refinement.switching.step import SwitchStep, simplified_newton_step
+from gnc_opt.planning.refinement.arcs.structure_update import violation_interval
+from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, simplified_newton_step
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution

@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.resolution import resolved
 from gnc_opt.planning.refinement.arcs.split_switches import shared_boundaries, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.update import (
+from gnc_opt.planning.refinement.arcs.structure_update import (
     KINKS_MOVED,
     RAISED,
     SMOOTHED,
@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.arcs.update import (
 )
 from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record
-from gnc_opt.planning.refinement.switching.collocated_flight import collocated
+from gnc_opt.planning.refinement.switching.collocated_trajectory import collocated
 from gnc_opt.planning.refinement.switching.newton import settle
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution

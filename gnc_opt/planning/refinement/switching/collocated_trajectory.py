@@ -15,8 +15,8 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.switching.flight import SwitchFlight
-from gnc_opt.planning.refinement.switching.step import final_gradient
+from gnc_opt.planning.refinement.switching.newton_step import final_gradient
+from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchFlight
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
