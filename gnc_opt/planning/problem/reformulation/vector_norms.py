@@ -346,6 +346,7 @@ def _restate_paths(
         expression = _drop_cone_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
             on_sphere |= not _allows_shorter(expression, magnitude, row.interval)
+            expression = _without_square(expression, row.interval, magnitude)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
 
@@ -356,6 +357,22 @@ def _drop_cone_magnitude(expression: Any, limits: Interval, magnitude: Any) -> A
     is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)
     is_cone = is_cone and not np.any(draw_values(ca.substitute(expression, magnitude, 0.0)))
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
+
+
+def _without_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
+    r"""Return a limit proportional to the square of the magnitude as one proportional to the magnitude.
+
+    :math:`r^2 \le c^2` is :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit, hence the same multiplier;
+    but the square has no slope where the vector is zero, and H is linear in the magnitude.
+    """
+    ends = [end for end in (limits.lower[0], limits.upper[0]) if np.isfinite(end)]
+    at_one = ca.substitute(expression, magnitude, 1.0)
+    left, whole = draw_values(ca.vertcat(expression - magnitude**2 * at_one, expression))
+    if len(ends) != 1 or not ends[0] > 0 or not np.all(np.abs(left) <= EQUAL * np.abs(whole)):
+        return expression
+    most = float(np.sqrt(ends[0]))
+    root = (at_one**0.25) ** 2  # CasADi makes fabs of the root of a square
+    return 2 * most * magnitude * root - most**2
 
 
 def _allows_shorter(expression: Any, size: Any, limits: Interval) -> bool:

@@ -64,6 +64,10 @@ class Push:
         if order == 1:
             runs = _joined_runs(runs)
         for a, b in runs:
+            at_end = self._touched_end(structure, a, b, samples)
+            if at_end is not None:
+                structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
+                continue
             if order == 1:
                 start, end = self._midpoint_before(a, first), self._midpoint_before(b, last)
                 switches = [self._nearby_switch(structure, t, samples, k) for k, t in enumerate((start, end))]
@@ -77,6 +81,28 @@ class Push:
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
+
+    def _touched_end(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
+        """Return the end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
+
+        A mesh of Gauss points has no row there, so that its points beside the end push for it.
+        """
+        leg, path = samples.leg, self.row - len(structure.controls)
+        if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
+            return None
+        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
+        for end, given, node in ends:
+            slope = samples.functions.path_state_jacobian(
+                samples.times[end], samples.x[:, end], samples.u[:, end]
+            )
+            if self.times[node] == points[end] and np.any(slope[path] * samples.state_scale * ~given.fixed):
+                return end
+        return None
+
+    def is_known(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+        """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
+        end = self._touched_end(structure, 0, self.times.size, samples)
+        return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def beside_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Whether it is in the segments beside a touch of its own: the barrier pushes where points come close to it.

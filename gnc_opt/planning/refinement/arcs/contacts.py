@@ -131,7 +131,8 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
         worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
-    return [run for run in found if not run.beside_touch(structure, constraints.samples)]
+    s = constraints.samples
+    return [run for run in found if not run.is_known(structure, s) and not run.beside_touch(structure, s)]
 
 
 # --- mended ---------------------------------------------------------------------------------------------------
