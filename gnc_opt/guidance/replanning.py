@@ -30,14 +30,12 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, in_words, shown
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.measured_start import with_start_on_bounds
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.simulation.dormand_prince import integrate_dormand_prince
 from gnc_opt.tolerances import RANK, SAME_TIME
-
-_A_LITTLE = 0.02
-"""Share of the range of a state (of its limit, where there is only one) by which a start beyond it counts as on it."""
 
 
 def remaining_problem(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
@@ -45,21 +43,7 @@ def remaining_problem(problem: Problem, began: float, begin: float, start: dict[
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
     left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
-    return problem.with_time(initial=begin, duration=left).with_initial(**_clip_to_limits(leg, start))
-
-
-def _clip_to_limits(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
-    """Return states, those that are a little beyond a limit on it, as estimates along a limit are."""
-    names, lower, upper = leg.model.states, leg.numbers.states.lower, leg.numbers.states.upper
-    width = upper - lower
-    sizes = np.where(np.isfinite(lower), np.abs(lower), np.abs(upper))
-    slack = _A_LITTLE * np.where(np.isfinite(width), width, np.where(np.isfinite(sizes), sizes, 0.0))
-    found = {}
-    for name, x in start.items():
-        at = names.slice(name)
-        kept = np.clip(x, lower[at], upper[at])
-        found[name] = np.where(np.abs(x - kept) <= slack[at], kept, x)
-    return found
+    return with_start_on_bounds(problem.with_time(initial=begin, duration=left).with_initial(**start))[0]
 
 
 def check_remaining_problem(problem: Problem) -> None:

@@ -14,6 +14,7 @@ from gnc_opt.planning.direct.failure import SolveError, failure_message
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.check import check_numbers
+from gnc_opt.planning.problem.measured_start import with_start_on_bounds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, first_meshes
@@ -23,6 +24,7 @@ from gnc_opt.planning.refinement.stages import Stages
 from gnc_opt.planning.refinement.switching.warm_start import KnownFlight, on_the_way
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import MOVED_START
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, family_of
 
@@ -88,6 +90,8 @@ class Resolver:
         """Return the solution of a variation; ``solution.provenance["way"]`` names the `SolveMethod` it was found.
 
         A variation may begin along the known trajectory: ``problem.with_time(initial=t).with_initial(...)``.
+        Initial states slightly beyond a bound (2 % of the range), as measured ones are, start on it;
+        ``provenance["start"]`` names them.
 
         Parameters
         ----------
@@ -103,6 +107,9 @@ class Resolver:
             No method has led to a solution.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
+        within, moved = with_start_on_bounds(problem)
+        if moved:
+            return _noted(self.solve(within, near=near), MOVED_START, moved)
         stated, problem = problem, restated(problem)
         if not stated.has_variation(self._problem):
             raise ProblemError(
@@ -241,6 +248,13 @@ def solve(
     family_of(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+        within_bounds, moved = with_start_on_bounds(problem)
+        if moved:
+            found = solve(
+                within_bounds, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
+                options=options, limits=limits, progress=progress, throw=throw,
+            )  # fmt: skip
+            return _noted(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
     expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
@@ -285,8 +299,13 @@ def solve(
 
 def said(solution: Solution, way: SolveMethod) -> Solution:
     """Return a solution that says how it was found."""
-    told = replace(solution, provenance={**solution.provenance, "way": way.value})
-    return told.with_verdict(solution.verdict)
+    return _noted(solution, "way", way.value)
+
+
+def _noted(solution: Solution, key: str, text: str) -> Solution:
+    """Return a solution with an entry of its provenance."""
+    noted = replace(solution, provenance={**solution.provenance, key: text})
+    return noted.with_verdict(solution.verdict)
 
 
 def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:

@@ -28,6 +28,9 @@ SUMMARY_MAX_NAMES = 3
 BETTER_COARSE_SOLVE = "also seen"
 """Key of the provenance: a coarse solve on the way to the answer that was better, perhaps by another minimum."""
 
+MOVED_START = "start"
+"""Key of the provenance: initial states that were moved onto a bound."""
+
 
 _LOADED_CHECK = {
     RefinementStatus.CONVERGED: "passed at the end of the refinement",
@@ -226,7 +229,9 @@ def _accuracy(solution: SummarisedSolution, quality: Quality | None) -> Iterator
 
 
 def _refinement(solution: SummarisedSolution) -> Iterator[str]:
-    """Yield the requested and reached error of a refinement."""
+    """Yield the requested and reached error of a refinement, and what was moved or seen on the way."""
+    if MOVED_START in solution.provenance:
+        yield _labelled_line(MOVED_START, solution.provenance[MOVED_START])
     history = solution.history
     if history is None:
         return

@@ -357,3 +357,26 @@ def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -
     assert mended.kinds == found.kinds and mended.times == pytest.approx(found.times, abs=1e-3)
     longer = replace(shown, times=(begin, reached, reached + 0.2, left, end))
     assert _without_slivers(longer, known, "leg") == longer
+
+
+@pytest.mark.parametrize("again", ["Resolver", "solve(guess=)"])
+def test_a_measured_start_slightly_beyond_a_bound_begins_on_it(again: str) -> None:
+    """The answer is that of a start on the bound, and says so; a start farther away is refused."""
+    model, q, v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a - 0.3 * v})
+    problem, leg = one_phase("horizon", model, 0.0, 3.0)
+    leg.initial(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0), v=(-0.7, 0.7))
+    problem.minimize(leg.integral(10 * q**2 + v**2 + 0.1 * a**2))
+    known = go.solve(problem)
+    resolver = go.Resolver(known)
+
+    def solved(speed: float) -> go.Solution:
+        varied = problem.with_initial(q=0.5, v=speed)
+        return resolver.solve(varied) if again == "Resolver" else go.solve(varied, guess=known)
+
+    on_bound, beyond = solved(-0.7), solved(-0.7003)
+    assert beyond.objective == pytest.approx(on_bound.objective, rel=1e-9)
+    assert beyond.provenance["start"] == "v = -0.7 (given -0.7003)"
+    assert "v = -0.7 (given -0.7003)" in str(beyond) and "start" not in on_bound.provenance
+    with pytest.raises(go.GncOptError, match="outside its bounds"):
+        solved(-0.75)
