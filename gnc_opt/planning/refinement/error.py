@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -33,58 +33,6 @@ CONTROL_PEAK_WEIGHT = 1e-3
 
 COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2: costates affect the cost in second order only."""
-
-
-@dataclass(frozen=True, eq=False)
-class SampledPieces:
-    """Polynomial segments, sampled.
-
-    Attributes
-    ----------
-    times, weights : array (n_samples,)
-        Quadrature in s; weights are zero at the ends of pieces.
-    starts : int array (n_pieces,)
-        Each piece's first sample.
-    x, x_rate, u : array (n, n_samples)
-    integrals : array (n_integrals, n_pieces)
-        By the quadrature of the collocation points.
-    """
-
-    times: Array
-    weights: Array
-    starts: Indices
-    x: Array
-    x_rate: Array
-    u: Array
-    integrals: Array
-
-    @classmethod
-    def of(cls, samples: PhaseSamples) -> SampledPieces:
-        """Return the segments of a solution."""
-        leg = samples.leg
-        points, count = leg.point_times, leg.mesh.segments
-        weights = np.concatenate([r.weights for r in leg.rules])
-        weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
-        values = samples.functions.integrands(points, states_at_points(leg), np.hstack(leg.u.values))
-        integrals = np.add.reduceat(values * weights, leg.mesh.offsets[:-1], axis=1)
-        starts = np.searchsorted(samples.segments, np.arange(count))
-        return cls(
-            samples.times,
-            samples.weights,
-            starts,
-            samples.x,
-            samples.x_rate,
-            samples.u_polynomial,
-            integrals,
-        )
-
-    def total(self, values: Array) -> Array:
-        """Integrate values (n, n_samples) over each piece: (n, n_pieces)."""
-        return np.asarray(np.add.reduceat(values * self.weights, self.starts, axis=1))
-
-    def largest(self, values: Array) -> Array:
-        """Return the largest of values (n, n_samples) in each piece: (n, n_pieces)."""
-        return np.asarray(np.maximum.reduceat(values, self.starts, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,33 +78,47 @@ class ErrorScales:
         """Magnitude of each path constraint that depends on the states alone; 0 for the others."""
         return np.where(self.path_has_control, 0.0, self.path)
 
-    def evaluate(self, pieces: SampledPieces, adjoint: Array) -> SegmentErrors:
-        """Return the errors of each piece.
+    def evaluate(self, samples: PhaseSamples, adjoint: Array) -> SegmentErrors:
+        """Return the errors of each segment.
 
         Parameters
         ----------
-        pieces : SampledPieces
+        samples : PhaseSamples
         adjoint : array (n_states, n_samples)
             Residual of the costates' equation at the samples; see `costate_residual`.
         """
-        f, leg = self.functions, self.leg
-        at = pieces.times, pieces.x, pieces.u
+        f, leg, s = self.functions, self.leg, samples
+        at = s.times, s.x, s.u_polynomial
         rates = evaluate_within_bounds(f.rates, *at, leg.control_bounds)
-        dynamics = pieces.total(np.abs(pieces.x_rate - rates)) / self.state[:, None]
-        exact = pieces.total(evaluate_within_bounds(f.integrands, *at, leg.control_bounds))
-        integrals = np.abs(exact - pieces.integrals) / self.integral[:, None]
+        dynamics = s.segment_integrals(np.abs(s.x_rate - rates)) / self.state[:, None]
+        exact = s.segment_integrals(evaluate_within_bounds(f.integrands, *at, leg.control_bounds))
+        integrals = np.abs(exact - _collocated_integrals(s)) / self.integral[:, None]
         span = leg.duration
-        states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state, pieces.times))
-        excess = _excess(pieces.u, leg.control_bounds, self.control)
-        controls = np.maximum(pieces.total(excess) / span, CONTROL_PEAK_WEIGHT * pieces.largest(excess))
+        states = _largest(s, _excess(s.x, leg.state_bounds, self.state, s.times))
+        excess = _excess(s.u_polynomial, leg.control_bounds, self.control)
+        controls = np.maximum(s.segment_integrals(excess) / span, CONTROL_PEAK_WEIGHT * _largest(s, excess))
         overshoot = [states, controls]
         if leg.path_labels:
             values = evaluate_within_bounds(f.paths, *at, leg.control_bounds)
-            mean = pieces.total(_excess(values, leg.path_bounds, self.path)) / span
-            peak = pieces.largest(_excess(values, leg.path_bounds, self.path, pieces.times))
+            mean = s.segment_integrals(_excess(values, leg.path_bounds, self.path)) / span
+            peak = _largest(s, _excess(values, leg.path_bounds, self.path, s.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
-        costates = (COSTATE_ERROR_WEIGHT * pieces.total(adjoint)) ** 2
+        costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
+
+
+def _collocated_integrals(samples: PhaseSamples) -> Array:
+    """Return the integrals of each segment by the quadrature of its collocation points (n_integrals, K)."""
+    leg = samples.leg
+    weights = np.concatenate([r.weights for r in leg.rules])
+    weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
+    values = samples.functions.integrands(leg.point_times, states_at_points(leg), np.hstack(leg.u.values))
+    return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1], axis=1))
+
+
+def _largest(samples: PhaseSamples, values: Array) -> Array:
+    """Return the largest of values (n, n_samples) in each segment (n, K)."""
+    return np.asarray(np.maximum.reduceat(values, samples.segment_starts, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +161,6 @@ class PhaseError:
 
     samples: PhaseSamples
     yardstick: ErrorScales
-    pieces: SampledPieces
     errors: SegmentErrors
     adjoint: Array
 
@@ -207,14 +168,14 @@ class PhaseError:
     def of(cls, samples: PhaseSamples) -> PhaseError:
         """Estimate the error of each segment of a phase."""
         leg = samples.leg
-        yardstick, pieces = ErrorScales.of(samples), SampledPieces.of(samples)
+        yardstick = ErrorScales.of(samples)
         adjoint = costate_residual(samples, yardstick.pure_paths)
-        errors = yardstick.evaluate(pieces, adjoint)
+        errors = yardstick.evaluate(samples, adjoint)
         inner = leg.breaks[1:-1]
         if inner.size:
             jumps = np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / yardstick.state[:, None]
             errors.dynamics[:, :-1] += jumps
-        return cls(samples, yardstick, pieces, errors, adjoint)
+        return cls(samples, yardstick, errors, adjoint)
 
     @property
     def worst(self) -> Array:

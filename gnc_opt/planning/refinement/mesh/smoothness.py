@@ -56,9 +56,9 @@ def error_density(error: PhaseError) -> Array:
 
     Where the costates' error is the largest, their residuals.
     """
-    pieces, yardstick, functions = error.pieces, error.yardstick, error.samples.functions
-    at = pieces.times, pieces.x, pieces.u
-    residual = np.abs(pieces.x_rate - functions.rates(*at)) / yardstick.state[:, None]
+    s, yardstick, functions = error.samples, error.yardstick, error.samples.functions
+    at = s.times, s.x, s.u_polynomial
+    residual = np.abs(s.x_rate - functions.rates(*at)) / yardstick.state[:, None]
     density = np.max(residual, axis=0)
     leg, points = error.samples.leg, error.samples.leg.point_times
     if leg.integral_labels:
