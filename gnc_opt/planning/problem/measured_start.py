@@ -10,6 +10,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.tolerances import ROUNDING
 
 START_EXCESS_MAX_SHARE = 0.02
 """Share of the range of a state (of its bound, where there is only one) by which a start beyond it counts as on it."""
@@ -27,7 +28,7 @@ def with_start_on_bounds(problem: Problem) -> tuple[Problem, str]:
     Problem
         The given one if no state is.
     str
-        Such as ``v = 0.7 (given 0.7003)``; empty if no state is.
+        Such as ``v = 0.7 (given 0.0003 beyond)``; empty if no state is.
     """
     moved, texts = problem, list[str]()
     for name, leg in problem.phases.items():
@@ -36,23 +37,22 @@ def with_start_on_bounds(problem: Problem) -> tuple[Problem, str]:
             moved = moved.clone()
             upper = np.where(leg.numbers.initial.fixed, kept, leg.numbers.initial.upper)
             moved.get_phase(name).numbers = replace(leg.numbers, initial=Interval(kept, upper))
-            given = leg.numbers.initial.lower
-            texts += [f"{leg.model.states.labels[i]} = {kept[i]:.7g} (given {given[i]:.7g})" for i in places]
+            for i in places:
+                excess = abs(float(leg.numbers.initial.lower[i] - kept[i]))
+                texts.append(f"{leg.model.states.labels[i]} = {kept[i]:.7g} (given {excess:.2g} beyond)")
     return moved, ", ".join(texts)
 
 
 def _start_on_bounds(leg: Phase) -> tuple[Array, list[int]]:
-    """Return initial states of a phase with those slightly beyond a bound on it, and the places of these."""
+    """Return lower limits of the initial states (n,) and which given ones were slightly beyond a bound, now on it.
+
+    What exceeds a bound by rounding only is left as it is.
+    """
     box, initial = leg.numbers.states, leg.numbers.initial
-    width, sizes = (
-        box.upper - box.lower,
-        np.where(np.isfinite(box.lower), np.abs(box.lower), np.abs(box.upper)),
-    )
-    slack = START_EXCESS_MAX_SHARE * np.where(
-        np.isfinite(width), width, np.where(np.isfinite(sizes), sizes, 0.0)
-    )
+    width, size = box.upper - box.lower, np.where(np.isfinite(box.lower), box.lower, box.upper)
+    reach = np.where(np.isfinite(width), width, np.where(np.isfinite(size), np.abs(size), 0.0))
     given = np.where(initial.fixed, initial.lower, 0.0)
     kept = np.clip(given, box.lower, box.upper)
     excess = np.where(initial.fixed, np.abs(given - kept), 0.0)
-    places = [int(i) for i in np.flatnonzero((excess > 0) & (excess <= slack))]
-    return np.where(np.isin(np.arange(kept.size), places), kept, initial.lower), places
+    slightly = (excess > ROUNDING * (1.0 + np.abs(kept))) & (excess <= START_EXCESS_MAX_SHARE * reach)
+    return np.where(slightly, kept, initial.lower), [int(i) for i in np.flatnonzero(slightly)]

@@ -60,7 +60,7 @@ PHASE_MIN_POINTS = 30
 """Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
 
 DOWNWARDS = 1e-4
-"""Downward curvature, in shares of the Hessian's middle row, that counts: above what is left of first-order errors,
+"""Downward curvature, in shares of the Hessian's middle row, that counts: above the effect of first-order errors,
 those of the mesh between active limits included. Where a control is singular quadrature may take one that alternates
 from node to node for one that gains something: there `NOTABLE` counts."""
 

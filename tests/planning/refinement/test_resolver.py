@@ -17,6 +17,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
+from gnc_opt.planning.problem.measured_start import with_start_on_bounds
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _without_slivers
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
@@ -376,7 +377,10 @@ def test_a_measured_start_slightly_beyond_a_bound_begins_on_it(again: str) -> No
 
     on_bound, beyond = solved(-0.7), solved(-0.7003)
     assert beyond.objective == pytest.approx(on_bound.objective, rel=1e-9)
-    assert beyond.provenance["start"] == "v = -0.7 (given -0.7003)"
-    assert "v = -0.7 (given -0.7003)" in str(beyond) and "start" not in on_bound.provenance
+    assert beyond.provenance["start"] == "v = -0.7 (given 0.0003 beyond)"
+    assert "v = -0.7 (given 0.0003 beyond)" in str(beyond) and "start" not in on_bound.provenance
+    assert "start" not in solved(-0.7 * (1 + 1e-15)).provenance  # rounding
     with pytest.raises(go.GncOptError, match="outside its bounds"):
         solved(-0.75)
+    free = with_start_on_bounds(problem.with_initial(q=None, v=-0.7003))[0].phases["leg"].numbers.initial
+    assert (free.lower.tolist(), free.upper.tolist()) == ([-np.inf, -0.7], [np.inf, -0.7])

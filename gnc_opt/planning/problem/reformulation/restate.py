@@ -99,9 +99,9 @@ def _squared_controls(leg: Phase, expression: Any) -> list[int]:
 
 def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
     """Return the angles whose bounds leave out no direction."""
-    room, none = box.upper - box.lower, np.zeros(box.lower.size)
+    width, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = Turns(none - np.inf, none + np.inf, none)
-    bounded = np.isfinite(room) & (room > 0)
+    bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
     if not _TURNING & problem.reuse(("operations", leg.name), lambda: operations_in(phase_terms(leg))):
@@ -110,9 +110,9 @@ def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
     if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
-        period = probe.find_period(int(i), [*PERIODS, room[i]])
-        if period and room[i] >= (1.0 - FULL_TURN_BOUND_TOLERANCE) * period:
-            half, middle = 0.5 * max(period, room[i]), 0.5 * (box.lower[i] + box.upper[i])
+        period = probe.find_period(int(i), [*PERIODS, width[i]])
+        if period and width[i] >= (1.0 - FULL_TURN_BOUND_TOLERANCE) * period:
+            half, middle = 0.5 * max(period, width[i]), 0.5 * (box.lower[i] + box.upper[i])
             turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
     return turns
 
@@ -189,27 +189,27 @@ def _find_next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Nor
 
 def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
     """Reformulate the kinks in a phase's costs and limits; return the key that identifies the form."""
-    told = key
-    if not _has_kinks(problem, leg, told):
+    form_key = key
+    if not _has_kinks(problem, leg, form_key):
         return ()
     domain = Domain.along(problem, leg)
-    bounds = problem.reuse(("bounds", *told, domain.key), lambda: find_stated_bounds(leg, domain))
+    bounds = problem.reuse(("bounds", *form_key, domain.key), lambda: find_stated_bounds(leg, domain))
     if bounds:
-        told = (*told, *bounds)
+        form_key = (*form_key, *bounds)
         apply_stated_bounds(leg, bounds)
         domain = Domain.along(problem, leg)
-    bends = problem.reuse(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
+    bends = problem.reuse(("bends", *form_key, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:
-        told = (*told, *bends.key)
-        problem.reuse(("split", *told), lambda: SplitForm.of(leg, bends)).apply(leg)
+        form_key = (*form_key, *bends.key)
+        problem.reuse(("split", *form_key), lambda: SplitForm.of(leg, bends)).apply(leg)
         domain = Domain.along(problem, leg)
-    if not _has_kinks(problem, leg, told):
-        return told[len(key) :]
-    kinked = problem.reuse(("kinked", *told, domain.key), lambda: Kinked.of(problem, leg, domain))
+    if not _has_kinks(problem, leg, form_key):
+        return form_key[len(key) :]
+    kinked = problem.reuse(("kinked", *form_key, domain.key), lambda: Kinked.of(problem, leg, domain))
     if kinked.costs or kinked.limits:
-        told = (*told, *kinked.key)
-        problem.reuse(("epigraph", *told), lambda: EpigraphForm.of(leg, kinked)).apply(problem, leg)
-    return told[len(key) :]
+        form_key = (*form_key, *kinked.key)
+        problem.reuse(("epigraph", *form_key), lambda: EpigraphForm.of(leg, kinked)).apply(problem, leg)
+    return form_key[len(key) :]
 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:

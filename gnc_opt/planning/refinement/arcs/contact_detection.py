@@ -20,17 +20,17 @@ CONTACT_MIN_COST_SHARE = 1e-5
 """A multiplier counts from this share of the cost, and from a `SMALL` share of the largest one of its constraint."""
 
 SHORT_ARC_SEGMENTS = 2.0
-"""An arc shorter than so many segments may be noise of the mesh, which tells times no better than that."""
+"""An arc shorter than so many segments may be an error of the mesh, and so is a shift of a time by less."""
 
 TOUCH_MAX_NODES = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
 
 CONTACT_MIN_NODES = 3
-"""So many nodes in a row at which a constraint pushes say that a control holds it there.
+"""A control keeps a constraint at its limit where the multiplier is positive at so many neighbouring nodes.
 
-So many nodes in a row off a limit of higher order without a push are between two touches if all points of a segment are
-among them: an arc that need not push between its ends stays on the limit, and a polynomial that meets it at some of its
-points may swing between the others."""
+So many neighbouring nodes off a limit of higher order, with zero multipliers, separate two touches if all points of a
+segment are among them. Fewer do not: along an arc the multiplier may vanish, and a polynomial that meets the limit at
+some of its points may oscillate between the others."""
 
 
 @dataclass(frozen=True, eq=False)
