@@ -85,41 +85,30 @@ class ShiftedTrajectory:
         order = sorted(samples, key=lambda s: s.leg.initial_time)
         return cls(solution, order, ends, scales, jumps, regular)
 
-    def find_decrease(self) -> Fall | None:
-        """Return the direction in which the Lagrangian falls most, if it does so at second order."""
+    def find_decrease(self, groups: list[list[int]]) -> Fall | None:
+        """Return the direction in which the Lagrangian falls most, if it does so at second order.
+
+        Shifts of the jumps of a group (indices of ``jumps``) are combined; all groups share three integrations.
+        """
         n, m = len(self.jumps), len(self.regular)
         unit = np.eye(n + m)
         values, misses = self.integrate(np.concatenate([unit, -unit]).T)
         if not np.all(np.isfinite(values)):
             return None
         slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :])
-        shifts, corrections = slopes[:, :n], slopes[:, n:]
-        inverse = np.linalg.pinv(corrections, rcond=NEGLIGIBLE) if m else np.zeros((0, slopes.shape[0]))
-        rest = shifts - corrections @ (inverse @ shifts)
-        size = np.linalg.norm(shifts, axis=0)
-        free = _null_space(rest, max(NOTABLE * float(np.max(size, initial=0.0)), RANK))
-        if not free.shape[1]:
+        inverse = np.asarray(np.linalg.pinv(slopes[:, n:], rcond=NEGLIGIBLE)) if m else slopes[:, n:].T
+        bases = [basis for group in groups if (basis := _free_directions(slopes, n, group, inverse)).size]
+        if not bases:
             return None
-        full = np.vstack([free, -inverse @ shifts @ free])  # (n + m, d)
-        d = full.shape[1]
-        unit, couples = np.eye(d), list(itertools.combinations(range(d), 2))
-        pairs = [*unit, *(unit[i] + unit[j] for i, j in couples)]
-        both = np.array([*pairs, *(-p for p in pairs)]).T
-        values, _ = self.integrate(full @ both)
-        half = 0.5 * (values[: len(pairs)] + values[len(pairs) :])
-        hessian = np.diag(2 * half[:d])
-        for k, (i, j) in enumerate(couples):
-            hessian[i, j] = hessian[j, i] = half[d + k] - half[i] - half[j]
-        single = np.abs(np.diag(hessian))
-        least = SMALL * np.max(single, initial=0.0)
-        scale = 1 / np.sqrt(np.maximum(single, max(float(least), TINY)))
-        scale = scale / np.max(scale) if np.max(single) > 0 else np.ones(d)
-        directions = [*unit, *(unit[i] + s * unit[j] for i, j in couples for s in (1, -1))]
-        if d > 1:
-            vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
-            directions.append(vector / np.max(np.abs(vector)))
-        chosen = scale[:, None] * np.array([*directions, *(-v for v in directions)]).T
-        return self._second_order_decrease(full @ chosen, single @ chosen**2)
+        pairs = [np.array(_unit_pairs(basis.shape[1])).T for basis in bases]
+        moves = np.hstack([basis @ pair for basis, pair in zip(bases, pairs, strict=True)])
+        values, _ = self.integrate(np.hstack([moves, -moves]))
+        half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
+        halves = np.split(half, np.cumsum([pair.shape[1] for pair in pairs])[:-1])
+        chosen = [_trial_directions(basis, own) for basis, own in zip(bases, halves, strict=True)]
+        return self._second_order_decrease(
+            *(np.concatenate(part, axis=-1) for part in zip(*chosen, strict=True))
+        )
 
     def _second_order_decrease(self, directions: Array, terms: Array) -> Fall | None:
         """Return the largest fall along directions (n_jumps + n_regular, n), if it is of second order at two steps."""
@@ -413,6 +402,46 @@ def _active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
         if rows:
             found[float(time)] = [row / max(s.cost_scale, TINY) for row in rows]
     return found
+
+
+def _free_directions(slopes: Array, n: int, group: list[int], inverse: Array) -> Array:
+    """Return amounts (n_jumps + n_regular, d) of a group of jumps, and of the controls that keep the end conditions."""
+    shifts = slopes[:, group]
+    rest = shifts - slopes[:, n:] @ (inverse @ shifts)
+    size = np.linalg.norm(shifts, axis=0)
+    free = _null_space(rest, max(NOTABLE * float(np.max(size, initial=0.0)), RANK))
+    full = np.zeros((slopes.shape[1], free.shape[1]))
+    full[group], full[n:] = free, -inverse @ shifts @ free
+    return full
+
+
+def _unit_pairs(d: int) -> list[Array]:
+    """Return the unit vectors of dimension d, and the sums of every two."""
+    unit = np.eye(d)
+    return [*unit, *(unit[i] + unit[j] for i, j in itertools.combinations(range(d), 2))]
+
+
+def _trial_directions(basis: Array, half: Array) -> tuple[Array, Array]:
+    """Return directions (n_jumps + n_regular, n) in the span of a basis, and the sizes of their terms (n,).
+
+    ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of every two.
+    """
+    d = basis.shape[1]
+    couples = list(itertools.combinations(range(d), 2))
+    hessian = np.diag(2 * half[:d])
+    for k, (i, j) in enumerate(couples):
+        hessian[i, j] = hessian[j, i] = half[d + k] - half[i] - half[j]
+    single = np.abs(np.diag(hessian))
+    least = SMALL * np.max(single, initial=0.0)
+    scale = 1 / np.sqrt(np.maximum(single, max(float(least), TINY)))
+    scale = scale / np.max(scale) if np.max(single) > 0 else np.ones(d)
+    unit = np.eye(d)
+    directions = [*unit, *(unit[i] + s * unit[j] for i, j in couples for s in (1, -1))]
+    if d > 1:
+        vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
+        directions.append(vector / np.max(np.abs(vector)))
+    chosen = scale[:, None] * np.array([*directions, *(-v for v in directions)]).T
+    return basis @ chosen, single @ chosen**2
 
 
 def _null_space(rows: Array, least: float) -> Array:

@@ -7,6 +7,7 @@ phases and where switches coincide, the trajectory is integrated with shifted ju
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.bang_bang_second_order import why_not_applicable
-from gnc_opt.planning.verification.shifted_trajectory import Fall, Jump, ShiftedTrajectory
+from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
 MOST_TOGETHER = 8
@@ -39,7 +40,8 @@ def check_switching_times(
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
     if jumps and _are_jumps_unknowns(jumps, samples, scales):
         jumps, place = [], f"{place}: see second order"
-    fall = largest_decrease(solution, samples, ends, scales, jumps)
+    shifted = ShiftedTrajectory.of(solution, samples, ends, scales, jumps)
+    fall = shifted.find_decrease(_group_jumps(jumps)) if jumps else None
     value, place = (0.0, place) if fall is None else (fall.value, fall.where)
     result = ConditionResult.PASS if fall is None else ConditionResult.FAIL
     return Condition("switching times", result, value, 0.0, place, _MEANING, sufficient=True)
@@ -69,18 +71,6 @@ def _is_limited(s: PhaseSamples, scales: Scales) -> bool:
         return True
     pushes = np.max(np.abs(s.mu[~pure]), axis=1, initial=0.0) * s.path_scale[~pure]
     return bool(np.max(pushes, initial=0.0) * s.span > AT_LIMIT * scales.cost)
-
-
-def largest_decrease(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, jumps: list[Jump]
-) -> Fall | None:
-    """Return the direction of switching times in which the Lagrangian falls most, or None."""
-    found = []
-    for group in _group_jumps(jumps):
-        fall = ShiftedTrajectory.of(solution, samples, ends, scales, group).find_decrease()
-        if fall is not None:
-            found.append(fall)
-    return max(found, key=lambda f: f.value, default=None)
 
 
 def find_jumps(samples: list[PhaseSamples]) -> list[Jump]:
@@ -144,15 +134,15 @@ def _is_held(s: PhaseSamples, i: int, time: float) -> bool:
     return bool(np.any((jacobian != 0) & (np.abs(s.mu[:, at]) > 0)))
 
 
-def _group_jumps(jumps: list[Jump]) -> list[list[Jump]]:
-    """Return all jumps together if they are few, else those that coincide, and the others one by one."""
+def _group_jumps(jumps: list[Jump]) -> list[list[int]]:
+    """Return the indices of all jumps together if they are few, else those that coincide, and the others one by one."""
     if len(jumps) <= MOST_TOGETHER:
-        return [jumps] if jumps else []
-    found: list[list[Jump]] = []
-    for jump in sorted(jumps, key=lambda j: j.time):
-        near = found and abs(found[-1][0].time - jump.time) <= SAME_TIME * max(abs(jump.time), 1.0)
-        if near and len(found[-1]) < MOST_TOGETHER:
-            found[-1].append(jump)
+        return [list(range(len(jumps)))]
+    found: list[list[int]] = []
+    for k in sorted(range(len(jumps)), key=lambda k: jumps[k].time):
+        time, last = jumps[k].time, jumps[found[-1][0]].time if found else math.nan
+        if abs(last - time) <= SAME_TIME * max(abs(time), 1.0) and len(found[-1]) < MOST_TOGETHER:
+            found[-1].append(k)
         else:
-            found.append([jump])
+            found.append([k])
     return found
