@@ -16,7 +16,7 @@ from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.verification.control_conditions import minimum_principle_loss
 from gnc_opt.planning.verification.engine import verify
-from gnc_opt.tolerances import SMALL
+from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 LOCAL_ERROR_RATIO = 1e3
 """The objective's estimated error counts if local errors are at most so many tolerances."""
@@ -84,8 +84,8 @@ class Candidate:
 
     @property
     def is_false_extremal(self) -> bool:
-        """Whether other controls lower H along the costates by much."""
-        return self.loss > SMALL * self.solution.objective_error.scale
+        """Whether other controls lower H along the costates by more than a negligible share of the objective."""
+        return self.loss > NEGLIGIBLE * self.solution.objective_error.scale
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -130,6 +130,10 @@ class Candidate:
         if estimate > tol * found.scale and self.loss < found.suboptimal:
             estimate = found.infeasible + self.loss + self.error**2 * found.scale
         return max(estimate / found.scale, tol), self.error
+
+    def costs_less(self, other: Candidate) -> bool:
+        """Whether it is a solution that costs less than another one on the same mesh."""
+        return self.solved and self.cost < other.cost - SMALL * other.solution.objective_error.scale
 
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Whether it belongs to a lower minimum; by far, if only the other passes the check."""

@@ -5,7 +5,7 @@ stage             what is solved
 ================  =============================================================================================
 first mesh        the first mesh; where it shows arcs, the switching-time formulation with these arcs, else, or where
                   the objective is accurate already, hp refinement
-minimum of H      the first mesh again, from the controls that minimise H along the costates, where these lose much
+minimum of H      the first mesh again, from the controls that minimise H along the costates, where these lose cost
 adaptive barrier  the first mesh again, by IPOPT's adaptive barrier strategy
 60 segments       60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the
                   switching-time formulation with the arcs that they show if none has had a solution
@@ -17,9 +17,9 @@ The switching-time formulation has the ends of the arcs as variables and holds t
 
 Every solved answer is a `Candidate`. The first one that passes the optimality check with local errors within the
 tolerance is returned at once; without a check, the first one whose estimated error of the objective is within it. A
-solve on the first mesh that is lower than the one before by more than the estimates of both begins the first stage
-anew, once each; the next stage begins from one that is lower. At the end, at limits and after
-Ctrl-C the best candidate is returned (`candidates.best_of`).
+solve that costs less than another one on the same mesh takes its place: on the first mesh the first stage begins anew,
+once each, and finer stages begin from it. At the end, at limits and after Ctrl-C the best candidate is returned
+(`candidates.best_of`).
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class Stages:
             if other is not None:
                 yield other
                 known = self._mesh_candidate(first)
-                if other.is_lower(known):
+                if other.costs_less(known):
                     first = other.solution
                     yield from self._first_stage(first, stage)
         middle = yield from self._middle_stage(first)
@@ -200,7 +200,7 @@ class Stages:
             again = self._from_least_controls(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
-                fine = again if again.is_lower(fine) else fine
+                fine = again if again.costs_less(fine) else fine
             for sharp in (False, True):
                 found = structures_of(fine.solution, sharp=sharp)
                 yield from self._solve_arc_program(fine.solution, found, f"{FINE}, switching times")
@@ -226,7 +226,7 @@ class Stages:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             second = self._solve(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
             yield second
-            if second.solved and (not found.solved or second.is_lower(found)):
+            if second.solved and (not found.solved or second.costs_less(found)):
                 found = second
         return found.solution if found.solved else first
 
