@@ -17,11 +17,11 @@ from gnc_opt.planning.problem.check import check_numbers
 from gnc_opt.planning.problem.measured_start import with_start_on_bounds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, first_meshes
+from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, recover_initial_meshes
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.engine import StructureChoice, refine, refine_by_stages
-from gnc_opt.planning.refinement.stages import Stages
-from gnc_opt.planning.refinement.switching.warm_start import KnownFlight, on_the_way
+from gnc_opt.planning.refinement.stages import StagedRefinement
+from gnc_opt.planning.refinement.switching.warm_start import KnownSwitches, truncate_solution
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import MOVED_START
@@ -81,8 +81,8 @@ class Resolver:
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
         self.solution, self.cold = solution, cold
-        flight = KnownFlight.of(solution)
-        self._flight = None if flight is None else flight.differentiated()
+        flight = KnownSwitches.from_solution(solution)
+        self._flight = None if flight is None else flight.with_newton_step()
         self._arcs = KnownArcs.of(solution) if solution.structure or self.tol is not None else None
 
     @one_thread()
@@ -136,7 +136,7 @@ class Resolver:
 
     def _nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
-        flight = self._flight if near is None or self._flight is None else KnownFlight.of(near)
+        flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
         found = solve_by_switching_times(problem, flight)
         if found is not None:
             return found
@@ -148,7 +148,7 @@ class Resolver:
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
         guess, scheme, limits = (
-            on_the_way(start, problem),
+            truncate_solution(start, problem),
             self.solution.scheme,
             SolveLimits(WARM_MAX_ITERATIONS),
         )
@@ -270,7 +270,7 @@ def solve(
     if options.max_wall_time is not None:
         wall = min(options.max_wall_time, limits.max_wall_time or options.max_wall_time)
         limits = replace(limits, max_wall_time=wall)
-    budget = WorkBudget.of(limits)
+    budget = WorkBudget.from_limits(limits)
     if guess is not None and as_usual and scheme == guess.scheme:
         nearby = _varied(problem, guess, tol, in_a_loop)
         if nearby is not None:
@@ -290,7 +290,7 @@ def solve(
     if tol is None or not solution.status.solved:
         return solution
 
-    stages = Stages(
+    stages = StagedRefinement(
         solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
     )
     final = refine_by_stages(solution, stages, structure)
@@ -313,7 +313,7 @@ def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: boo
     if not _is_variation(problem, known):
         return None
     if in_a_loop:
-        found = solve_by_switching_times(problem, KnownFlight.of(known))
+        found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
         if found is not None:
             return found
         tol = reached(known) if known.structure or _is_refined(known) else None
@@ -322,9 +322,9 @@ def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: boo
     return solve_by_known_arcs(problem, KnownArcs.of(known), tol, "changed" if in_a_loop else "always")
 
 
-def solve_by_switching_times(problem: Problem, known: KnownFlight | None) -> Solution | None:
+def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> Solution | None:
     """Return the solution of a variation by Newton's method on known switching times, or None."""
-    found = None if known is None else known.vary(problem)
+    found = None if known is None else known.solve_variation(problem)
     return None if found is None else said(found, SolveMethod.SWITCH_TIMES)
 
 
@@ -332,7 +332,7 @@ def solve_by_known_arcs(
     problem: Problem, known: KnownArcs, tol: float, checked: WhenChecked
 ) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
-    found = known.vary(problem, tol, checked)
+    found = known.solve_variation(problem, tol, checked)
     return None if found is None else said(found, SolveMethod.WARM)
 
 
@@ -349,7 +349,7 @@ def _is_variation(problem: Problem, known: Solution) -> bool:
 
 def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
     """Return the refinement from the mesh that the known solution was refined from, or else a cold solution."""
-    meshes, start = first_meshes(known), on_the_way(known, problem)
+    meshes, start = recover_initial_meshes(known), truncate_solution(known, problem)
     warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
     if warm.status is Status.INTERRUPTED:
         return said(warm, SolveMethod.WARM)

@@ -204,14 +204,14 @@ def test_options_of_refining_are_passed_on(
     cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...], tol: float, check: bool, work: float
 ) -> None:
     module = importlib.import_module("gnc_opt.planning.solver")
-    stages, seen = module.Stages, []
+    stages, seen = module.StagedRefinement, []
 
     def noted(problem: go.Problem, *given: Any, **more: Any) -> Any:
         within, limits, _, checked = given
         seen.append((within, checked, limits.max_work))
         return stages(problem, *given, **more)
 
-    monkeypatch.setattr(module, "Stages", noted)
+    monkeypatch.setattr(module, "StagedRefinement", noted)
     assert run("solve", cart, *asked, "--quiet") == 0
     assert seen == [(tol, check, work)]
 

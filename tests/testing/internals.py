@@ -71,13 +71,13 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     FIRST_DEGREE,
     Plan,
     Resolution,
-    uniform_points,
+    count_uniform_points,
 )
-from gnc_opt.planning.refinement.arcs.detection import detect
+from gnc_opt.planning.refinement.arcs.detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switches
 from gnc_opt.planning.refinement.error import estimate_errors
-from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.phase_solution import interpolate_points

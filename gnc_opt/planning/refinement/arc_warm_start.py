@@ -15,16 +15,16 @@ import numpy as np
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.detection import structures_of
+from gnc_opt.planning.refinement.arcs.detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switches,
 )
-from gnc_opt.planning.refinement.candidates import Candidate, answer_of
-from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.candidates import Candidate, build_answer
+from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
-from gnc_opt.planning.refinement.switching.warm_start import on_the_way
+from gnc_opt.planning.refinement.switching.warm_start import truncate_solution
 from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
@@ -57,10 +57,10 @@ class KnownArcs:
         """Return what is known of a solution."""
         if not solution.structure:
             return cls(solution, {})
-        found = structures_of(replace(solution, structure=()))
-        return cls(solution, {name: _without_slivers(s, solution, name) for name, s in found.items()})
+        found = detect_structures(replace(solution, structure=()))
+        return cls(solution, {name: _remove_sliver_pieces(s, solution, name) for name, s in found.items()})
 
-    def vary(self, problem: Problem, tol: float, checked: WhenChecked) -> Solution | None:
+    def solve_variation(self, problem: Problem, tol: float, checked: WhenChecked) -> Solution | None:
         """Return the solution of a variation within a tolerance, or None if it is not found nearby.
 
         Parameters
@@ -79,8 +79,8 @@ class KnownArcs:
             Ctrl-C: there is no solution yet.
         """
         begin = time.perf_counter()
-        start = replace(on_the_way(self.solution, problem), problem=problem.frozen(), structure=())
-        found = self._by_arcs(start, tol) if self.structures else self._by_mesh(start, problem, tol)
+        start = replace(truncate_solution(self.solution, problem), problem=problem.frozen(), structure=())
+        found = self._solve_arcs(start, tol) if self.structures else self._solve_mesh(start, problem, tol)
         if found is None:
             return None
         candidate = Candidate(*found, "nearby")
@@ -88,22 +88,22 @@ class KnownArcs:
             raise KeyboardInterrupt
         if not candidate.history.converged:
             return None
-        if checked == "changed" and self._stands(candidate):
-            return answer_of([candidate], None, tol, begin, check=False)
-        return answer_of([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
+        if checked == "changed" and self._has_known_structure(candidate):
+            return build_answer([candidate], None, tol, begin, check=False)
+        return build_answer([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
 
-    def _by_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
-        left = {name: s.after(start.phases[name].initial_time) for name, s in self.structures.items()}
+    def _solve_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
+        left = {name: s.cut_before(start.phases[name].initial_time) for name, s in self.structures.items()}
         return optimise_switches(
             start,
             tol=tol,
-            limits=replace(self._limits, worst=KNOWN_ARCS_MAX_ERROR),
+            limits=replace(self._iteration_limits, worst=KNOWN_ARCS_MAX_ERROR),
             structures=left,
             options=KNOWN_ARCS_OPTIONS,
             segments="kept",
         )
 
-    def _by_mesh(self, start: Solution, problem: Problem, tol: float) -> tuple[Solution, History] | None:
+    def _solve_mesh(self, start: Solution, problem: Problem, tol: float) -> tuple[Solution, History] | None:
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         scheme = next(iter(start.phases.values())).scheme
         found = solve_mesh(
@@ -111,34 +111,34 @@ class KnownArcs:
         )
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return refine_mesh(found, tol=tol, limits=self._limits) if found.status.solved else None
+        return refine_mesh(found, tol=tol, limits=self._iteration_limits) if found.status.solved else None
 
-    def _stands(self, found: Candidate) -> bool:
+    def _has_known_structure(self, found: Candidate) -> bool:
         """Whether a solution has the same arcs as the known one, or else is on the very mesh of it."""
         known = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
         return same and (bool(known) or len(found.history.passes) == 1)
 
     @property
-    def _limits(self) -> PassLimits:
+    def _iteration_limits(self) -> IterationLimits:
         history = self.solution.history
         taken = 0.0 if history is None else sum(p.work for p in history.passes)
-        return PassLimits(WARM_START_MAX_SOLVES, work=max(taken, WARM_START_MIN_WORK))
+        return IterationLimits(WARM_START_MAX_SOLVES, work=max(taken, WARM_START_MIN_WORK))
 
 
-def first_meshes(known: Solution) -> dict[str, Mesh]:
+def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:
     """Return the meshes that a solution was refined from; the default where that is not known."""
     meshes = {} if known.history is None else known.history.passes[0].meshes
     given = bool(meshes) and not any(mesh.movable for mesh in meshes.values())
     return read_meshes(meshes if given else None, known.phases, known.problem_name)
 
 
-def _without_slivers(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
+def _remove_sliver_pieces(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
     """Return a detected structure without the pieces between rows that change at one time."""
     ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
     while structure.pieces > len(ends) - 1:
         shortest = int(np.argmin(structure.lengths))
-        fewer = structure.without(shortest)
+        fewer = structure.without_piece(shortest)
         if (
             structure.lengths[shortest] > NOTABLE * structure.lengths.sum()
             or fewer.pieces != structure.pieces - 1

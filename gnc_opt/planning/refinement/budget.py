@@ -66,7 +66,7 @@ class RefinementLimits:
             read_positive(self.max_wall_time, "max_wall_time of RefinementLimits")
 
 
-def variables_per_point(phases: Mapping[str, PhaseSolution]) -> float:
+def count_variables_per_point(phases: Mapping[str, PhaseSolution]) -> float:
     """Return states and controls per collocation point, a mean over the points of all phases."""
     points = sum(leg.mesh.size for leg in phases.values())
     return sum(leg.mesh.size * (leg.states.size + leg.controls.size) for leg in phases.values()) / points
@@ -95,7 +95,7 @@ class WorkBudget:
     _shortened: bool = field(default=False, repr=False)
 
     @classmethod
-    def of(cls, limits: RefinementLimits) -> WorkBudget:
+    def from_limits(cls, limits: RefinementLimits) -> WorkBudget:
         """Return the budget of a search that begins now."""
         wall = math.inf if limits.max_wall_time is None else limits.max_wall_time
         return cls(
@@ -103,11 +103,11 @@ class WorkBudget:
         )
 
     @property
-    def left(self) -> float:
+    def remaining_work(self) -> float:
         """Remaining work, s of the reference processor; at most the remaining CPU time."""
         return max(0.0, min(self.total - self.spent, self.cpu_deadline - time.thread_time()))
 
-    def charge(self, solution: Solution) -> None:
+    def charge_solve(self, solution: Solution) -> None:
         """Count what a solve has cost, failed tries included."""
         points = sum(leg.mesh.size for leg in solution.phases.values())
         self.charge_work(solution, work_of(points, solution.statistics.iterations))
@@ -115,19 +115,19 @@ class WorkBudget:
     def charge_work(self, like: Solution, work: float) -> None:
         """Count iterations at one collocation point (`RefinementIteration.work`) of a problem with the
         variables of a solution."""
-        self.spent += work * variables_per_point(like.phases) / WORK_PER_SECOND
+        self.spent += work * count_variables_per_point(like.phases) / WORK_PER_SECOND
 
-    def work_left(self, like: Solution, share: float = 1.0) -> float:
+    def allot_work(self, like: Solution, share: float = 1.0) -> float:
         """Return a share of the total, at most what is left, in iterations at one collocation point."""
-        seconds = min(share * self.total, self.left)
-        return seconds * WORK_PER_SECOND / variables_per_point(like.phases)
+        seconds = min(share * self.total, self.remaining_work)
+        return seconds * WORK_PER_SECOND / count_variables_per_point(like.phases)
 
-    def iterations_left(self, like: Solution, points: int) -> int | None:
+    def count_remaining_iterations(self, like: Solution, points: int) -> int | None:
         """Return for how many iterations at so many points there is work left, at least one; None: without limit."""
-        left = self.work_left(like)
+        left = self.allot_work(like)
         return None if math.isinf(left) else max(1, iterations_for(left, points))
 
-    def shorten(self) -> None:
+    def limit_finishing_work(self) -> None:
         """Leave what finishing an answer may take, once."""
         if not self._shortened:
             self.total = min(self.total, self.spent + max(FINISH_MIN_SECONDS, self.spent))

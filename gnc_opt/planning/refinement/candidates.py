@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from gnc_opt.planning.refinement.error import estimate_errors
-from gnc_opt.planning.refinement.iterations import pass_record
+from gnc_opt.planning.refinement.iterations import record_iteration
 from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
@@ -46,9 +46,9 @@ class Candidate:
     stage: str
 
     @classmethod
-    def of_solve(cls, solution: Solution, tol: float, begin: float, stage: str) -> Candidate:
+    def from_solve(cls, solution: Solution, tol: float, begin: float, stage: str) -> Candidate:
         """Return the candidate of a single solve that began at a time (as `time.perf_counter` counts)."""
-        record = pass_record(solution, estimate_errors(solution), begin, Actions())
+        record = record_iteration(solution, estimate_errors(solution), begin, Actions())
         reached = record.solved and record.error <= tol
         status = RefinementStatus.CONVERGED if reached else RefinementStatus.BUDGET_LIMIT
         return cls(solution, History(status, tol, (record,), 0, "", record.seconds), stage)
@@ -69,7 +69,7 @@ class Candidate:
         return -self.solution.objective if self.solution.maximised else self.solution.objective
 
     @property
-    def estimate(self) -> float:
+    def objective_error(self) -> float:
         """Estimated error of the objective, in its unit; infinite without a solution."""
         if not self.solved:
             return math.inf
@@ -93,24 +93,24 @@ class Candidate:
         return verify(self.solution)
 
     @property
-    def checked(self) -> Verdict | None:
+    def known_verdict(self) -> Verdict | None:
         """The verdict if it is known already."""
         return vars(self).get("verdict")
 
     @property
-    def passes(self) -> bool:
+    def passes_check(self) -> bool:
         """Whether it is known to pass the optimality check."""
-        return self.checked is not None and self.checked.ok
+        return self.known_verdict is not None and self.known_verdict.ok
 
     @property
     def is_nearly_optimal(self) -> bool:
         """Whether the optimality check fails by so little that a finer mesh may pass it."""
-        if self.checked is None:
+        if self.known_verdict is None:
             return False
-        necessary = [c for c in self.checked.open if not c.sufficient]
+        necessary = [c for c in self.known_verdict.open if not c.sufficient]
         return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
 
-    def within(self, tol: float) -> bool:
+    def is_within(self, tol: float) -> bool:
         """Whether the objective is within a relative tolerance, by its estimate."""
         if not self.error <= LOCAL_ERROR_RATIO * tol:
             return False
@@ -126,7 +126,7 @@ class Candidate:
         """
         if not self.solved:
             return math.inf, self.error
-        found, estimate = self.solution.objective_error, self.estimate
+        found, estimate = self.solution.objective_error, self.objective_error
         if estimate > tol * found.scale and self.loss < found.suboptimal:
             estimate = found.infeasible + self.loss + self.error**2 * found.scale
         return max(estimate / found.scale, tol), self.error
@@ -139,12 +139,12 @@ class Candidate:
         """Whether it belongs to a lower minimum; by far, if only the other passes the check."""
         if not self.cost < other.cost:
             return False
-        ours, theirs = (max(c.estimate, c.loss) if c.solved else math.inf for c in (self, other))
-        least = SMALL * abs(other.cost) if other.passes and not self.passes else 0.0
+        ours, theirs = (max(c.objective_error, c.loss) if c.solved else math.inf for c in (self, other))
+        least = SMALL * abs(other.cost) if other.passes_check and not self.passes_check else 0.0
         return self.cost + max(margin * ours, least) < other.cost - margin * theirs
 
 
-def best_of(candidates: Sequence[Candidate], tol: float) -> int:
+def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     """Return which candidate to keep: of those that pass the check, else of all, the least estimate.
 
     Of several within the tolerance, the least local error. A clearly lower minimum wins in any case, unless its local
@@ -153,7 +153,7 @@ def best_of(candidates: Sequence[Candidate], tol: float) -> int:
     solved = [k for k, c in enumerate(candidates) if c.solved]
     if not solved:
         return len(candidates) - 1
-    among = [k for k in solved if candidates[k].passes] or solved
+    among = [k for k in solved if candidates[k].passes_check] or solved
     best = min(among, key=lambda k: candidates[k].rank(tol))
     for k in solved:
         credible = candidates[k].error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].error)
@@ -162,7 +162,7 @@ def best_of(candidates: Sequence[Candidate], tol: float) -> int:
     return best
 
 
-def answer_of(
+def build_answer(
     candidates: Sequence[Candidate], ended: RefinementStatus | None, tol: float, begin: float, check: bool
 ) -> Solution:
     """Return the best candidate's solution with the history of all, its verdict, and how it ended.
@@ -178,18 +178,18 @@ def answer_of(
     check : bool
         Whether the answer is to carry a verdict.
     """
-    chosen = best_of(candidates, tol)
+    chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]
     interrupted = ended is RefinementStatus.INTERRUPTED
-    verdict = best.checked if interrupted or not check or not best.solved else best.verdict
-    status = _status(best, verdict, ended, {c.history.status for c in candidates}, tol)
+    verdict = best.known_verdict if interrupted or not check or not best.solved else best.verdict
+    status = _classify_status(best, verdict, ended, {c.history.status for c in candidates}, tol)
     passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
     history = History(
         status,
         tol,
         tuple(passes),
         sum(len(c.history.passes) for c in candidates[:chosen]) + best.history.chosen,
-        _message(status, best, verdict, tol),
+        _format_message(status, best, verdict, tol),
         time.perf_counter() - begin,
     )
     solution = best.solution
@@ -208,7 +208,7 @@ def _better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> di
     return {BETTER_COARSE_SOLVE: text}
 
 
-def _status(
+def _classify_status(
     best: Candidate,
     verdict: Verdict | None,
     ended: RefinementStatus | None,
@@ -218,7 +218,7 @@ def _status(
     if ended is RefinementStatus.INTERRUPTED:
         return ended
     if verdict is None:
-        if best.error <= tol or best.within(tol):
+        if best.error <= tol or best.is_within(tol):
             return RefinementStatus.UNCHECKED
         return ended or best.history.status
     reached = best.error <= tol
@@ -236,7 +236,7 @@ def _status(
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 
-def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
+def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
     """Say how it ended: local error, estimated error of the objective, stage, and what is open."""
     error = best.error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"
@@ -254,10 +254,10 @@ def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None,
         )
         more = f"; and {len(left) - NAMED_CONDITIONS} more" if len(left) > NAMED_CONDITIONS else ""
         text += f". Open: {named}{more}"
-    return f"{text}. {status.remedy}{'' if verdict is None else _on_singular_arcs(verdict)}"
+    return f"{text}. {status.remedy}{'' if verdict is None else _describe_singular_arcs(verdict)}"
 
 
-def _on_singular_arcs(verdict: Verdict) -> str:
+def _describe_singular_arcs(verdict: Verdict) -> str:
     """Say what may keep a refinement with singular arcs from its end, and where they are."""
     _, found, where = verdict["second order"].where.partition("singular arcs: ")
     return f" {_CHATTERING.format(where=where.partition(';')[0])}" if found else ""

@@ -11,7 +11,7 @@ from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.refinement.stages import Stages
+from gnc_opt.planning.refinement.stages import StagedRefinement
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import mesh_with_fixed_breaks
 
@@ -81,29 +81,29 @@ def refine(
     read_positive(tol, "the tolerance of refine()")
     limits = limits or RefinementLimits()
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
-    _check(solution)
-    budget = WorkBudget.of(limits)
-    stages = Stages(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
+    _check_solution(solution)
+    budget = WorkBudget.from_limits(limits)
+    stages = StagedRefinement(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
     return refine_by_stages(solution, stages, structure)
 
 
-def refine_by_stages(solution: Solution, stages: Stages, structure: StructureChoice) -> Solution:
+def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: StructureChoice) -> Solution:
     """Return the answer to which the stages lead from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
     try:
-        solution = _without_fixed_arcs(solution, stages)
+        solution = _release_fixed_arcs(solution, stages)
     except KeyboardInterrupt:
-        return stages.interrupted(solution)
+        return stages.answer_interruption(solution)
     stages.problem = solution.need_problem("refine")
     if structure == "auto":
         return stages.run(solution)
-    return stages.refine_mesh(solution) if structure == "none" else stages.with_fixed_arcs(solution)
+    return stages.refine_mesh(solution) if structure == "none" else stages.refine_with_fixed_arcs(solution)
 
 
-def _check(solution: Solution) -> None:
+def _check_solution(solution: Solution) -> None:
     solution.need_problem("refine")
     if not solution.status.solved:
         raise GncOptError(
@@ -111,7 +111,7 @@ def _check(solution: Solution) -> None:
         )
 
 
-def _without_fixed_arcs(solution: Solution, stages: Stages) -> Solution:
+def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
     """Return the solution of the problem that holds no arcs: those are told segment by segment of one mesh.
 
     What is best with them need not be without: it is solved anew, on the mesh as it was found.

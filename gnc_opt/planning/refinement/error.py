@@ -48,7 +48,7 @@ class ErrorScales:
     path_has_control: Mask
 
     @classmethod
-    def of(cls, samples: PhaseSamples) -> ErrorScales:
+    def from_samples(cls, samples: PhaseSamples) -> ErrorScales:
         """Measure a phase."""
         leg, functions = samples.leg, samples.functions
         at = samples.times, samples.x, samples.u_polynomial
@@ -74,11 +74,11 @@ class ErrorScales:
         )
 
     @property
-    def pure_paths(self) -> Array:
+    def pure_path_scales(self) -> Array:
         """Magnitude of each path constraint that depends on the states alone; 0 for the others."""
         return np.where(self.path_has_control, 0.0, self.path)
 
-    def evaluate(self, samples: PhaseSamples, adjoint: Array) -> SegmentErrors:
+    def evaluate_errors(self, samples: PhaseSamples, adjoint: Array) -> SegmentErrors:
         """Return the errors of each segment.
 
         Parameters
@@ -92,27 +92,27 @@ class ErrorScales:
         rates = evaluate_within_bounds(f.rates, *at, leg.control_bounds)
         dynamics = s.segment_integrals(np.abs(s.x_rate - rates)) / self.state[:, None]
         exact = s.segment_integrals(evaluate_within_bounds(f.integrands, *at, leg.control_bounds))
-        integrals = np.abs(exact - _collocated_integrals(s)) / self.integral[:, None]
+        integrals = np.abs(exact - _compute_collocated_integrals(s)) / self.integral[:, None]
         span = leg.duration
-        states = _largest(s, _excess(s.x, leg.state_bounds, self.state, s.times))
-        excess = _excess(s.u_polynomial, leg.control_bounds, self.control)
+        states = _largest(s, _bound_excess(s.x, leg.state_bounds, self.state, s.times))
+        excess = _bound_excess(s.u_polynomial, leg.control_bounds, self.control)
         controls = np.maximum(s.segment_integrals(excess) / span, CONTROL_PEAK_WEIGHT * _largest(s, excess))
         overshoot = [states, controls]
         if leg.path_labels:
             values = evaluate_within_bounds(f.paths, *at, leg.control_bounds)
-            mean = s.segment_integrals(_excess(values, leg.path_bounds, self.path)) / span
-            peak = _largest(s, _excess(values, leg.path_bounds, self.path, s.times))
+            mean = s.segment_integrals(_bound_excess(values, leg.path_bounds, self.path)) / span
+            peak = _largest(s, _bound_excess(values, leg.path_bounds, self.path, s.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
 
-def _collocated_integrals(samples: PhaseSamples) -> Array:
+def _compute_collocated_integrals(samples: PhaseSamples) -> Array:
     """Return the integrals of each segment by the quadrature of its collocation points (n_integrals, K)."""
     leg = samples.leg
     weights = np.concatenate([r.weights for r in leg.rules])
     weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
-    values = samples.functions.integrands(leg.point_times, states_at_points(leg), np.hstack(leg.u.values))
+    values = samples.functions.integrands(leg.point_times, get_states_at_points(leg), np.hstack(leg.u.values))
     return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1], axis=1))
 
 
@@ -138,19 +138,19 @@ class SegmentErrors:
     costates: Array
 
     @property
-    def table(self) -> Array:
+    def error_table(self) -> Array:
         """All kinds below each other, NaN as infinity."""
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
     @property
-    def worst(self) -> Array:
+    def largest_errors(self) -> Array:
         """The largest error of each segment, (K,)."""
-        return np.asarray(np.max(self.table, axis=0))
+        return np.asarray(np.max(self.error_table, axis=0))
 
-    def decades(self, aim: float) -> Array:
+    def compute_required_decades(self, aim: float) -> Array:
         """Return by how many decades residuals and excesses must fall for errors of ``aim``, (K,)."""
-        table = np.log10(np.clip(self.table, 1e-99, 1e6) / aim)
+        table = np.log10(np.clip(self.error_table, 1e-99, 1e6) / aim)
         table[-self.costates.shape[0] :] /= 2.0  # they are squares
         return np.asarray(np.max(table, axis=0))
 
@@ -165,12 +165,12 @@ class PhaseError:
     adjoint: Array
 
     @classmethod
-    def of(cls, samples: PhaseSamples) -> PhaseError:
+    def from_samples(cls, samples: PhaseSamples) -> PhaseError:
         """Estimate the error of each segment of a phase."""
         leg = samples.leg
-        yardstick = ErrorScales.of(samples)
-        adjoint = costate_residual(samples, yardstick.pure_paths)
-        errors = yardstick.evaluate(samples, adjoint)
+        yardstick = ErrorScales.from_samples(samples)
+        adjoint = costate_residual(samples, yardstick.pure_path_scales)
+        errors = yardstick.evaluate_errors(samples, adjoint)
         inner = leg.breaks[1:-1]
         if inner.size:
             jumps = np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / yardstick.state[:, None]
@@ -178,14 +178,14 @@ class PhaseError:
         return cls(samples, yardstick, errors, adjoint)
 
     @property
-    def worst(self) -> Array:
+    def largest_errors(self) -> Array:
         """The largest error of each segment, (K,)."""
-        return self.errors.worst
+        return self.errors.largest_errors
 
     @property
-    def where(self) -> str:
+    def location(self) -> str:
         """Place and kind of the largest error."""
-        table, leg = self.errors.table, self.samples.leg
+        table, leg = self.errors.error_table, self.samples.leg
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
         states, controls = leg.states.labels, leg.controls.labels
         names = [f"dynamics of {label}" for label in states]
@@ -198,7 +198,7 @@ class PhaseError:
 
 def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
     """Return the error estimate of every phase of a solution; needs its problem."""
-    return {name: PhaseError.of(samples) for name, samples in solution.samples().items()}
+    return {name: PhaseError.from_samples(samples) for name, samples in solution.samples().items()}
 
 
 def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
@@ -216,11 +216,11 @@ def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
     if np.any(leg.state_multipliers):
         residual = residual + leg.state_multiplier(times)
     cost_shares = s.state_scale / s.cost_scale
-    counts = _without_state_limits(s, pure_paths, cost_shares)[s.segments]
+    counts = _find_unconstrained_segments(s, pure_paths, cost_shares)[s.segments]
     return np.where(counts, np.abs(residual) * cost_shares[:, None], 0.0)
 
 
-def _without_state_limits(samples: PhaseSamples, pure_paths: Array, cost_shares: Array) -> Mask:
+def _find_unconstrained_segments(samples: PhaseSamples, pure_paths: Array, cost_shares: Array) -> Mask:
     """Return in which segments (K,) no constraint of the states alone is active, neither inside nor at the ends."""
     leg = samples.leg
     forces = np.concatenate(
@@ -236,27 +236,27 @@ def _without_state_limits(samples: PhaseSamples, pure_paths: Array, cost_shares:
     return np.asarray(~(held | jumps[:-1] | jumps[1:]))
 
 
-def largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
+def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
     """Return the largest error of all phases and its place."""
-    worst = max(errors.values(), key=lambda e: float(np.max(e.worst)))
-    return float(np.max(worst.worst)), worst.where
+    worst = max(errors.values(), key=lambda e: float(np.max(e.largest_errors)))
+    return float(np.max(worst.largest_errors)), worst.location
 
 
-def states_at_points(leg: PhaseSolution) -> Array:
+def get_states_at_points(leg: PhaseSolution) -> Array:
     """Return the states at the collocation points, with the limit from inside the segment: (n, N)."""
     at_end = np.concatenate([r.points == 1.0 for r in leg.rules])
     return np.where(at_end, leg.x(leg.point_times, "left"), leg.x(leg.point_times, "right"))
 
 
-def _excess(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
+def _bound_excess(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
     """Return how far values leave their bounds at the samples; with times, peaks between samples count there."""
     below, above = bounds.lower[:, None] - values, values - bounds.upper[:, None]
     if times is not None:
-        below, above = _with_peaks(below, times), _with_peaks(above, times)
+        below, above = _interpolate_peaks(below, times), _interpolate_peaks(above, times)
     return np.asarray(np.maximum(np.maximum(below, above), 0.0) / scale[:, None])
 
 
-def _with_peaks(values: Array, times: Array) -> Array:
+def _interpolate_peaks(values: Array, times: Array) -> Array:
     """Raise each local maximum of the samples (n, n_samples) to the peak of the parabola through its neighbours."""
     left, right = times[1:-1] - times[:-2], times[2:] - times[1:-1]
     known = (left > 0) & (right > 0)  # at the ends of segments, samples come in pairs

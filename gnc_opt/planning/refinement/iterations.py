@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits
-from gnc_opt.planning.refinement.error import PhaseError, largest_error
+from gnc_opt.planning.refinement.error import PhaseError, find_largest_error
 from gnc_opt.planning.solution.history import Actions, RefinementIteration, iterations_for
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -22,7 +22,7 @@ MAX_FURTHER_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
-class PassLimits:
+class IterationLimits:
     """Where the passes of a refinement end, wherever it has come to.
 
     Attributes
@@ -48,11 +48,11 @@ class PassLimits:
     cpu_deadline: float = math.inf
     worst: float = math.inf
 
-    def are_spent(self, spent: float) -> bool:
+    def are_exhausted(self, spent: float) -> bool:
         """Return whether no pass begins after passes that cost so much work."""
         return spent >= self.work or time.thread_time() > self.cpu_deadline
 
-    def of_solve(self, meshes: Iterable[Mesh], spent: float = 0.0) -> SolveLimits:
+    def limit_solve(self, meshes: Iterable[Mesh], spent: float = 0.0) -> SolveLimits:
         """Return what a solve on some meshes may take, after passes that cost so much work."""
         within = SolveLimits(deadline=self.deadline, cpu_deadline=self.cpu_deadline)
         if math.isinf(self.work):
@@ -61,11 +61,11 @@ class PassLimits:
         return replace(within, iterations=max(1, iterations_for(self.work - spent, points)))
 
 
-def pass_record(
+def record_iteration(
     solution: Solution, errors: Mapping[str, PhaseError], begin: float, actions: Actions | str
 ) -> RefinementIteration:
     """Return the record of a pass that began at a time (as `time.perf_counter` counts) and ended with a solution."""
-    error, where = largest_error(errors)
+    error, where = find_largest_error(errors)
     return RefinementIteration(
         meshes={name: leg.mesh for name, leg in solution.phases.items()},
         times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},
@@ -79,7 +79,7 @@ def pass_record(
     )
 
 
-def pass_meter(
+def show_pass(
     name: str, tol: float, shown: bool
 ) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
     """Return a context whose value shows a pass, or does nothing; see `gnc_opt.progress`."""
@@ -90,7 +90,7 @@ def pass_meter(
     return refinement_meter(name, tol)
 
 
-def converges_too_slowly(errors: Sequence[float], tol: float) -> bool:
+def is_stagnating(errors: Sequence[float], tol: float) -> bool:
     """Whether the error falls too slowly, as in the last passes, to reach the tolerance.
 
     Parameters

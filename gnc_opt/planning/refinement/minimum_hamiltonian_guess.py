@@ -18,13 +18,13 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.control_conditions import minimise_hamiltonian
 
 
-def with_least_controls(solution: Solution) -> Solution:
+def controls_of_least_hamiltonian(solution: Solution) -> Solution:
     """Return a solution with the controls that minimise H along its states and costates, as a guess."""
-    phases = {name: _with_controls_of_least_h(s) for name, s in solution.samples().items()}
+    phases = {name: _minimise_phase_hamiltonian(s) for name, s in solution.samples().items()}
     return replace(solution, phases=phases)
 
 
-def _with_controls_of_least_h(s: PhaseSamples) -> PhaseSolution:
+def _minimise_phase_hamiltonian(s: PhaseSamples) -> PhaseSolution:
     if not s.leg.controls.size:
         return s.leg
     times, controls = minimise_hamiltonian(s)

@@ -19,7 +19,7 @@ Every solved answer is a `Candidate`. The first one that passes the optimality c
 tolerance is returned at once; without a check, the first one whose estimated error of the objective is within it. A
 solve that costs less than another one on the same mesh takes its place: on the first mesh the first stage begins anew,
 once each, and finer stages begin from it. At the end, at limits and after Ctrl-C the best candidate is returned
-(`candidates.best_of`).
+(`candidates.select_best_candidate`).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits,
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.curvature import affine_channels, convex_channels, curved_channels
-from gnc_opt.planning.refinement.arcs.detection import structures_of
+from gnc_opt.planning.refinement.arcs.curvature import affine_controls, convex_controls, nonconvex_controls
+from gnc_opt.planning.refinement.arcs.detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
@@ -44,10 +44,10 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     optimise_switches,
 )
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.refinement.candidates import Candidate, answer_of
-from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.candidates import Candidate, build_answer
+from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
-from gnc_opt.planning.refinement.minimum_hamiltonian_guess import with_least_controls
+from gnc_opt.planning.refinement.minimum_hamiltonian_guess import controls_of_least_hamiltonian
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -75,7 +75,7 @@ BARRIER_OPTION = "ipopt.mu_strategy"
 
 
 @dataclass(eq=False)
-class Stages:
+class StagedRefinement:
     """A problem, what is asked of its answer, and what has been found.
 
     Parameters
@@ -109,15 +109,15 @@ class Stages:
 
     def run(self, first: Solution) -> Solution:
         """Return the answer, from a solution on a first mesh."""
-        self.budget.charge(first)
-        return self._collect(first, self._all_stages(first))
+        self.budget.charge_solve(first)
+        return self._collect_candidates(first, self._run_all_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
         """Return the answer by hp refinement alone, from a solution on a mesh."""
-        self._add(Candidate.of_solve(first, self.tol, self.begin, FIRST))
-        return self._collect(first, self._refine_mesh(first, 1.0))
+        self._add_candidate(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        return self._collect_candidates(first, self._refine_mesh(first, 1.0))
 
-    def with_fixed_arcs(self, first: Solution) -> Solution:
+    def refine_with_fixed_arcs(self, first: Solution) -> Solution:
         """Return the answer with the arcs that a solution shows.
 
         Raises
@@ -125,132 +125,132 @@ class Stages:
         ProblemError
             No control switches.
         """
-        found = structures_of(first)
+        found = detect_structures(first)
         if not _has_arcs(first, found, at_least=0):
             raise ProblemError(
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
             )
-        return self._collect(first, self._solve_arc_program(first, found, FIRST, share=1.0))
+        return self._collect_candidates(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
 
-    def interrupted(self, first: Solution) -> Solution:
+    def answer_interruption(self, first: Solution) -> Solution:
         """Return a solution as the answer of a search that Ctrl-C ended before it began."""
-        candidate = Candidate.of_solve(first, self.tol, self.begin, FIRST)
-        return answer_of([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
+        candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
+        return build_answer([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
 
     # --- what is solved in which order ------------------------------------------------------------------------
 
-    def _collect(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
+    def _collect_candidates(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
         ended: RefinementStatus | None = None
         try:
             for candidate in stages:
-                self._add(candidate)
-                ended = self._ending(candidate)
+                self._add_candidate(candidate)
+                ended = self._check_termination(candidate)
                 if ended is not None:
                     break
         except KeyboardInterrupt:
             ended = RefinementStatus.INTERRUPTED
         settled = ended is RefinementStatus.CONVERGED
         if not settled and not any(c.solved and c.solution is first for c in self.candidates):
-            self.candidates.append(Candidate.of_solve(first, self.tol, self.begin, FIRST))
-        return answer_of(self.candidates, None if settled else ended, self.tol, self.begin, self.check)
+            self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        return build_answer(self.candidates, None if settled else ended, self.tol, self.begin, self.check)
 
-    def _add(self, candidate: Candidate) -> None:
+    def _add_candidate(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
-        if candidate.error <= self.tol or candidate.within(self.tol):
-            self.budget.shorten()
+        if candidate.error <= self.tol or candidate.is_within(self.tol):
+            self.budget.limit_finishing_work()
 
-    def _ending(self, candidate: Candidate) -> RefinementStatus | None:
+    def _check_termination(self, candidate: Candidate) -> RefinementStatus | None:
         """Return whether to stop with a candidate: converged, or at a limit; None to go on."""
         status = candidate.history.status
         if status is RefinementStatus.INTERRUPTED or time.perf_counter() > self.budget.deadline:
             return RefinementStatus.INTERRUPTED
-        if self._is_final(candidate):
+        if self._is_final_answer(candidate):
             return RefinementStatus.CONVERGED
-        return RefinementStatus.BUDGET_LIMIT if self.budget.left <= 0 else None
+        return RefinementStatus.BUDGET_LIMIT if self.budget.remaining_work <= 0 else None
 
-    def _is_final(self, candidate: Candidate) -> bool:
+    def _is_final_answer(self, candidate: Candidate) -> bool:
         if not candidate.solved:
             return False
         if not self.check:
-            return candidate.within(self.tol) and not candidate.is_false_extremal
+            return candidate.is_within(self.tol) and not candidate.is_false_extremal
         resolved = candidate.error <= self.tol
         stands = bool(candidate.solution.structure) and candidate.history.converged
         return (resolved or stands) and candidate.verdict.ok
 
-    def _all_stages(self, first: Solution) -> Iterator[Candidate]:
-        yield from self._first_stage(first)
+    def _run_all_stages(self, first: Solution) -> Iterator[Candidate]:
+        yield from self._run_first_stage(first)
         for stage, solve in (
-            (MINIMUM_OF_H, self._from_least_controls),
-            ("adaptive barrier", self._by_other_barrier),
+            (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
+            ("adaptive barrier", self._solve_with_adaptive_barrier),
         ):
             other = solve(first, stage)
             if other is not None:
                 yield other
-                known = self._mesh_candidate(first)
+                known = self._find_candidate(first)
                 if other.costs_less(known):
                     first = other.solution
-                    yield from self._first_stage(first, stage)
-        middle = yield from self._middle_stage(first)
+                    yield from self._run_first_stage(first, stage)
+        middle = yield from self._run_middle_stage(first)
         if not any(solved for _, solved in self._tried):
-            yield from self._solve_arc_program(middle, structures_of(middle), f"{MIDDLE}, switching times")
-        fine = self._solve(FINE, self._meshes(FINE_SEGMENTS, middle), middle)
+            yield from self._solve_with_arcs(middle, detect_structures(middle), f"{MIDDLE}, switching times")
+        fine = self._solve_stage(FINE, self._uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.solved:
-            again = self._from_least_controls(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
+            again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
                 fine = again if again.costs_less(fine) else fine
             for sharp in (False, True):
-                found = structures_of(fine.solution, sharp=sharp)
-                yield from self._solve_arc_program(fine.solution, found, f"{FINE}, switching times")
-        yield from self._last_stage()
+                found = detect_structures(fine.solution, sharp=sharp)
+                yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
+        yield from self._run_last_stage()
 
-    def _first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
-        candidate, found = Candidate.of_solve(first, self.tol, self.begin, stage), structures_of(first)
+    def _run_first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
+        candidate, found = Candidate.from_solve(first, self.tol, self.begin, stage), detect_structures(first)
         arcs = _has_arcs(first, found, at_least=1)
         if arcs:
-            yield from self._solve_arc_program(first, found, f"{stage}, switching times")
+            yield from self._solve_with_arcs(first, found, f"{stage}, switching times")
         if stage == FIRST:
             yield candidate
-        if not arcs or candidate.within(self.tol):
+        if not arcs or candidate.is_within(self.tol):
             yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
-    def _middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
+    def _run_middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield what the middle stage finds; the generator returns the solution to go on with."""
-        meshes = self._meshes(MIDDLE_SEGMENTS, first)
-        found = self._solve(MIDDLE, meshes, first)
+        meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
+        found = self._solve_stage(MIDDLE, meshes, first)
         yield found
         flown = with_simulated_guess(self.problem)
         if flown is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
-            second = self._solve(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
+            second = self._solve_stage(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
             yield second
             if second.solved and (not found.solved or second.costs_less(found)):
                 found = second
         return found.solution if found.solved else first
 
-    def _last_stage(self) -> Iterator[Candidate]:
+    def _run_last_stage(self) -> Iterator[Candidate]:
         """Refine the best mesh, and try its arcs; then further where only the check is open."""
         meshes = [c for c in self.candidates if c.solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.rank(self.tol))
         found = yield from self._refine_mesh(start.solution, 1.0)
-        arcs = structures_of(found.solution)
-        yield from self._solve_arc_program(found.solution, arcs, f"{HP}, switching times", segments="kept")
+        arcs = detect_structures(found.solution)
+        yield from self._solve_with_arcs(found.solution, arcs, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
             if not found.error <= self.tol or not found.is_nearly_optimal:
                 return
             finer = yield from self._refine_mesh(found.solution, 1.0, HP, share * self.tol)
-            if not finer.estimate <= 0.5 * found.estimate:
+            if not finer.objective_error <= 0.5 * found.objective_error:
                 return
             found = finer
 
     # --- single solves ------------------------------------------------------------------------------------------------
 
-    def _mesh_candidate(self, solution: Solution) -> Candidate:
+    def _find_candidate(self, solution: Solution) -> Candidate:
         return next(c for c in self.candidates if c.solved and c.solution is solution)
 
-    def _meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
+    def _uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
         """Return uniform meshes of so many segments in all phases together; finer ones that a solution has stay."""
         each = max(segments // len(like.phases), segments // 4)
         meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}
@@ -259,7 +259,7 @@ class Stages:
             for name, leg in like.phases.items()
         }
 
-    def _solve(
+    def _solve_stage(
         self,
         stage: str,
         meshes: Mapping[str, Mesh],
@@ -271,7 +271,7 @@ class Stages:
     ) -> Candidate:
         begin = time.perf_counter()
         like = self.candidates[0].solution
-        left = self.budget.iterations_left(like, sum(mesh.size for mesh in meshes.values()))
+        left = self.budget.count_remaining_iterations(like, sum(mesh.size for mesh in meshes.values()))
         most = min((n for n in (iterations, left) if n is not None), default=None)
         found = solve_mesh(
             problem or self.problem,
@@ -284,31 +284,31 @@ class Stages:
             ),
             progress=self.progress,
         )
-        self.budget.charge(found)
+        self.budget.charge_solve(found)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         found = replace(found, problem=like.problem)
-        return Candidate.of_solve(found, self.tol, begin, stage)
+        return Candidate.from_solve(found, self.tol, begin, stage)
 
-    def _from_least_controls(self, start: Solution, stage: str) -> Candidate | None:
+    def _solve_from_minimum_hamiltonian(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the controls of least H, where the controls lose much."""
-        if not self._mesh_candidate(start).is_false_extremal:
+        if not self._find_candidate(start).is_false_extremal:
             return None
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
-        guess = with_least_controls(start)
-        return self._solve(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
+        guess = controls_of_least_hamiltonian(start)
+        return self._solve_stage(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
 
-    def _by_other_barrier(self, start: Solution, stage: str) -> Candidate | None:
+    def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess by the adaptive barrier strategy."""
         options = self.options or SolverOptions()
-        if any(c.within(self.tol) for c in self.candidates):
+        if any(c.is_within(self.tol) for c in self.candidates):
             return None
         if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None
         other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         most = WARM_MAX_ITERATIONS + start.statistics.iterations
-        return self._solve(stage, meshes, None, iterations=most, options=other)
+        return self._solve_stage(stage, meshes, None, iterations=most, options=other)
 
     def _refine_mesh(
         self, start: Solution, share: float, stage: str = HP, tol: float | None = None
@@ -317,7 +317,7 @@ class Stages:
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,
-            limits=self._limits(start, share),
+            limits=self._allot_limits(start, share),
             options=self.options,
             progress=self.progress,
         )
@@ -328,7 +328,7 @@ class Stages:
         yield candidate
         return candidate
 
-    def _solve_arc_program(
+    def _solve_with_arcs(
         self,
         start: Solution,
         found: Mapping[str, PhaseStructure],
@@ -337,7 +337,7 @@ class Stages:
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
         """Yield what a switching-time formulation leads to, if it is promising."""
-        if not self._is_promising(start, found) and share < 1.0:
+        if not self._is_structure_promising(start, found) and share < 1.0:
             return
         options = self.options or SolverOptions(
             tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS
@@ -345,7 +345,7 @@ class Stages:
         solution, history = optimise_switches(
             start,
             tol=self.tol,
-            limits=self._limits(start, share),
+            limits=self._allot_limits(start, share),
             structures=found,
             options=self.options if share == 1.0 else options,
             progress=self.progress,
@@ -355,7 +355,7 @@ class Stages:
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
-    def _is_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+    def _is_structure_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
         """Whether arcs are there, few enough, not tried before, and programs have had solutions so far."""
         if not _has_arcs(start, found, at_least=1):
             return False
@@ -363,17 +363,17 @@ class Stages:
             return False
         if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
             return False
-        order = {name: s.at(()) for name, s in found.items()}
+        order = {name: s.with_times(()) for name, s in found.items()}
         return not any(
-            found == known or (solved and order == {name: s.at(()) for name, s in known.items()})
+            found == known or (solved and order == {name: s.with_times(()) for name, s in known.items()})
             for known, solved in self._tried
         )
 
-    def _limits(self, like: Solution, share: float) -> PassLimits:
-        return PassLimits(
+    def _allot_limits(self, like: Solution, share: float) -> IterationLimits:
+        return IterationLimits(
             self.limits.max_passes,
             self.limits.max_points,
-            self.budget.work_left(like, share),
+            self.budget.allot_work(like, share),
             self.budget.deadline,
             self.budget.cpu_deadline,
         )
@@ -382,13 +382,13 @@ class Stages:
 def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Whether some control can have switches or kinks, and its phase has more pieces than that, or touches limits."""
     for name, samples in solution.samples().items():
-        if np.any(affine_channels(samples)) and found[name].pieces > at_least:
+        if np.any(affine_controls(samples)) and found[name].pieces > at_least:
             return True
         if any(found[name].touches[0] + found[name].touches[-1]):
             return True
-        if np.any(curved_channels(samples)) and found[name].pieces > max(at_least, 1):
+        if np.any(nonconvex_controls(samples)) and found[name].pieces > max(at_least, 1):
             return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
-        if np.any(convex_channels(samples)) and found[name].pieces > 1:
+        if np.any(convex_controls(samples)) and found[name].pieces > 1:
             return True
     return False

@@ -18,15 +18,15 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.refinement.arcs.contact_cleanup import without_overlaps
+from gnc_opt.planning.refinement.arcs.contact_cleanup import remove_overlapping_limits
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.refinement.arcs.split_switches import (
     FREE_SPAN,
     FREE_SPAN_POINTS,
-    _Cuts,
-    shared_boundaries,
+    _SplitMesh,
+    find_shared_boundaries,
 )
-from gnc_opt.planning.refinement.arcs.switching_time_optimization import structures_of
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import detect_structures
 from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
 
 # What a mesh shows and no control can do, on structures put together by hand.
@@ -44,7 +44,7 @@ def structure(times: tuple[float, ...], *kinds: tuple[ArcKind, ...], lean: int =
 
 def test_one_limit_takes_over_from_another_in_the_middle_of_what_they_share() -> None:
     both = structure((0.0, 3.0, 5.0, 9.0), (SING, UP, FREE), (SING, UP, UP), (SING, FREE, UP))
-    left = without_overlaps(both)
+    left = remove_overlapping_limits(both)
     assert left.times == (0.0, 4.0, 9.0)
     assert left.kinds == ((SING, UP, FREE), (SING, FREE, UP))
 
@@ -53,14 +53,14 @@ def test_a_limit_held_on_both_sides_of_another_is_left_where_it_is_shorter() -> 
     both = structure(
         (0.0, 3.0, 5.0, 6.0, 9.0), (SING, FREE, LOW), (SING, UP, LOW), (SING, FREE, LOW), (LOW, FREE, FREE)
     )
-    left = without_overlaps(both)
+    left = remove_overlapping_limits(both)
     assert left.times == (0.0, 3.0, 5.0, 6.0, 9.0)
     assert left.kinds[1:] == ((SING, UP, FREE), (SING, FREE, FREE), (LOW, FREE, FREE))
 
 
 def test_a_control_comes_to_its_own_bound_in_the_middle_of_what_that_shares_with_the_limit_it_holds() -> None:
     both = structure((0.0, 3.0, 5.0, 9.0), (FREE, UP, FREE), (UP, UP, FREE), (UP, FREE, FREE))
-    left = without_overlaps(both)
+    left = remove_overlapping_limits(both)
     assert left.times == (0.0, 4.0, 9.0)
     assert left.kinds == ((FREE, UP, FREE), (UP, FREE, FREE))
 
@@ -70,7 +70,7 @@ def test_limits_of_two_controls_may_be_held_together() -> None:
         (0.0, 3.0, 5.0, 9.0), ((SING, SING, UP, FREE), (SING, SING, UP, UP), (SING, SING, FREE, UP)),
         n_controls=2, orders=(0, 0, 1, 2), holders=((), (), (0,), (0, 1)),
     )  # fmt: skip
-    assert without_overlaps(both) == both
+    assert remove_overlapping_limits(both) == both
 
 
 # Short arcs beside limits that no trajectory has, on structures put together by hand: v' = a, |a| <= 1,
@@ -205,24 +205,24 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
         (LOW, UP, FREE, FREE),
     )
     near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, n_controls=2, orders=(0, 0, 1, 1))
-    assert shared_boundaries(near) == (1,)
-    assert shared_boundaries(near.at((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
+    assert find_shared_boundaries(near) == (1,)
+    assert find_shared_boundaries(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
 
 
 def test_instants_are_free_for_what_changes() -> None:
     """Three segments, the second boundary shared."""
-    cuts = _Cuts(3, (2,))
-    first, second = cuts.kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
+    cuts = _SplitMesh(3, (2,))
+    first, second = cuts.expand_kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
     assert list(first) == [LOW] * 5 and list(second) == [LOW, UP, FREE, FREE, FREE]
     mesh = cuts.mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
     np.testing.assert_allclose(
         mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
     )
     assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6) and mesh.movable == (1,)
-    assert [cuts.boundary(k) for k in range(4)] == [0, 1, 3, 5]
+    assert [cuts.map_boundary(k) for k in range(4)] == [0, 1, 3, 5]
     inner, junction = Smooth(0, 1, 2, 4), Junction(0, 2, UP, 1)
     assert (cuts.first(inner.first), cuts.last(inner.last)) == (1, 2)
-    assert (cuts.first(2), cuts.last(3), cuts.boundary(junction.boundary)) == (4, 5, 3)
+    assert (cuts.first(2), cuts.last(3), cuts.map_boundary(junction.boundary)) == (4, 5, 3)
 
 
 # From a state limit of second order to a bound of the control: along an interior arc that may be short.
@@ -254,14 +254,14 @@ def coarse() -> go.Solution:
 def structure_of_arcs_between_limits(
     coarse: go.Solution, times: tuple[float, ...], *kinds: tuple[ArcKind, ...]
 ) -> PhaseStructure:
-    return replace(structures_of(coarse)["leg"], times=times, kinds=kinds, touches=((),) * len(times))
+    return replace(detect_structures(coarse)["leg"], times=times, kinds=kinds, touches=((),) * len(times))
 
 
 def test_nothing_can_hold_the_limit_with_the_control_on_its_bound(coarse: go.Solution) -> None:
     with_short = structure_of_arcs_between_limits(coarse, (0.0, 0.95, 1.05, 2.0), HELD, SHORT, BOUND)
-    assert with_short.swapped(1) is None
+    assert with_short.swap_switches(1) is None
     without_holder = replace(with_short, holders=((), (), ()))
-    assert without_holder.swapped(1) is not None
+    assert without_holder.swap_switches(1) is not None
 
 
 # Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what
@@ -297,28 +297,28 @@ def flight(bounds: Any = ((-1.0, -1.0), (1.5, 1.5)), values: Any = 0.25) -> Any:
     )  # fmt: skip
 
 
-LIMITS = LinearLimits.of(flight(), np.array([True, True]))
+LIMITS = LinearLimits.from_samples(flight(), np.array([True, True]))
 
 
 def test_only_inequalities_that_are_linear_in_one_control_count() -> None:
     assert LIMITS.rows == {0: (0, 5), 1: (3,)}
-    assert LIMITS.paths.tolist() == [True, False, False, True, False, True]
+    assert LIMITS.linear_paths.tolist() == [True, False, False, True, False, True]
     assert LIMITS.slopes.tolist() == [[2.0] * 5, [0.0] * 5, [0.0] * 5, [-3.0] * 5, [0.0] * 5, X.tolist()]
-    assert LIMITS.signs == (1, 0, 0, -1, 0, 0)
-    assert LinearLimits.of(flight(), np.array([False, True])).rows == {1: (3,)}
-    none = LinearLimits.of(flight(), np.array([False, False]))
-    assert none.rows == {} and none.slopes.shape == (6, 5) and not none.paths.any()
+    assert LIMITS.slope_signs == (1, 0, 0, -1, 0, 0)
+    assert LinearLimits.from_samples(flight(), np.array([False, True])).rows == {1: (3,)}
+    none = LinearLimits.from_samples(flight(), np.array([False, False]))
+    assert none.rows == {} and none.slopes.shape == (6, 5) and not none.linear_paths.any()
 
 
 @pytest.mark.parametrize("u", [0.25, -0.7, 3.0])
 def test_reaches_are_those_of_the_limits_wherever_the_control_is(u: float) -> None:
     """2 u + x <= 4; x u between -1 and 1.8, whatever the sign of x; -3 w between -3 and 6."""
-    limits = LinearLimits.of(flight(values=u), np.array([True, True]))
-    above, below = limits._control_ranges(0)
+    limits = LinearLimits.from_samples(flight(values=u), np.array([True, True]))
+    above, below = limits._compute_control_ranges(0)
     assert above[0] == pytest.approx((4 - X) / 2) and np.all(below[0] == -INF)
     assert above[5] == pytest.approx([0.5, 1.0, INF, 1.8, 0.9])
     assert below[5] == pytest.approx([-0.9, -1.8, -INF, -1.0, -0.5])
-    above, below = limits._control_ranges(1)
+    above, below = limits._compute_control_ranges(1)
     assert above[3] == pytest.approx([1.0] * 5) and below[3] == pytest.approx([-2.0] * 5)
 
 
@@ -333,26 +333,26 @@ def test_a_control_ends_at_its_bounds_or_at_what_limits_it_all_along(
     control: int, bounds: Any, ended: Any
 ) -> None:
     both = ((bounds[0],) * 2, (bounds[1],) * 2)
-    assert LinearLimits.of(flight(both), np.array([True, True])).ended(control) == ended
+    assert LinearLimits.from_samples(flight(both), np.array([True, True])).has_path_bounds(control) == ended
 
 
 def test_the_tightest_limit_holds_a_control_that_is_sent_up_or_down() -> None:
     """Up to 1.5 at most, down to -1: -1 <= x u <= 1.8 is tighter where |x| is large, than 2 u + x <= 4 too."""
     everywhere = np.ones(5, dtype=bool)
-    own, held = LIMITS.labels(0, everywhere)
+    own, held = LIMITS.label_control(0, everywhere)
     assert own.tolist() == [SING, SING, UP, UP, SING]
     assert held[0].tolist() == [FREE] * 5 and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
-    own, held = LIMITS.labels(0, ~everywhere)
+    own, held = LIMITS.label_control(0, ~everywhere)
     assert own.tolist() == [SING, LOW, LOW, LOW, SING]
     assert held[5].tolist() == [UP, FREE, FREE, FREE, LOW] and held[0].tolist() == [FREE] * 5
-    own, held = LIMITS.labels(1, np.array([True, False, True, False, True]))
+    own, held = LIMITS.label_control(1, np.array([True, False, True, False, True]))
     assert own.tolist() == [SING, LOW, SING, LOW, SING]
     assert set(held) == {3} and held[3].tolist() == [LOW, FREE, LOW, FREE, LOW]
 
 
 def test_a_later_limit_that_is_tighter_frees_the_one_before() -> None:
-    wide = LinearLimits.of(flight(((-9.0, -9.0), (9.0, 9.0))), np.array([True, True]))
-    own, held = wide.labels(0, np.ones(5, dtype=bool))
+    wide = LinearLimits.from_samples(flight(((-9.0, -9.0), (9.0, 9.0))), np.array([True, True]))
+    own, held = wide.label_control(0, np.ones(5, dtype=bool))
     assert own.tolist() == [SING] * 5
     assert held[0].tolist() == [FREE, FREE, UP, UP, FREE] and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
 
@@ -364,11 +364,11 @@ STRUCTURE = PhaseStructure(
 
 def test_an_arc_that_is_asked_for_goes_where_limits_let_it() -> None:
     """At the bound itself where that is the tightest; with the constraint at its limit where that is tighter."""
-    up = LIMITS.with_arc(STRUCTURE, 0, 3, (2.5, 3.5), UP)
+    up = LIMITS.insert_arc(STRUCTURE, 0, 3, (2.5, 3.5), UP)
     assert up.times == (0.0, 2.0, 2.5, 3.5, 4.0) and up.kinds[2] == (UP, *STRUCTURE.kinds[1][1:])
-    held = LIMITS.with_arc(STRUCTURE, 0, 4, (3.5, 4.0), UP)
+    held = LIMITS.insert_arc(STRUCTURE, 0, 4, (3.5, 4.0), UP)
     assert held.kinds[-1][0] is SING and held.kinds[-1][2 + 5] is UP and held.kinds[-1][2] is FREE
-    free = LIMITS.with_arc(STRUCTURE, 1, 4, (3.5, 4.0), FREE)
+    free = LIMITS.insert_arc(STRUCTURE, 1, 4, (3.5, 4.0), FREE)
     assert free.kinds[-1] == (LOW, FREE, *(FREE,) * 7)
 
 
@@ -379,7 +379,7 @@ def test_a_constraint_that_is_left_sends_its_control_to_the_other_side(kind: Arc
     for piece in pieces:
         piece[1], piece[2 + 3] = SING, kind
     structure = PhaseStructure(STRUCTURE.times, tuple(tuple(p) for p in pieces), (), 2, 6)
-    found = LIMITS.with_arc(structure, 2 + 3, 1, (0.5, 1.5), FREE)
+    found = LIMITS.insert_arc(structure, 2 + 3, 1, (0.5, 1.5), FREE)
     here = found.kinds[1]
     assert found.times == (0.0, 0.5, 1.5, 2.0, 4.0)
     assert (here[1], here[2 + 3]) == ((LOW, FREE) if upward else (SING, LOW))
@@ -450,7 +450,7 @@ TURNING = PhaseStructure(
 
 def test_one_constraint_determines_one_of_several_singular_controls() -> None:
     """That which holds it best; those at their limits, or on the sphere, are no others'."""
-    assert [TURNING.determined(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
+    assert [TURNING.find_determined_controls(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
 
 
 def test_controls_at_the_end_of_a_segment() -> None:

@@ -17,11 +17,11 @@ import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
-from gnc_opt.planning.refinement.budget import WORK_PER_SECOND, WorkBudget, variables_per_point
+from gnc_opt.planning.refinement.budget import WORK_PER_SECOND, WorkBudget, count_variables_per_point
 from gnc_opt.planning.refinement.candidates import CANDIDATE_ERROR_MARGIN
-from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
-from gnc_opt.planning.refinement.stages import Stages
+from gnc_opt.planning.refinement.stages import StagedRefinement
 from gnc_opt.planning.solution.history import work_of
 from problems.classics import double_oscillator, van_der_pol
 
@@ -60,8 +60,8 @@ def cart() -> go.Solution:
 def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
     cart: go.Solution, way: Callable[..., Any], allowed: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(switching, "settle", lambda *_: None)  # a start that is not the end already
-    _, history = way(cart, tol=1e-10, limits=PassLimits(work=allowed), options=CRAWLING)
+    monkeypatch.setattr(switching, "solve_times", lambda *_: None)  # a start that is not the end already
+    _, history = way(cart, tol=1e-10, limits=IterationLimits(work=allowed), options=CRAWLING)
     tried = [p for p in history.passes if not p.solved]
     assert tried and not history.converged
     # A solve is charged for as many iterations as its derivatives take, and makes one at least.
@@ -77,13 +77,13 @@ def test_all_tries_of_a_solve_share_its_iterations(cart: go.Solution, most: int)
 
 
 def test_a_solve_may_cost_what_is_left_and_makes_one_iteration_at_least() -> None:
-    limits = PassLimits(work=4000.0)
-    assert limits.of_solve([Mesh.uniform(10, 4)]).iterations == 4000 // 40 - 15
-    assert limits.of_solve([Mesh.uniform(10, 4)], spent=2000.0).iterations == 2000 // 40 - 15
-    assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 1
-    assert PassLimits().of_solve([Mesh.uniform(10, 4)]).iterations is None
-    assert limits.are_spent(4000.0) and not limits.are_spent(3999.0)
-    assert PassLimits(cpu_deadline=time.thread_time()).are_spent(0.0)
+    limits = IterationLimits(work=4000.0)
+    assert limits.limit_solve([Mesh.uniform(10, 4)]).iterations == 4000 // 40 - 15
+    assert limits.limit_solve([Mesh.uniform(10, 4)], spent=2000.0).iterations == 2000 // 40 - 15
+    assert limits.limit_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 1
+    assert IterationLimits().limit_solve([Mesh.uniform(10, 4)]).iterations is None
+    assert limits.are_exhausted(4000.0) and not limits.are_exhausted(3999.0)
+    assert IterationLimits(cpu_deadline=time.thread_time()).are_exhausted(0.0)
 
 
 @pytest.mark.parametrize("lost", [300, 3])
@@ -153,11 +153,13 @@ def test_no_iteration_begins_after_the_cpu_time() -> None:
 def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
-    budget.charge(first)
-    work = work_of(first.phase().mesh.size, first.statistics.iterations) * variables_per_point(first.phases)
-    assert budget.left == pytest.approx(1.0 - work / WORK_PER_SECOND)
-    assert budget.iterations_left(first, 10**9) == 1
-    assert WorkBudget(math.inf).iterations_left(first, 100) is None
+    budget.charge_solve(first)
+    work = work_of(first.phase().mesh.size, first.statistics.iterations) * count_variables_per_point(
+        first.phases
+    )
+    assert budget.remaining_work == pytest.approx(1.0 - work / WORK_PER_SECOND)
+    assert budget.count_remaining_iterations(first, 10**9) == 1
+    assert WorkBudget(math.inf).count_remaining_iterations(first, 100) is None
 
 
 @pytest.mark.slow
@@ -166,17 +168,17 @@ def test_an_answer_that_is_stopped_is_no_worse_than_one_before(
     share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found: list[tuple[float, float]] = []
-    real: Any = Stages._add
+    real: Any = StagedRefinement._add_candidate
 
-    def noted(self: Stages, candidate: Any) -> None:
+    def noted(self: StagedRefinement, candidate: Any) -> None:
         real(self, candidate)
         found.append((self.budget.spent, candidate.cost if candidate.solved else math.inf))
 
-    monkeypatch.setattr(Stages, "_add", noted)
+    monkeypatch.setattr(StagedRefinement, "_add_candidate", noted)
     limit = share * OSCILLATOR_WORK
     stopped = go.solve(double_oscillator.build(), limits=go.RefinementLimits(max_work=limit))
     # A solve that begins within the limit has the fixed cost of 15 iterations, at 600 points at most, besides.
-    fixed = 16 * 600 * variables_per_point(stopped.phases) / WORK_PER_SECOND
+    fixed = 16 * 600 * count_variables_per_point(stopped.phases) / WORK_PER_SECOND
     assert found[-1][0] <= limit + fixed
     errors = [abs(cost - OSCILLATOR) for _, cost in found]
     assert abs(stopped.objective - OSCILLATOR) <= CANDIDATE_ERROR_MARGIN * min(errors) + 1e-6 * OSCILLATOR

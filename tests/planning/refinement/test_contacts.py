@@ -300,27 +300,27 @@ def test_touches_stay_with_their_times() -> None:
     one = free.with_touch(1, 1.0, UP)
     two = one.with_touch(1, 3.0, UP)
     assert (two.times, two.touches) == ((0.0, 1.0, 3.0, 4.0), ((), ((1, UP),), ((1, UP),), ()))
-    assert two.kinds == ((FREE, FREE),) * 3 and not two.kinked(1)
+    assert two.kinds == ((FREE, FREE),) * 3 and not two.has_only_kinks(1)
     assert two.without_touch(1, 1) == free.with_touch(1, 3.0, UP)
     assert two.merged() == two and two.touching(1, UP) == [1.0, 3.0] and two.touching(1, LOW) == []
-    assert two.at((0.0, 1.0, 1.0, 4.0)).without(1).touches == ((), ((1, UP),), ())
+    assert two.with_times((0.0, 1.0, 1.0, 4.0)).without_piece(1).touches == ((), ((1, UP),), ())
     held = two.with_arc(1, 0.5, 2.0, UP)
     assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
-    assert held.kinked(1) and held.kinked(2)
-    assert held.emptied(1).touching(1, UP) == [1.25, 3.0]
-    assert held.beside_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
-    assert held.beside_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
+    assert held.has_only_kinks(1) and held.has_only_kinks(2)
+    assert held.collapse_piece(1).touching(1, UP) == [1.25, 3.0]
+    assert held.mask_beside_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
+    assert held.mask_beside_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
     jumps = replace(
         held, regular=(False, False), holders=((), (0,))
     )  # times that move: firm, beside none of them
     kinds = tuple((ArcKind.SINGULAR if kind[1] is UP else UP, kind[1]) for kind in held.kinds)
     jumps = replace(jumps, kinds=kinds)
-    assert jumps.beside_contacts(False).any() and not jumps.beside_contacts(False, firm=True).any()
+    assert jumps.mask_beside_contacts(False).any() and not jumps.mask_beside_contacts(False, firm=True).any()
     np.testing.assert_array_equal(
-        held.contact(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
+        held.is_at_limit(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
         [False, True, True, True, False, True, False],
     )
-    arcs = [(a.channel, a.start, a.end) for a in held.arcs("leg", ("a", "x")) if a.channel == "x"]
+    arcs = [(a.channel, a.start, a.end) for a in held.list_arcs("leg", ("a", "x")) if a.channel == "x"]
     assert arcs == [("x", 0.5, 2.0), ("x", 3.0, 3.0)]
 
 
@@ -341,46 +341,51 @@ def test_what_vanishes_passes_its_touches_on() -> None:
     touched = PhaseStructure(
         (0.0, 1.0, 2.0, 4.0), pieces, (), 1, 0, (0, 2), ((), ((1, UP),), ((1, UP), (1, LOW)), ())
     )
-    inner = touched.without(1)
+    inner = touched.without_piece(1)
     assert (inner.times, inner.touches) == ((0.0, 1.5, 4.0), ((), ((1, UP), (1, LOW)), ()))
-    assert touched.without(0).touches == ((), ((1, UP), (1, LOW)), ())
-    assert touched.without(0).times == (0.0, 2.0, 4.0)
-    assert (touched.without(2).times, touched.without(2).touches) == ((0.0, 1.0, 4.0), ((), ((1, UP),), ()))
-    assert touched.emptied(1) == inner  # nothing was held along it
+    assert touched.without_piece(0).touches == ((), ((1, UP), (1, LOW)), ())
+    assert touched.without_piece(0).times == (0.0, 2.0, 4.0)
+    assert (touched.without_piece(2).times, touched.without_piece(2).touches) == (
+        (0.0, 1.0, 4.0),
+        ((), ((1, UP),), ()),
+    )
+    assert touched.collapse_piece(1) == inner  # nothing was held along it
     for order, left in ((1, ()), (2, ((1, UP),)), (3, ((1, UP),))):
         held = PhaseStructure(
             (0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, order)
         )
-        assert held.emptied(1).touching(1, UP) == ([1.5] if left else [])
+        assert held.collapse_piece(1).touching(1, UP) == ([1.5] if left else [])
     start = PhaseStructure((0.0, 1.0, 4.0), ((FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert start.emptied(0).touching(1, UP) == []
+    assert start.collapse_piece(0).touching(1, UP) == []
     beside = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, UP), (FREE, LOW), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert beside.emptied(1).touching(1, LOW) == []
+    assert beside.collapse_piece(1).touching(1, LOW) == []
 
 
 def test_touches_change_places_with_their_switches() -> None:
     kinds = ((LOW, LOW, FREE), (UP, LOW, FREE), (UP, UP, FREE))
     before = PhaseStructure((0.0, 1.0, 2.0, 4.0), kinds, (), 2, 0, (0, 0, 2), ((), ((2, UP),), (), ()))
-    swapped = before.swapped(1)
+    swapped = before.swap_switches(1)
     assert swapped is not None and swapped.touches == ((), (), ((2, UP),), ())
     assert before.touching(2, UP) == [1.0] and swapped.touching(2, UP) == [2.0]
 
 
 def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
     held = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert [held.kinked(k) for k in (1, 2)] == [True, True] and [held.on_contact(k) for k in range(3)] == [
+    assert [held.has_only_kinks(k) for k in (1, 2)] == [True, True] and [
+        held.has_contact(k) for k in range(3)
+    ] == [
         0,
         1,
         0,
     ]
-    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, LOW), (FREE, UP)), (), 1, 0, (0, 2)).kinked(1)
-    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 0)).kinked(1)
+    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, LOW), (FREE, UP)), (), 1, 0, (0, 2)).has_only_kinks(1)
+    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 0)).has_only_kinks(1)
     both = PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, UP)), (), 1, 0, (0, 2))
-    assert not both.kinked(1)
+    assert not both.has_only_kinks(1)
     touch = PhaseStructure(
         (0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 2), ((), ((1, UP),), ())
     )
-    assert not touch.kinked(1)
+    assert not touch.has_only_kinks(1)
 
 
 # --- from a free start ----------------------------------------------------------------------------------------
@@ -422,8 +427,8 @@ def free(order: int, pieces: int = 1, touches: Any = ()) -> PhaseStructure:
     return PhaseStructure(times, ((FREE, FREE),) * pieces, (), 1, 0, (0, order), touches, ((), (0,)))
 
 
-def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.Push:
-    return p.Push(1, kind, np.array(times, float), np.array(worth, float))
+def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.ContactNodes:
+    return p.ContactNodes(1, kind, np.array(times, float), np.array(worth, float))
 
 
 # --- runs of pushes -----------------------------------------------------------------------------------------
@@ -432,29 +437,29 @@ def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.Push:
 def test_a_constraint_of_second_order_touches_or_stays() -> None:
     """Pushes at `FEW` nodes or fewer are a touch at their centre; at more, or beside a touch, an arc over all."""
     nodes = np.linspace(2.0, 8.0, 7)
-    few = run(nodes, [0, 1, 0, 3, 0, 0, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    few = run(nodes, [0, 1, 0, 3, 0, 0, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
     assert few.times == (0.0, 3.0, 5.0, 10.0) and few.touches == ((), ((1, UP),), ((1, UP),), ())
-    one = run(nodes, [0, 1, 3, 0, 0, 0, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    one = run(nodes, [0, 1, 3, 0, 0, 0, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
     assert one.touching(1, UP) == pytest.approx([3.75]) and one.kinds == ((FREE, FREE),) * 2
-    five = run(nodes, [0, 1, 0, 0, 0, 1, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    five = run(nodes, [0, 1, 0, 0, 0, 1, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
     assert five.touching(1, UP) == [3.0, 7.0]
-    six = run(nodes, [1, 0, 0, 0, 0, 1, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    six = run(nodes, [1, 0, 0, 0, 0, 1, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
     assert six.times == (0.0, 2.0, 7.5, 10.0) and [k[1] for k in six.kinds] == [FREE, UP, FREE]
     known = free(2).with_touch(1, 2.5, UP)
-    beside = run(nodes, [0, 1, 0, 0, 0, 0, 0]).added(known, MESH)  # type: ignore[arg-type]
+    beside = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(known, MESH)  # type: ignore[arg-type]
     assert beside.times == (0.0, 2.5, 3.5, 10.0) and not beside.touching(1, UP)
-    later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).added(free(2).with_touch(1, 7.5, UP), MESH)  # type: ignore[arg-type]
+    later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).add_contacts(free(2).with_touch(1, 7.5, UP), MESH)  # type: ignore[arg-type]
     assert later.times == (0.0, 4.5, 7.5, 10.0)
-    far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).added(free(2).with_touch(1, 9.0, UP), MESH)  # type: ignore[arg-type]
+    far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(free(2).with_touch(1, 9.0, UP), MESH)  # type: ignore[arg-type]
     assert far.touching(1, UP) == [3.0, 9.0]
 
 
 def test_a_constraint_of_third_order_touches_only() -> None:
-    added = run(np.linspace(2.0, 8.0, 7), [1, 1, 1, 1, 1, 1, 1]).added(free(3), MESH)  # type: ignore[arg-type]
+    added = run(np.linspace(2.0, 8.0, 7), [1, 1, 1, 1, 1, 1, 1]).add_contacts(free(3), MESH)  # type: ignore[arg-type]
     assert added.touching(1, UP) == pytest.approx([5.0]) and added.kinds == ((FREE, FREE),) * 2
     for end in (0.0, 10.0):
         at_end = run([end, 5.0] if end == 0 else [5.0, end], [1, 0] if end == 0 else [0, 1])
-        assert at_end.added(free(3), MESH).touches == free(3).touches  # type: ignore[arg-type]
+        assert at_end.add_contacts(free(3), MESH).touches == free(3).touches  # type: ignore[arg-type]
 
 
 # --- of a phase ---------------------------------------------------------------------------------------------
@@ -511,18 +516,18 @@ def test_a_touch_whose_limit_would_have_to_pull_is_wrong() -> None:
     """At 2 s the costate of h falls by 2: an upper limit pushes, a lower one would pull."""
     here = constraints(falling, steady, jumping, state_bounds=interval([4, -9], [4.5, 9]))
     base = PhaseStructure((0.0, 4.0), ((FREE, FREE, FREE, FREE),), (), 1, 1, (0, 0, 2, 0))
-    assert c.touch_of_wrong_sign(here, base.with_touch(2, 2.0, UP)) is None
-    assert c.touch_of_wrong_sign(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
-    assert c.touch_of_wrong_sign(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
+    assert c.find_wrong_touch(here, base.with_touch(2, 2.0, UP)) is None
+    assert c.find_wrong_touch(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
+    assert c.find_wrong_touch(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
     both = base.with_touch(2, 1.0, LOW).with_touch(2, 2.0, LOW)
-    assert c.touch_of_wrong_sign(here, both) == (2, 2) and c.touch_of_wrong_sign(here, base) is None
+    assert c.find_wrong_touch(here, both) == (2, 2) and c.find_wrong_touch(here, base) is None
     path = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 2, 0, 0))
-    assert c.touch_of_wrong_sign(here, path.with_touch(1, 2.0, UP)) is None
-    assert c.touch_of_wrong_sign(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
+    assert c.find_wrong_touch(here, path.with_touch(1, 2.0, UP)) is None
+    assert c.find_wrong_touch(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
 
 
 @dataclass(frozen=True)
-class Push:
+class ContactNodes:
     """A run that knows whether it can be held, whether it is known, and whether the mesh or a barrier alone pushes."""
 
     row: int

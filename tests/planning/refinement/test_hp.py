@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import PassLimits, estimate_errors, refine_mesh
+from testing.internals import IterationLimits, estimate_errors, refine_mesh
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.refinement.error import COSTATE_ERROR_WEIGHT, costate_residual, largest_error
-from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, converges_too_slowly
-from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _onset_interval
+from gnc_opt.planning.refinement.error import COSTATE_ERROR_WEIGHT, costate_residual, find_largest_error
+from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, is_stagnating
+from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _bracket_onset
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
 
@@ -176,7 +176,7 @@ def test_boundary_layer(scheme: str) -> None:
     first = go.solve(layered(), scheme=scheme, tol=None)  # type: ignore[arg-type]
     solution, history = refine_mesh(first, tol=1e-8)
     check(history, 1e-8)
-    assert largest_error(estimate_errors(first))[0] > 1e-5, (
+    assert find_largest_error(estimate_errors(first))[0] > 1e-5, (
         "the default mesh would do: the test tests nothing"
     )
     assert solution.objective == pytest.approx(np.tanh(100.0) / 200.0, rel=1e-8)
@@ -250,14 +250,14 @@ def test_phases_are_refined_together() -> None:
 
 def test_point_limit() -> None:
     first = go.solve(layered(), mesh="6x4", tol=None)
-    _, history = refine_mesh(first, tol=1e-10, limits=PassLimits(points=30))
+    _, history = refine_mesh(first, tol=1e-10, limits=IterationLimits(points=30))
     assert history.status is RefinementStatus.POINT_LIMIT
     assert "max_points" in history.message
     assert all(mesh.size <= 30 for p in history.passes for mesh in p.meshes.values())
 
 
 def test_pass_limit() -> None:
-    solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, limits=PassLimits(1))
+    solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, limits=IterationLimits(1))
     assert history.status is RefinementStatus.ITERATION_LIMIT and len(history.passes) == 2
     assert "max_passes" in history.message and solution.objective == history.final.objective
 
@@ -274,11 +274,11 @@ def test_work_limit() -> None:
     first = go.solve(layered(), tol=None)
     _, whole = refine_mesh(first, tol=1e-10)
     enough = whole.passes[1].work
-    solution, history = refine_mesh(first, tol=1e-10, limits=PassLimits(work=1.1 * enough))
+    solution, history = refine_mesh(first, tol=1e-10, limits=IterationLimits(work=1.1 * enough))
     assert history.status is RefinementStatus.BUDGET_LIMIT and len(history.passes) == 3
     assert history.chosen == 1
     assert "max_work" in history.message and solution.objective == history.final.objective
-    _, at_once = refine_mesh(solution, tol=1.0, limits=PassLimits(work=0.0))
+    _, at_once = refine_mesh(solution, tol=1.0, limits=IterationLimits(work=0.0))
     assert at_once.converged
 
 
@@ -296,7 +296,7 @@ def test_work_limit() -> None:
 def test_an_error_that_falls_too_slowly_is_distinguished_from_one_that_gets_there(
     errors: list[float], crawling: bool
 ) -> None:
-    assert converges_too_slowly(errors, 1e-8) is crawling
+    assert is_stagnating(errors, 1e-8) is crawling
 
 
 def test_interruption_keeps_the_best_solution() -> None:
@@ -345,7 +345,7 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
     times, pull = np.arange(4.0), np.array(row)
     zero = float(np.interp(0.0, pull, times))
     for duration in (1e1, 1e3):
-        start, end = _onset_interval(times, pull, 1, duration)
+        start, end = _bracket_onset(times, pull, 1, duration)
         assert 0.5 * (start + end) == pytest.approx(zero) and times[1] <= start < end <= times[at + 1]
     assert end - start == pytest.approx(
         2 * KINK_ESTIMATE_ORDER * (np.diff(times[pull != 0][1:3])[0]) ** 2 / 1e3
@@ -356,7 +356,7 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
 def test_multipliers_point_at_the_end_of_an_arc(side: int) -> None:
     """From 3 over 1 down to zero in the gap from 1 to 2: at 1.5; and the same way round in reverse."""
     times, pull = np.arange(4.0), np.array([3.0, 1.0, 0.0, 0.0])[::side]
-    start, end = _onset_interval(times, pull, 1, 1e3)
+    start, end = _bracket_onset(times, pull, 1, 1e3)
     assert 0.5 * (start + end) == pytest.approx(1.5) and end - start == pytest.approx(
         2 * KINK_ESTIMATE_ORDER / 1e3
     )
@@ -366,8 +366,8 @@ def test_a_multiplier_that_points_elsewhere_leaves_the_whole_gap() -> None:
     """Multipliers of constraints on states end with impulses; single ones point nowhere."""
     times = np.arange(4.0)
     for row in ((1.0, 1.0, 0.0, 0.0), (1.0, 3.0, 0.0, 0.0), (9.0, 8.0, 0.0, 0.0)):
-        assert _onset_interval(times, np.array(row), 1, 1e3) == (1.0, 2.0)
-    assert _onset_interval(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
+        assert _bracket_onset(times, np.array(row), 1, 1e3) == (1.0, 2.0)
+    assert _bracket_onset(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
 
 
 @pytest.mark.slow

@@ -12,7 +12,15 @@ import pytest
 from scipy.optimize import brentq
 from testing.constructed_solutions import cart as constructed_cart
 from testing.constructed_solutions import costates, interval, phase, solution
-from testing.internals import Interval, PhaseStructure, PiecewisePolynomial, Plan, Scheme, Switches, detect
+from testing.internals import (
+    Interval,
+    PhaseStructure,
+    PiecewisePolynomial,
+    Plan,
+    Scheme,
+    Switches,
+    detect_phase_structure,
+)
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -23,16 +31,16 @@ from gnc_opt.planning.refinement.switching import collocated_trajectory as c
 from gnc_opt.planning.refinement.switching import newton as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
 from gnc_opt.planning.refinement.switching import warm_start as v
-from gnc_opt.planning.refinement.switching.collocated_trajectory import collocated
-from gnc_opt.planning.refinement.switching.newton import settle, settle_flow
+from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
+from gnc_opt.planning.refinement.switching.newton import solve_flow, solve_times
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
-    independent,
-    model_minimum,
+    are_independent,
+    minimise_quadratic_model,
     newton_step,
     simplified_newton_step,
 )
-from gnc_opt.planning.refinement.switching.switched_trajectory import _interpolated
+from gnc_opt.planning.refinement.switching.switched_trajectory import _interpolate_hermite
 from problems.rendezvous import SWITCHES, build
 
 # Newton's method on switch times against closed forms.
@@ -80,8 +88,8 @@ def structure(times: list[float], *kinds: ArcKind, others: int = 2) -> PhaseStru
 
 @pytest.mark.parametrize("times", [[0.0, 1.5, 4.5], [0.0, 2.6, 3.4]])
 def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) -> None:
-    found, flight = settle(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
-    guess = flight.solution(cart)
+    found, flight = solve_times(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
+    guess = flight.build_solution(cart)
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
     assert [row[0] for row in found.kinds] == [LOWER, UPPER]
     leg = guess.phase("leg")
@@ -94,14 +102,18 @@ def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) 
 
 
 def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
-    found, _ = settle(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER)) or pytest.fail()
+    found, _ = (
+        solve_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER)) or pytest.fail()
+    )
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
     assert [row[0] for row in found.kinds] == [LOWER, UPPER]
 
 
 def test_oscillator_switches_every_half_period() -> None:
     solution = go.solve(oscillator(), mesh="20x3", tol=None)
-    found, _ = settle(solution, detect(solution.samples()["leg"])) or pytest.fail("does not settle")
+    found, _ = solve_times(solution, detect_phase_structure(solution.samples()["leg"])) or pytest.fail(
+        "does not settle"
+    )
     inner = found.times[1:-1]
     assert len(inner) > 1 and np.diff(inner) == pytest.approx(np.full(len(inner) - 1, np.pi), abs=1e-6)
 
@@ -109,10 +121,12 @@ def test_oscillator_switches_every_half_period() -> None:
 def test_switches_of_several_controls_pass_each_other() -> None:
     """Found on 10 segments, the order of the 19 switches is wrong, and an arc is missing."""
     solution = go.solve(build(case=1), mesh="10x3", tol=None)
-    found, _ = settle(solution, detect(solution.samples()["approach"])) or pytest.fail("does not settle")
+    found, _ = solve_times(solution, detect_phase_structure(solution.samples()["approach"])) or pytest.fail(
+        "does not settle"
+    )
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
     for i, channel in enumerate(SWITCHES[1].values()):
-        own = [found.times[k] for k in range(1, found.pieces) if i in found.changes(k)]
+        own = [found.times[k] for k in range(1, found.pieces) if i in found.row_changes(k)]
         assert own == pytest.approx(channel.switching_times, abs=1e-4)
 
 
@@ -145,7 +159,7 @@ def test_a_few_bangs_stand_for_a_singular_arc_that_is_met_by_chattering() -> Non
 
 def test_a_shift_of_the_clock_changes_nothing(cart: go.Solution) -> None:
     later = go.solve(carts(4.0, initial=1000.0), mesh="8x3", tol=None)
-    found, _ = settle(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
+    found, _ = solve_times(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
     assert found.times == pytest.approx([1000.0, 1002.0, 1004.0], abs=1e-6)
 
 
@@ -155,7 +169,7 @@ def test_active_limits_of_the_end_are_left_to_others() -> None:
     leg = problem.phases["leg"]
     leg.final(q=0.0, v=(-0.5, 0.0))
     solution = go.solve(problem, mesh="8x3", tol=None)
-    assert settle(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
+    assert solve_times(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
 
 
 def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
@@ -168,18 +182,18 @@ def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
     problem.minimize(leg.final_time)
     solution = go.solve(problem, mesh="8x3", tol=None)
     half = np.sqrt(np.pi / 2)
-    assert settle(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
+    assert solve_times(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
 
 
 @pytest.mark.parametrize("kind", [INTERIOR, ArcKind.SINGULAR])
 def test_controls_between_their_bounds_are_left_to_others(cart: go.Solution, kind: ArcKind) -> None:
-    assert settle(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
+    assert solve_times(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
 
 
 def test_states_on_their_bounds_are_left_to_others(cart: go.Solution) -> None:
     held = structure([0.0, 2.0, 4.0], LOWER, UPPER)
     kinds = ((LOWER, INTERIOR, LOWER), held.kinds[1])
-    assert settle(cart, replace(held, kinds=kinds)) is None
+    assert solve_times(cart, replace(held, kinds=kinds)) is None
 
 
 def test_a_structure_that_cannot_be_collocated_is_given_up(
@@ -188,7 +202,9 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
     """Thrust away from the goal and back leads nowhere: what was detected is tried then."""
     nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
     guess = replace(cart, statistics=cart.statistics)
-    monkeypatch.setattr(switching, "_newton_start", lambda *_: (guess, {"leg": Plan.of(nowhere)}, None))
+    monkeypatch.setattr(
+        switching, "_newton_start", lambda *_: (guess, {"leg": Plan.from_structure(nowhere)}, None)
+    )
     found, history = switching.optimise_switches(cart)
     assert history.converged and not history.passes[0].solved
     assert found.objective == pytest.approx(4.0, abs=1e-9)
@@ -197,9 +213,9 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
 @pytest.mark.parametrize("unit", [1.0, 1e12, 1e-12])
 def test_dependence_of_conditions_is_none_of_units(unit: float) -> None:
     rows = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 6.1]]) * np.array([[1.0], [unit]])
-    assert independent(rows)
-    assert not independent(rows @ np.diag([1.0, 1.0, 0.0]))
-    assert not independent(np.vstack([rows, np.zeros(3)]))
+    assert are_independent(rows)
+    assert not are_independent(rows @ np.diag([1.0, 1.0, 0.0]))
+    assert not are_independent(np.vstack([rows, np.zeros(3)]))
 
 
 def test_refinement_then_needs_one_pass() -> None:
@@ -221,8 +237,10 @@ def measured() -> go.Problem:
 
 def test_a_guess_has_the_integrals_costates_and_multipliers_of_the_flow() -> None:
     solution = go.solve(measured(), mesh="8x3", tol=None)
-    _, flight = settle(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail("does not settle")
-    guess = flight.solution(solution)
+    _, flight = solve_times(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail(
+        "does not settle"
+    )
+    guess = flight.build_solution(solution)
     leg = guess.phase("leg")
     assert leg.integral("area") == pytest.approx(8.0, abs=1e-5)
     assert (leg.initial_time, leg.final_time) == pytest.approx((0.0, 4.0), abs=1e-6)
@@ -251,8 +269,8 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
     problem.minimize(leg.integral(a**2) / 8 - leg.final_state("q"))
     solution = go.solve(problem, mesh="9x3", tol=None)
     start = structure([0.0, 2.0, 6.0], UPPER, LOWER)
-    found, flight = settle(solution, start) or pytest.fail("does not settle")
-    guess = flight.solution(solution)
+    found, flight = solve_times(solution, start) or pytest.fail("does not settle")
+    guess = flight.build_solution(solution)
     assert found.times == pytest.approx([0.0, 3.0, 6.0], abs=1e-6)
     assert guess.constraint_multipliers == pytest.approx([3.0], abs=1e-5)
     t = np.linspace(0.0, 6.0, 7)
@@ -277,14 +295,14 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     w = float(brentq(lambda w: length(w) - 1.0, 0.1, 2.0, xtol=1e-15))
     switch, end = r * np.arctanh(w / r), r * np.arctanh(w / r) + r * np.arctan(w / r)
     solution = go.solve(problem, mesh="5x3", tol=None)
-    found, flight = settle_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
-    guess = flight.solution(solution)
+    found, flight = solve_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+    guess = flight.build_solution(solution)
     assert found.times[2] == pytest.approx(end, rel=2 * accuracy)
     assert found.times[1] == pytest.approx(switch, abs=2 * np.sqrt(accuracy) * end)
     assert guess.phase().x(guess.phase().breaks[-1], "left") == pytest.approx(
         [1.0, 0.0], abs=10 * np.sqrt(accuracy)
     )
-    assert settle_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
+    assert solve_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
 
 
 def test_a_step_with_its_own_matrices_is_newtons() -> None:
@@ -342,19 +360,19 @@ def test_a_step_is_that_of_the_optimality_system() -> None:
     rows, misses = RNG.standard_normal((2, 5)), RNG.standard_normal(2)
     system = np.block([[hessian, rows.T], [rows, np.zeros((2, 2))]])
     wanted = np.linalg.solve(system, -np.concatenate([gradient, misses]))[:5]
-    assert model_minimum(hessian, gradient, rows, misses) == pytest.approx(wanted)
+    assert minimise_quadratic_model(hessian, gradient, rows, misses) == pytest.approx(wanted)
 
 
 def test_where_conditions_leave_nothing_open_the_step_meets_them() -> None:
     rows = RNG.standard_normal((3, 3))
     wanted = np.array([1.0, -2.0, 3.0])
-    assert model_minimum(np.eye(3), np.ones(3), rows, -rows @ wanted) == pytest.approx(wanted)
+    assert minimise_quadratic_model(np.eye(3), np.ones(3), rows, -rows @ wanted) == pytest.approx(wanted)
 
 
 def test_negative_curvatures_are_reversed() -> None:
     """x is held; along y and z, curvatures of -2 and 5 and slopes of 4 and -10: down both, by 2 and by 2."""
     hessian, gradient = np.diag([7.0, -2.0, 5.0]), np.array([1.0, 4.0, -10.0])
-    found = model_minimum(hessian, gradient, np.array([[2.0, 0.0, 0.0]]), np.array([3.0]))
+    found = minimise_quadratic_model(hessian, gradient, np.array([[2.0, 0.0, 0.0]]), np.array([3.0]))
     assert found == pytest.approx([-1.5, -2.0, 2.0])
 
 
@@ -367,7 +385,7 @@ def test_negative_curvatures_are_reversed() -> None:
     ],
 )  # fmt: skip
 def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -> None:
-    assert switch_step.independent(np.array(rows)) is independent
+    assert switch_step.are_independent(np.array(rows)) is independent
 
 
 # --- arcs -------------------------------------------------------------------------------------------------
@@ -375,8 +393,8 @@ def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -
 
 def test_arcs_of_every_control_from_end_to_end() -> None:
     """The second control switches first, then the first one, twice: unknowns 1 to 3 between 0 and 4."""
-    assert n._arcs(switches([4.0, 3.0, 6.0], [0, 1, 0])) == [(0, 1), (1, 3), (3, 4), (0, 2), (2, 4)]
-    assert n._arcs(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
+    assert n._list_arc_ends(switches([4.0, 3.0, 6.0], [0, 1, 0])) == [(0, 1), (1, 3), (3, 4), (0, 2), (2, 4)]
+    assert n._list_arc_ends(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------
@@ -384,19 +402,19 @@ def test_arcs_of_every_control_from_end_to_end() -> None:
 
 def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
     before = switches([3.0], [1])
-    inner = n._with_arc(before, 0, 4.0, 6.0)
+    inner = n._insert_arc(before, 0, 4.0, 6.0)
     assert (inner.times.tolist(), inner.channels.tolist()) == ([3.0, 4.0, 6.0], [1, 0, 0])
     assert inner.first.tolist() == [-1.0, 4.0]
-    early = n._with_arc(before, 1, 1.0, 2.0)
+    early = n._insert_arc(before, 1, 1.0, 2.0)
     assert (early.times.tolist(), early.channels.tolist()) == ([3.0, 2.0], [1, 1])
     assert early.first.tolist() == [-1.0, 2.0] and before.first.tolist() == [-1.0, 4.0]
-    late = n._with_arc(before, 0, 9.0, 11.0)
+    late = n._insert_arc(before, 0, 9.0, 11.0)
     assert (late.times.tolist(), late.channels.tolist(), late.first.tolist()) == (
         [3.0, 9.0],
         [1, 0],
         [-1.0, 4.0],
     )
-    whole = n._with_arc(before, 0, 1.0, 11.0)
+    whole = n._insert_arc(before, 0, 1.0, 11.0)
     assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
 
 
@@ -416,9 +434,9 @@ def test_arcs_are_added_as_long_as_they_lead_anywhere(
     """Flights at rest with a switch at such times, and whether they lack an arc."""
     left = [r and Planned(0.0, (0, 7.0, 8.0) if r[1] else None, switches([r[0]], [0])) for r in rests]
     monkeypatch.setattr(n, "newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
-    monkeypatch.setattr(n, "_with_arc", lambda there, *_: there)
-    monkeypatch.setattr(n, "_converged_flight", lambda *_: left.pop(0))
-    found = n._optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
+    monkeypatch.setattr(n, "_insert_arc", lambda there, *_: there)
+    monkeypatch.setattr(n, "_iterate_newton_steps", lambda *_: left.pop(0))
+    found = n._find_optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
     assert (found and found.switches.times.tolist()) == (last and [last]) and not left
 
 
@@ -436,7 +454,7 @@ def test_polynomials_through_values_and_rates() -> None:
 
     breaks = np.array([1.0, 1.5, 4.0])
     given = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.array([0, 1, 2, 3]) / 3).ravel()
-    found = _interpolated(breaks, values(given), rates(given))
+    found = _interpolate_hermite(breaks, values(given), rates(given))
     t = np.linspace(1.0, 4.0, 13)
     assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
 
@@ -487,7 +505,7 @@ def test_when_a_flow_is_accurate(
     ):  # fmt: skip
         monkeypatch.setattr(n, name, answer)
     problem = constructed_cart()
-    found = n.settle_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
+    found = n.solve_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
     assert (found is not None) is (grids is not None)
     if grids:
         assert found is not None and found[0] == "structure" and seen == grids
@@ -566,12 +584,12 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution(slowest: float, kept
     """The speed reaches -4.04 m/s."""
     solution = go.solve(pulled(), mesh="10x3", tol=None)
     (s,) = solution.samples().values()
-    structure, flight = settle(solution, detect(s)) or pytest.fail("does not settle")
+    structure, flight = solve_times(solution, detect_phase_structure(s)) or pytest.fail("does not settle")
     least = float(np.min(flight.x[1]))
     assert least == pytest.approx(-4.04, abs=1e-3)
     box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
     limited = replace(flight, s=replace(s, leg=replace(s.leg, state_bounds=box)))
-    assert (collocated(solution, limited, Plan.of(structure, 60.0)) is not None) is kept
+    assert (collocate_trajectory(solution, limited, Plan.from_structure(structure, 60.0)) is not None) is kept
 
 
 # Variations of a known flight, part by part: where they begin, what limits they keep, what they are told
@@ -607,8 +625,8 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
         flight = SimpleNamespace(step=step or Step(v.FLOW_INITIAL_STEPS))
         return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None
 
-    monkeypatch.setattr(v, "settle_flow", settle)
-    found = v.KnownFlight(KNOWN, "known", np.ones(2)).differentiated()  # type: ignore[arg-type]
+    monkeypatch.setattr(v, "solve_flow", settle)
+    found = v.KnownSwitches(KNOWN, "known", np.ones(2)).with_newton_step()  # type: ignore[arg-type]
     tries = [
         (v.FLOW_COST_ACCURACY, None),
         (v.FLOW_GRID_ACCURACY_SHARE * v.FLOW_COST_ACCURACY, Step(v.FLOW_INITIAL_STEPS // 2)),
@@ -620,27 +638,27 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
 
 
 def test_what_begins_on_the_way_is_the_rest_of_it() -> None:
-    left = v.on_the_way(KNOWN, begun_at(0.3))
+    left = v.truncate_solution(KNOWN, begun_at(0.3))
     t = np.linspace(0.3, 1.0, 5)
     assert (left.phase().initial_time, left.phase().final_time) == (0.3, 1.0)
     assert left.phase().x(t) == pytest.approx(KNOWN.phase().x(t))
     two = replace(KNOWN, phases={"leg": KNOWN.phase(), "other": replace(KNOWN.phase(), name="other")})
-    assert v.on_the_way(two, begun_at(0.3)) is two
+    assert v.truncate_solution(two, begun_at(0.3)) is two
 
 
 def test_it_starts_where_its_problem_says() -> None:
     """The whole trajectory moves there, but in what is not given."""
     t = np.linspace(0.0, 1.0, 5)
     box = interval([0.25, -np.inf], [0.25, np.inf])
-    moved = v._with_moved_start(replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)}))
+    moved = v._shift_start(replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)}))
     assert moved is not None
     assert moved.phase().x(t) == pytest.approx(KNOWN.phase().x(t) + np.array([[0.25], [0.0]]))
     for end in ("initial_time", "final_time"):
         other = interval(getattr(KNOWN.phase(), end) + 0.1, getattr(KNOWN.phase(), end) + 0.1)
         leg = replace(KNOWN.phase(), **{f"{end}_bounds": other})
-        assert v._with_moved_start(replace(KNOWN, phases={"leg": leg})) is None
+        assert v._shift_start(replace(KNOWN, phases={"leg": leg})) is None
         free = replace(KNOWN.phase(), **{f"{end}_bounds": interval(-9.0, 9.0)})
-        assert v._with_moved_start(replace(KNOWN, phases={"leg": free})) is not None
+        assert v._shift_start(replace(KNOWN, phases={"leg": free})) is not None
 
 
 @pytest.mark.parametrize(
@@ -655,7 +673,7 @@ def test_it_starts_where_its_problem_says() -> None:
 def test_a_limit_along_the_way_may_not_be_exceeded(what: str, lower: Any, upper: Any, kept: bool) -> None:
     """v is 3/2 at most, a falls from 6 to -6, v + a from 6."""
     leg = replace(KNOWN.phase(), **{what: interval(lower, upper)})
-    assert c.keeps_limits(replace(KNOWN, phases={"leg": leg}), np.ones(2)) is kept
+    assert c.satisfies_limits(replace(KNOWN, phases={"leg": leg}), np.ones(2)) is kept
 
 
 @pytest.mark.parametrize("pull", [0.0, 2.0])
@@ -673,7 +691,7 @@ def test_multipliers_are_what_the_ends_and_controls_are_worth(pull: float, free:
     lam = lambda t, k: costates(t, k) + np.array([[0.0], [pull]])  # noqa: E731
     times = {"final_time_bounds": interval(0.5, 9.0)} if free else {}
     flown = phase(problem, lam=lam, integrals=np.array([12.0]), integral_weights=np.array([0.5]), **times)
-    found = c.completed(solution(problem, flown, objective=99.0))
+    found = c.complete_multipliers(solution(problem, flown, objective=99.0))
     told = found.phase()
     first, last = (-6 + pull) * 6 + 18, (6 + pull) * -6 + 18
     assert told.time_multipliers == pytest.approx([first - 7, 0.0 if free else -(last + 2)])

@@ -27,11 +27,11 @@ def made(*pieces: str, **more: Any) -> PhaseStructure:
 
 def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them() -> None:
     paths = {"n_controls": 2, "n_paths": 1}
-    assert made("iiui", **paths, holders=((), (), (1,), ())).determined(0) == {1}
-    assert made("iiui", **paths).determined(0) == {0, 1}
-    assert made("iiui", **paths, regular=(True, False, True, False)).determined(0) == {0}
-    assert made("iiiu", **paths, regular=(True, False, True, False)).determined(0) == {0, 1}
-    assert made("uuii", **paths).determined(0) == set()
+    assert made("iiui", **paths, holders=((), (), (1,), ())).find_determined_controls(0) == {1}
+    assert made("iiui", **paths).find_determined_controls(0) == {0, 1}
+    assert made("iiui", **paths, regular=(True, False, True, False)).find_determined_controls(0) == {0}
+    assert made("iiiu", **paths, regular=(True, False, True, False)).find_determined_controls(0) == {0, 1}
+    assert made("uuii", **paths).find_determined_controls(0) == set()
 
 
 # --- pieces that vanish -----------------------------------------------------------------------------------
@@ -39,7 +39,7 @@ def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them(
 
 def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
     structure = made("ii", "iu", "li", n_controls=1, orders=(0, 2)).with_touch(1, 2.5, LOW)
-    found = structure.arcs("leg", ("a", "q"))
+    found = structure.list_arcs("leg", ("a", "q"))
     assert found == (
         Arc("leg", "a", FREE, 0.0, 1.0), Arc("leg", "a", ArcKind.CONSTRAINED, 1.0, 2.0), Arc("leg", "a", LOW, 2.0, 3.0),
         Arc("leg", "q", UP, 1.0, 2.0), Arc("leg", "q", LOW, 2.5, 2.5),
@@ -53,7 +53,7 @@ def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the
     structure = made("iii", "iiu", "iii", n_controls=1, n_paths=1, orders=(0, 0, 3))
     structure = replace(structure, touches=(((2, LOW),), (), ((1, UP),), ((2, UP),)))
     plan = Plan(structure, (Resolution(2), Resolution(3), Resolution(1)))
-    found = plan._junctions()
+    found = plan._find_junctions()
     assert found == (
         Junction(1, 2, UP, 3),
         Junction(0, 5, UP, 2),

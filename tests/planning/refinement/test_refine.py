@@ -17,7 +17,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
-from gnc_opt.planning.refinement.candidates import Candidate, _better_coarse_solve, best_of
+from gnc_opt.planning.refinement.candidates import Candidate, _better_coarse_solve, select_best_candidate
 from problems.classics import van_der_pol
 
 
@@ -201,7 +201,7 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
     [
         ("gnc_opt.planning.refinement.mesh.refinement", "solve_mesh", 2),
         ("gnc_opt.planning.refinement.mesh.refinement", "estimate_errors", 2),
-        ("gnc_opt.planning.refinement.stages", "structures_of", 1),
+        ("gnc_opt.planning.refinement.stages", "detect_structures", 1),
         ("gnc_opt.planning.refinement.candidates", "verify", 1),
     ],
 )
@@ -297,7 +297,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
         return solution, replace(history, status=RefinementStatus.STALLED)
 
     monkeypatch.setattr(module, "optimise_switches", unconvincing)
-    monkeypatch.setattr(module.Stages, "_is_final", lambda *_: False)
+    monkeypatch.setattr(module.StagedRefinement, "_is_final_answer", lambda *_: False)
     go.refine(cart, tol=1e-5)
     assert begun and all(begun.count(order) == 1 for order in begun)
 
@@ -355,7 +355,7 @@ def candidate(
             value=estimate, scale=cost, suboptimal=suboptimal, infeasible=estimate - suboptimal
         ),
     )
-    made.estimate = Candidate.estimate.fget(made)  # type: ignore[attr-defined]
+    made.estimate = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
     made.rank = lambda tol: Candidate.rank(made, tol)
     made.is_lower = lambda other, **margin: Candidate.is_lower(made, other, **margin)
     return made
@@ -384,7 +384,7 @@ def candidate(
     ],
 )
 def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
-    assert best_of(found, tol=1e-8) == kept
+    assert select_best_candidate(found, tol=1e-8) == kept
 
 
 @pytest.mark.parametrize(
@@ -396,7 +396,7 @@ def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
 )
 def test_a_lower_coarse_solve_is_reported(estimate: float, hint: dict[str, str]) -> None:
     found = [candidate(1.9, estimate), candidate(2.0, 1e-6, passes=True)]
-    assert best_of(found, tol=1e-8) == 1 and _better_coarse_solve(found, found[1]) == hint
+    assert select_best_candidate(found, tol=1e-8) == 1 and _better_coarse_solve(found, found[1]) == hint
 
 
 def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(
@@ -434,5 +434,5 @@ def test_a_better_coarse_solve_is_known_by_its_estimates(sign: float) -> None:
         roots = np.roots([4.0, 0.0, 0.02 - 4.0, 0.3]).real
         e = roots[np.argmin(np.abs(roots - side))]
         assert sign * solution.objective == pytest.approx((e**2 - 1) ** 2 + 0.3 * e + 0.01 * e**2, rel=1e-8)
-        found[side] = Candidate.of_solve(solution, 1e-6, time.perf_counter(), "first")
+        found[side] = Candidate.from_solve(solution, 1e-6, time.perf_counter(), "first")
     assert found[-1.0].is_lower(found[1.0]) and not found[1.0].is_lower(found[-1.0])

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from testing.internals import PassLimits, Plan, optimise_switches, solve_mesh, uniform_points
+from testing.internals import IterationLimits, Plan, count_uniform_points, optimise_switches, solve_mesh
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.measured_start import with_start_on_bounds
-from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _without_slivers
-from gnc_opt.planning.refinement.arcs.detection import structures_of
+from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _remove_sliver_pieces
+from gnc_opt.planning.refinement.arcs.detection import detect_structures
 from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
 from gnc_opt.planning.solver import SolveMethod
 
@@ -294,7 +294,7 @@ def test_boundaries_that_arcs_moved_stand_where_these_are_left_out(limited: Reso
 def test_arcs_that_are_far_from_right_are_given_up_at_once(limited: Resolver) -> None:
     known = KnownArcs.of(limited.solution)
     for worst, passes in ((1e-30, 1), (0.1, 2)):
-        limits = PassLimits(worst=worst)
+        limits = IterationLimits(worst=worst)
         _, history = optimise_switches(
             limited.solution, limits=limits, structures=known.structures, segments="few"
         )
@@ -314,13 +314,15 @@ def test_what_is_no_start_is_refused(fast: Resolver, limited: Resolver) -> None:
 def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
     """Samples show them a little off; on a mesh that has other ends they begin with few segments."""
     leg = limited.solution.phase()
-    (found,) = structures_of(replace(limited.solution, structure=())).values()
+    (found,) = detect_structures(replace(limited.solution, structure=())).values()
     first, *inner, last = found.times
-    known = Plan.refined(found.at((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh)
+    known = Plan.from_refined_mesh(
+        found.with_times((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh
+    )
     assert known.structure.times == pytest.approx(tuple(leg.breaks), rel=1e-14)
     assert known.mesh().degrees == leg.mesh.degrees
-    far = found.at((first, *(t + 0.05 * leg.duration for t in inner), last))
-    assert Plan.refined(far, leg.mesh) == Plan.of(far, uniform_points(leg.mesh))
+    far = found.with_times((first, *(t + 0.05 * leg.duration for t in inner), last))
+    assert Plan.from_refined_mesh(far, leg.mesh) == Plan.from_structure(far, count_uniform_points(leg.mesh))
 
 
 @pytest.mark.parametrize("cost", ["time", "effort"])
@@ -345,7 +347,7 @@ def test_ctrl_c_ends_a_solve_and_begins_no_other(
 def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -> None:
     """The control leaves its bound where the speed reaches its limit; samples may show the one before the other."""
     known = limited.solution
-    (found,) = structures_of(replace(known, structure=())).values()
+    (found,) = detect_structures(replace(known, structure=())).values()
     begin, reached, left, end = found.times
     between = (*found.kinds[1][: found.n_controls], *found.kinds[0][found.n_controls :])
     shown = replace(
@@ -354,10 +356,10 @@ def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -
         kinds=(found.kinds[0], between, *found.kinds[1:]),
         touches=((),) * 5,
     )
-    mended = _without_slivers(shown, known, "leg")
+    mended = _remove_sliver_pieces(shown, known, "leg")
     assert mended.kinds == found.kinds and mended.times == pytest.approx(found.times, abs=1e-3)
     longer = replace(shown, times=(begin, reached, reached + 0.2, left, end))
-    assert _without_slivers(longer, known, "leg") == longer
+    assert _remove_sliver_pieces(longer, known, "leg") == longer
 
 
 @pytest.mark.parametrize("again", ["Resolver", "solve(guess=)"])

@@ -165,8 +165,8 @@ def test_kinks_are_distinguished_from_switches() -> None:
     structure = PhaseStructure(
         (0.0, 1.0, 2.0, 3.0), ((UP, FREE), (UP, UP), (FREE, UP)), regular=(True, False)
     )
-    assert not structure.kinked(1)
-    assert structure.kinked(2)
+    assert not structure.has_only_kinks(1)
+    assert structure.has_only_kinks(2)
 
 
 def test_a_smooth_control_is_one_polynomial_and_costs_what_it_must() -> None:

@@ -17,13 +17,13 @@ from testing.internals import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,
     FIRST_DEGREE,
-    PassLimits,
+    IterationLimits,
     PhaseSamples,
     PhaseStructure,
     Plan,
     Resolution,
     Smooth,
-    detect,
+    detect_phase_structure,
 )
 from testing.models import dynamics, one_phase
 
@@ -34,7 +34,7 @@ from gnc_opt.planning.refinement.arcs import arc_refinement as f
 from gnc_opt.planning.refinement.arcs import curvature as b
 from gnc_opt.planning.refinement.arcs import detection as d
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as s
-from gnc_opt.planning.refinement.arcs.detection import switching
+from gnc_opt.planning.refinement.arcs.detection import evaluate_switching_functions
 from problems.classics import van_der_pol
 
 # Detection of arcs in coarse solutions, and the pieces of which a structure is made.
@@ -86,7 +86,7 @@ def singular(inside: list[float], gradient: list[float]) -> list[int]:
     values = tuple(np.where(np.arange(10) < 10 * share, 0.0, 1.0)[None, :] for share in inside)
     there = sampled(len(inside))
     there.leg.u = SimpleNamespace(values=values)
-    return d._singular_segments(
+    return d._find_singular_segments(
         there, 0, np.repeat(gradient, PER_SEGMENT) * np.tile([0.5, -1, 0.2, 0], len(inside))
     )
 
@@ -117,20 +117,20 @@ def flight(u: Any, lam: Any, bounds: Any = (-1.0, 1.0), segments: int = 8, x: An
 def test_curvature_distinguishes_linear_from_convex() -> None:
     """H'' = 1 over a range of 20, in shares of H of 54: 400 / 54."""
     found = samples(CART, control_bounds=interval(-10.0, 10.0))
-    assert b.curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
-    assert b.regular_channels(found).tolist() == [True] and b.affine_channels(found).tolist() == [False]
+    assert b.hamiltonian_curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
+    assert b.regular_controls(found).tolist() == [True] and b.affine_controls(found).tolist() == [False]
     concave = samples(CART, weights=(-0.5,), control_bounds=interval(-10.0, 10.0))
-    assert b.regular_channels(concave).tolist() == [False] == b.affine_channels(concave).tolist()
+    assert b.regular_controls(concave).tolist() == [False] == b.affine_controls(concave).tolist()
     line = flight(lambda t, k: [0 * t], lambda t, k: [t])
-    assert b.regular_channels(line).tolist() == [False] and b.affine_channels(line).tolist() == [True]
+    assert b.regular_controls(line).tolist() == [False] and b.affine_controls(line).tolist() == [True]
 
 
 def test_the_switching_function_at_a_time_is_that_of_the_samples() -> None:
     found = samples(CART, lam=lambda t, k: [0 * t, 5 + t], paths=lambda t, k: [2 * t, 0 * t])
     t = np.array([0.1, 0.8])
-    assert d.switching(found, t)[0] == pytest.approx(6 - 12 * t + 5 + t + 2 * t)
+    assert d.evaluate_switching_functions(found, t)[0] == pytest.approx(6 - 12 * t + 5 + t + 2 * t)
     line = flight(lambda t, k: [0 * t], lambda t, k: [3.7 - t])
-    assert d.switching(line, np.ones(1)) == pytest.approx(np.array([[2.7]]))
+    assert d.evaluate_switching_functions(line, np.ones(1)) == pytest.approx(np.array([[2.7]]))
 
 
 def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> None:
@@ -140,10 +140,10 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
             CART, u=lambda t, k: [5.0 - 10 * k + 0 * t], lam=lambda t, k, lam=lam: [0 * t, lam + 0 * t],
             control_bounds=interval(-5.0, 5.0),
         )  # fmt: skip
-        rows = d._nonlinear_labels(found, 0)
+        rows = d._label_nonlinear_control(found, 0)
         assert [set(rows[found.segments == k]) for k in (0, 1)] == [{label} for label in labels]
     neither = samples(CART, lam=lambda t, k: [0 * t, 0 * t], control_bounds=interval(-9.0, 9.0))
-    assert set(d._nonlinear_labels(neither, 0)) == {FREE}
+    assert set(d._label_nonlinear_control(neither, 0)) == {FREE}
 
 
 # --- times ------------------------------------------------------------------------------------------------
@@ -151,7 +151,7 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
 
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
     def at(values: Callable[[Array], Array], left: float, right: float) -> float:
-        return float(d.roots(values, np.array([left]), np.array([right]))[0])
+        return float(d.find_roots(values, np.array([left]), np.array([right]))[0])
 
     assert at(lambda t: t - 0.3, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
     assert at(lambda t: 0.3 - t, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
@@ -162,7 +162,7 @@ def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
 
 def test_the_structure_of_the_cart_has_all_rows() -> None:
     """A convex control within bounds, a mixed path at its limit late, a pure one, two states."""
-    found = d.detect(
+    found = d.detect_phase_structure(
         samples(
             CART, paths=lambda t, k: [-1.0 + 0 * t, 0 * t], path_bounds=interval([-5.0, -50.0], [100.0, np.inf]),
             control_bounds=interval(-20.0, 20.0), breaks=np.linspace(0, 1, 9),
@@ -196,9 +196,9 @@ def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     samples = go.solve(problem, mesh="5x4", tol=None).samples()["leg"]
-    structure = detect(samples)
+    structure = detect_phase_structure(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP]
-    assert abs(switching(samples, np.array([structure.times[1]]))[0, 0]) < 1e-12
+    assert abs(evaluate_switching_functions(samples, np.array([structure.times[1]]))[0, 0]) < 1e-12
     assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
 
 
@@ -270,7 +270,9 @@ def power_limited(unit: float) -> go.Problem:
 def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
     """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
     first = go.solve(power_limited(unit), mesh="12x4", tol=None)
-    rows = [piece[0] for piece in zip(*detect(first.samples()["leg"]).paths.tolist(), strict=True)]
+    rows = [
+        piece[0] for piece in zip(*detect_phase_structure(first.samples()["leg"]).paths.tolist(), strict=True)
+    ]
     assert rows == [FREE, UP, FREE]
     solution = go.refine(first)
     assert solution.history is not None and solution.history.converged
@@ -298,7 +300,7 @@ MESHES = ["8x4", "10x3", "15x4", "20x3", "30x4", "40x3"]
 def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tuple[float, ...]) -> None:
     """Controls chatter beside its ends; the short bangs are not taken for arcs. The ends are 0.338 s and 2.531 s."""
     solution = go.solve(pursuit(*units), mesh=mesh, tol=None)
-    structure = detect(solution.samples()["leg"])
+    structure = detect_phase_structure(solution.samples()["leg"])
     bangs = [LOW, UP] if units[1] > 0 else [UP, LOW]
     assert [piece[0] for piece in structure.kinds] == [bangs[0], ArcKind.SINGULAR, bangs[1]]
     segment = 3.0 * units[2] / solution.phase().mesh.segments
@@ -309,7 +311,7 @@ def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tupl
 def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> None:
     solution = go.solve(van_der_pol.build(), mesh=mesh, tol=None)
     (samples,) = solution.samples().values()
-    structure = detect(samples)
+    structure = detect_phase_structure(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP, ArcKind.SINGULAR]
     segment = 4.0 / samples.leg.mesh.segments
     assert np.abs(np.array(structure.times[1:3]) - van_der_pol.SWITCH_TIMES).max() < segment
@@ -326,12 +328,12 @@ RELEASED = ArcKind.RELEASED
 
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
     assert Resolution() == Resolution(1, FIRST_DEGREE, 0, np.inf, ())
-    assert Resolution(1, 6).finer(np.array([0.1])) == Resolution(1, 9)
-    assert Resolution(2, 6).finer(np.array([-1.0, 3.5])) == Resolution(2, 10)
-    assert Resolution(1, 11).finer(np.array([8.0])) == Resolution(1, ARC_MAX_DEGREE)
-    assert Resolution(3, 7).finer(np.array([0.0, -1.0, -9.0])) == Resolution(3, 7)
+    assert Resolution(1, 6).refine_by_decades(np.array([0.1])) == Resolution(1, 9)
+    assert Resolution(2, 6).refine_by_decades(np.array([-1.0, 3.5])) == Resolution(2, 10)
+    assert Resolution(1, 11).refine_by_decades(np.array([8.0])) == Resolution(1, ARC_MAX_DEGREE)
+    assert Resolution(3, 7).refine_by_decades(np.array([0.0, -1.0, -9.0])) == Resolution(3, 7)
     many = Resolution(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
-    assert many.finer(np.full(many.segments, 5.0)) == many
+    assert many.refine_by_decades(np.full(many.segments, 5.0)) == many
 
 
 # --- plans ------------------------------------------------------------------------------------------------
@@ -345,7 +347,7 @@ def held_by(plan: Plan) -> Any:
     problem = SimpleNamespace(
         phases={"leg": leg}, with_fixed_arcs=lambda name, **more: asked.update(more, name=name) or problem
     )
-    assert plan.hold(problem, "leg") is problem  # type: ignore[arg-type]
+    assert plan.hold_arcs(problem, "leg") is problem  # type: ignore[arg-type]
     return asked
 
 
@@ -361,7 +363,9 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
     assert asked["paths"].tolist() == [[RELEASED, UP, UP, RELEASED]]
     assert asked["states"].tolist() == [[FREE, FREE, FREE, LOW]]
     assert asked["smooth"] == (Smooth(1, 1, 3, 4),)
-    bang = held_by(Plan.of(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), n_controls=1)))
+    bang = held_by(
+        Plan.from_structure(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), n_controls=1))
+    )
     assert bang["paths"] is None and bang["states"] is None and bang["smooth"] == ()
     assert bang["arcs"].tolist() == [[LOW, UP]]
 
@@ -412,11 +416,11 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     plan = plan_of(Resolution(1, 4), Resolution(1, 4))
     wrong = samples(CART, lam=lam)
     share = 0.25 / 12.25
-    found = f.finer(wrong, plan, 0.99 * share)
+    found = f.refine_inaccurate_pieces(wrong, plan, 0.99 * share)
     assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
-    assert f.finer(wrong, plan, 1.01 * share) is None
+    assert f.refine_inaccurate_pieces(wrong, plan, 1.01 * share) is None
     pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
-    assert f.finer(pushed, plan, 1e-9) is None
+    assert f.refine_inaccurate_pieces(pushed, plan, 1e-9) is None
 
 
 TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
@@ -441,9 +445,9 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
             now["passes"] += 1
             return replace(base, status=now["status"], objective=float(now["passes"]))
 
-        monkeypatch.setattr(s, "_solve", solve)
-        monkeypatch.setattr(s, "pass_meter", lambda *_: nullcontext(shown.append))
-        monkeypatch.setattr(s, "_plan_at_solution", lambda plan, found, name: plan)
+        monkeypatch.setattr(s, "_solve_program", solve)
+        monkeypatch.setattr(s, "show_pass", lambda *_: nullcontext(shown.append))
+        monkeypatch.setattr(s, "_update_plan_times", lambda plan, found, name: plan)
         monkeypatch.setattr(s, "improve_plans", lambda found, plans, swapped, tol: (plans, now["action"]))
         found, history = s.optimise_switches(base, **more)
         assert shown == list(history.passes)
@@ -464,7 +468,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     ],
 )
 def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:
-    found, history, _ = scripted(script, limits=PassLimits(passes))
+    found, history, _ = scripted(script, limits=IterationLimits(passes))
     assert history.status is RefinementStatus(status) and [p.actions for p in history.passes] == actions
     assert [p.solved for p in history.passes] == [st.solved for st, _ in script]
     assert history.message == f"{status}: {actions[-1]}"
@@ -478,15 +482,15 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
 ) -> None:
     problem = cart()
     base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
-    told, calls = {"leg": Plan.of(TWO_ROWS)}, []
+    told, calls = {"leg": Plan.from_structure(TWO_ROWS)}, []
 
     def run(loop: Any, guess: Any, plans: Any, flown: Any = None) -> Any:
         calls.append((guess, plans, loop.aim, loop.limits.passes, loop.options.tolerance))
         return RefinementStatus.FAILED
 
     monkeypatch.setattr(s, "_newton_start", lambda *_: (other, told, None))
-    monkeypatch.setattr(s._Loop, "run", run)
-    limits = PassLimits(7)
+    monkeypatch.setattr(s._StructureLoop, "run", run)
+    limits = IterationLimits(7)
     found, history = s.optimise_switches(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
     assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
     assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
@@ -504,11 +508,11 @@ def test_plans_follow_the_switch_times_of_their_solution() -> None:
     plan = Plan(THREE, (Resolution(1), Resolution(2), Resolution(1)))
     leg = SimpleNamespace(breaks=np.array([1.0, 1.5, 2.0, 4.5, 5.0]))
     there: Any = SimpleNamespace(phases={"leg": leg})
-    assert s._plan_at_solution(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)
+    assert s._update_plan_times(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)
 
 
 def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     problem = cart()
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
-    found = s._arcs(solution(problem, phase(problem)), {"leg": Plan.of(structure)})
+    found = s._list_arcs(solution(problem, phase(problem)), {"leg": Plan.from_structure(structure)})
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))

@@ -412,7 +412,7 @@ def _problem(cost: str) -> tuple[go.Problem, go.Phase]:
 
 
 def _flight(push: float) -> tuple[Any, Any, Any]:
-    """Push, coast, push back: the stronger, the less fuel. push s (T - s) = 1."""
+    """ContactNodes, coast, push back: the stronger, the less fuel. push s (T - s) = 1."""
     s = (_TIME - np.sqrt(_TIME**2 - 4 / push)) / 2
     ends = np.array([0.0, s, _TIME - s, _TIME])
     t = np.concatenate([np.linspace(a, b, 9) for a, b in itertools.pairwise(ends)])

@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose_kind
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE
 
@@ -64,7 +64,7 @@ class Resolution:
     smooth : int
         Degree of the polynomials that singular controls are over the whole piece; 0: no such polynomials.
     gradient : float
-        Largest dH/du that was left along the piece with the degree before; see `smoother`.
+        Largest dH/du that was left along the piece with the degree before; see `raise_control_degree`.
     edges : tuple of float
         Where segments meet, in shares of the piece; none: they are equally long.
     """
@@ -76,13 +76,13 @@ class Resolution:
     edges: tuple[float, ...] = ()
 
     @property
-    def shares(self) -> Array:
+    def segment_boundaries(self) -> Array:
         """Boundaries of the segments, in shares of the piece: (segments + 1,) from 0 to 1."""
         if self.edges:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
-    def finer(self, decades: Array) -> Resolution:
+    def refine_by_decades(self, decades: Array) -> Resolution:
         """Return the resolution with which errors fall by so many decades; the finest one is itself.
 
         First with more points, then by halving segments where that is not enough: those that are worst first, as far as
@@ -109,9 +109,9 @@ class Resolution:
             if self.smooth
             else np.ceil(np.clip(decades, 0.0, MAX_DECADES_PER_ITERATION) / DECADES_PER_HALVING)
         )
-        return self._with_cut_segments(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
+        return self._subdivide_segments(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
 
-    def _with_cut_segments(self, parts: Indices, order: Indices) -> Resolution:
+    def _subdivide_segments(self, parts: Indices, order: Indices) -> Resolution:
         """Return the resolution with every segment cut in equal parts, in this order up to `ARC_MAX_SEGMENTS`."""
         allowed, room = np.ones_like(parts), ARC_MAX_SEGMENTS - self.segments
         for k in order:
@@ -120,14 +120,14 @@ class Resolution:
         count = int(np.sum(allowed))
         if np.all(allowed == allowed[0]) and not self.edges:
             return replace(self, segments=count)
-        shares = self.shares
+        shares = self.segment_boundaries
         pieces = [
             np.linspace(left, right, n + 1)[1:]
             for left, right, n in zip(shares[:-1], shares[1:], allowed, strict=True)
         ]
         return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
 
-    def smoother(self, gradient: float) -> Resolution:
+    def raise_control_degree(self, gradient: float) -> Resolution:
         """Return the resolution with singular controls of a higher degree, and points enough for them and the states.
 
         It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
@@ -161,7 +161,7 @@ class Plan:
         Whether state constraints may be left beside their touches, too. The barrier of an interior-point method pushes
         where points come close to a limit; but without limits a structure that lacks a contact may have no solution.
     firm : bool
-        Whether they may be left beside arcs that do not move only; see `PhaseStructure.beside_contacts`.
+        Whether they may be left beside arcs that do not move only; see `PhaseStructure.mask_beside_contacts`.
     """
 
     structure: PhaseStructure
@@ -171,15 +171,15 @@ class Plan:
     firm: bool = False
 
     @classmethod
-    def of(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
+    def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
         """Return a plan that starts with the coarsest resolution that suits a mesh of so many points."""
-        first = tuple(_first_resolution(structure, k, points) for k in range(structure.pieces))
+        first = tuple(_choose_initial_resolution(structure, k, points) for k in range(structure.pieces))
         return cls(structure, first, points)
 
     @classmethod
-    def refined(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
+    def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
         """Return a plan with the segments that its pieces have been refined to; with few if the mesh has others."""
-        found, times = cls.of(structure, uniform_points(mesh)), np.asarray(structure.times)
+        found, times = cls.from_structure(structure, count_uniform_points(mesh)), np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
         if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > NOTABLE:
@@ -190,32 +190,32 @@ class Plan:
         pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
         return replace(
             found,
-            structure=structure.at(tuple(map(float, moved))),
-            resolutions=tuple(_resolution_of_mesh(mesh, *piece, first) for piece, first in pieces),
+            structure=structure.with_times(tuple(map(float, moved))),
+            resolutions=tuple(_read_resolution(mesh, *piece, first) for piece, first in pieces),
         )
 
-    def restructured(self, structure: PhaseStructure) -> Plan:
+    def replace_structure(self, structure: PhaseStructure) -> Plan:
         """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
 
         What is left of a piece with singular controls keeps their degree: stiffer polynomials have another optimum.
         """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
-        plan = replace(Plan.of(structure, self.points), loose=self.loose and same, firm=self.firm)
-        kept = tuple(self._with_known_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
+        plan = replace(Plan.from_structure(structure, self.points), loose=self.loose and same, firm=self.firm)
+        kept = tuple(self._inherit_smooth_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
         return replace(plan, resolutions=kept)
 
-    def completed(self, structure: PhaseStructure) -> Plan:
+    def extend_structure(self, structure: PhaseStructure) -> Plan:
         """Return the plan of the structure with one more arc: pieces that are as before keep their segments.
 
         They are fine enough already, and what the arc changes in them is small.
         """
-        plan = self.restructured(structure)
+        plan = self.replace_structure(structure)
         kept = tuple(
-            self._resolution_of_same_piece(structure, k) or r for k, r in enumerate(plan.resolutions)
+            self._find_matching_resolution(structure, k) or r for k, r in enumerate(plan.resolutions)
         )
         return replace(plan, resolutions=kept)
 
-    def _resolution_of_same_piece(self, structure: PhaseStructure, piece: int) -> Resolution | None:
+    def _find_matching_resolution(self, structure: PhaseStructure, piece: int) -> Resolution | None:
         """The resolution of the piece of this plan that does the same at nearly the same time, or None."""
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
@@ -226,7 +226,7 @@ class Plan:
                 return self.resolutions[k]
         return None
 
-    def _with_known_degree(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+    def _inherit_smooth_degree(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
         now = [
             r
@@ -236,9 +236,9 @@ class Plan:
         return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
 
     @property
-    def leaves_limits(self) -> bool:
+    def may_leave_limits(self) -> bool:
         """Whether state constraints may be left beside arcs that move."""
-        loose, firm = (self.structure.beside_contacts(self.loose, firm) for firm in (self.firm, True))
+        loose, firm = (self.structure.mask_beside_contacts(self.loose, firm) for firm in (self.firm, True))
         return bool(np.any(loose != firm))
 
     @property
@@ -257,39 +257,39 @@ class Plan:
         degrees: list[int] = []
         for k, r in enumerate(self.resolutions):
             left, right = self.structure.times[k], self.structure.times[k + 1]
-            times += [left + (right - left) * float(share) for share in r.shares[1:]]
+            times += [left + (right - left) * float(share) for share in r.segment_boundaries[1:]]
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.pieces)
-        movable = tuple(self.piece_ends[k] for k in inner if not self.structure.kinked(k))
+        movable = tuple(self.piece_ends[k] for k in inner if not self.structure.has_only_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
-    def hold(self, problem: Problem, phase: str) -> Problem:
+    def hold_arcs(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states held as the structure says."""
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.controls), len(structure.paths)
         # An interior control may leave its bounds: by how much tells where its arc has to end.
-        controls = choose(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
+        controls = choose_kind(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
         kinds = np.vstack([controls, structure.paths, structure.states])[:, segments]
         free = kinds == ArcKind.INTERIOR
-        kinds = choose(free & self._released_rows(), ArcKind.RELEASED, kinds)
+        kinds = choose_kind(free & self._find_released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_fixed_arcs(
             phase,
             arcs=kinds[:n_controls],
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
-            smooth=self._control_polynomials(),
-            junctions=(*self._junctions(), *self._ends_of_segments(problem, phase)),
+            smooth=self._define_control_polynomials(),
+            junctions=(*self._find_junctions(), *self._find_segment_end_junctions(problem, phase)),
         )
 
-    def _released_rows(self) -> Mask:
+    def _find_released_rows(self) -> Mask:
         """Return where rows may leave their limits, if they are on none of them, (n_rows, K)."""
         structure = self.structure
-        beside = structure.beside_contacts(self.loose, self.firm) | structure.beside_takeovers()
-        return np.asarray((structure.curved() | beside)[:, self.segment_pieces])
+        beside = structure.mask_beside_contacts(self.loose, self.firm) | structure.mask_beside_exchanges()
+        return np.asarray((structure.find_convex_rows() | beside)[:, self.segment_pieces])
 
-    def _junctions(self) -> tuple[Junction, ...]:
+    def _find_junctions(self) -> tuple[Junction, ...]:
         """Where state constraints that determine a control reach their limit to stay there, or touch it.
 
         Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
@@ -297,15 +297,15 @@ class Plan:
         structure, n_controls = self.structure, len(self.structure.controls)
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.pieces):
-            taken = structure.taken_over(k)[:1]
-            for i in structure.changes(k):
+            taken = structure.find_constraint_exchange(k)[:1]
+            for i in structure.row_changes(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
                 if after.at_limit and (order or i in taken):
                     found.append((k, i, after, order, -1 if i in taken else 0))
                 elif i in taken:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
-            paths = [i for i in structure.handed_over(k) if i >= n_controls]
+            paths = [i for i in structure.find_limit_exchange(k) if i >= n_controls]
             for i in paths[:1]:
                 before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
                 found.append((k, i, after, 0, -1) if after.at_limit else (k, i, before, 0, 1))
@@ -315,7 +315,7 @@ class Plan:
             for k, i, kind, conditions, tangent in found
         )
 
-    def _ends_of_segments(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+    def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
         """Where segments end along an arc on a limit of first order that a singular control holds beside regular ones.
 
         Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
@@ -331,7 +331,7 @@ class Plan:
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
                 free = [i for i in structure.holders[row] if not kinds[i].at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-                if 0 < len(singular) < len(free) and _move_states_independently(
+                if 0 < len(singular) < len(free) and _have_independent_effects(
                     problem.phases[phase].model, free
                 ):
                     last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
@@ -339,14 +339,14 @@ class Plan:
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
         return tuple(found)
 
-    def _control_polynomials(self) -> tuple[Smooth, ...]:
+    def _define_control_polynomials(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""
         found, ends = [], self.piece_ends
         for i, row in enumerate(self.structure.controls):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
                 r = self.resolutions[k]
                 if (
-                    i not in self.structure.determined(int(k))
+                    i not in self.structure.find_determined_controls(int(k))
                     and r.smooth
                     and r.smooth < r.segments * r.degree - 1
                 ):
@@ -354,18 +354,18 @@ class Plan:
         return tuple(found)
 
 
-def _move_states_independently(model: Model, controls: list[int]) -> bool:
+def _have_independent_effects(model: Model, controls: list[int]) -> bool:
     """Whether controls can move the states in more than one direction."""
     moved = ca.jacobian(model.derivative(), model.arguments()[2])
     return bool(ca.sprank(moved[:, controls]) > 1)
 
 
-def uniform_points(mesh: Mesh) -> float:
+def count_uniform_points(mesh: Mesh) -> float:
     """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
-def _resolution_of_mesh(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
+def _read_resolution(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
     """The segments of a mesh from one break to another, with as smooth a control as they have points for."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
     shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
@@ -373,13 +373,13 @@ def _resolution_of_mesh(mesh: Mesh, first: int, last: int, coarsest: Resolution)
     return Resolution(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
 
 
-def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
+def _choose_initial_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
     kinds, share = structure.kinds[piece], structure.lengths[piece] / structure.lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
-    if singular - structure.determined(piece):
+    if singular - structure.find_determined_controls(piece):
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.controls[:, piece]:
-        degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
+        degree = FIRST_DEGREE if structure.has_contact(piece) else INTERIOR_DEGREE
         return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / (POINT_RATIO * ARC_MAX_DEGREE))) if points > COARSE_POINTS else 1
     return Resolution() if segments == 1 else Resolution(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)

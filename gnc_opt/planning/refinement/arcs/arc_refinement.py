@@ -19,35 +19,35 @@ SINGULAR_GAIN_MAX = 1e-4
 """Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
 
 
-def finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
+def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
-    errors = defects(samples)
+    errors = compute_dynamics_defects(samples)
     gradient = samples.functions.state_gradient(
         samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
     )
     residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
-    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.pieces)])
     residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     by_piece = np.split(per_segment, plan.piece_ends[1:-1])
     wanted = tuple(
-        next_resolution(r, errors, gradient, tol)
+        choose_next_resolution(r, errors, gradient, tol)
         for r, errors, gradient in zip(
-            plan.resolutions, by_piece, singular_gradient(samples, plan), strict=True
+            plan.resolutions, by_piece, compute_singular_gradients(samples, plan), strict=True
         )
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
 
-def defects(samples: PhaseSamples) -> Array:
+def compute_dynamics_defects(samples: PhaseSamples) -> Array:
     """How far the dynamics are off in each segment, in shares of what the states move, (n_states, K)."""
     rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
     return np.asarray(samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
-def next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
+def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
     """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing.
 
     Parameters
@@ -57,15 +57,15 @@ def next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -
         Of states and costates in every segment of the piece.
     gradient, tol : float
     """
-    smoother = r.smoother(gradient) if gradient > SINGULAR_GRADIENT_TOLERANCE else r
+    smoother = r.raise_control_degree(gradient) if gradient > SINGULAR_GRADIENT_TOLERANCE else r
     if smoother != r and gradient > max(float(np.max(errors)), SINGULAR_GAIN_MAX):
         return smoother
     if np.all(errors <= tol):
         return smoother
-    return r.finer(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
+    return r.refine_by_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
-def singular_gradient(samples: PhaseSamples, plan: Plan) -> Array:
+def compute_singular_gradients(samples: PhaseSamples, plan: Plan) -> Array:
     """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
     kinds = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale

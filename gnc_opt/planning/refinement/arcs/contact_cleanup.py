@@ -22,23 +22,23 @@ CONSTRAINT_RATE_MIN_SHARE = 0.05
 """So much of what the range of a control does to a constraint is more than the noise of a mesh."""
 
 
-def without_oscillation_arcs(
+def remove_oscillation_arcs(
     structure: PhaseStructure, constraints: StateConstraints, segments: float
 ) -> PhaseStructure:
     """Return the structure without arcs shorter than some segments of the mesh that no trajectory has."""
     short = _short_pieces(structure, constraints, segments)
     for piece in short:
         for arc in (piece - 1, piece + 1) if 0 < piece < structure.pieces - 1 else ():
-            if _is_left_without_bang(structure, piece, arc):
-                return without_oscillation_arcs(_joined_to_arc(structure, piece, arc), constraints, segments)
+            if _leaves_limits_without_bang(structure, piece, arc):
+                return remove_oscillation_arcs(_merge_with_arc(structure, piece, arc), constraints, segments)
     for piece in short:
         for arc in (piece - 1, piece + 1):
-            for row in _left_limits(structure, piece, arc):
-                if _leaves_limit_outward(structure, constraints, row, piece, arc):
+            for row in _find_left_limits(structure, piece, arc):
+                if _violates_limit_by_bang(structure, constraints, row, piece, arc):
                     start, end = structure.times[piece], structure.times[piece + 1]
                     wider = structure.with_arc(structure.holders[row][0], start, end, ArcKind.SINGULAR)
                     wider = wider.with_arc(row, start, end, structure.kinds[arc][row])
-                    return without_oscillation_arcs(wider, constraints, segments)
+                    return remove_oscillation_arcs(wider, constraints, segments)
     return structure
 
 
@@ -50,38 +50,38 @@ def _short_pieces(structure: PhaseStructure, constraints: StateConstraints, segm
     return [int(k) for k in np.flatnonzero(structure.lengths < segments * np.diff(breaks)[place])]
 
 
-def _is_left_without_bang(structure: PhaseStructure, piece: int, arc: int) -> bool:
+def _leaves_limits_without_bang(structure: PhaseStructure, piece: int, arc: int) -> bool:
     """Whether nothing but limits of first order are left beside an arc, by controls that are on no bound there."""
-    rows = structure.changes(max(piece, arc))
+    rows = structure.row_changes(max(piece, arc))
     return bool(rows) and all(
-        structure.first_order(row)
+        structure.is_first_order(row)
         and structure.kinds[arc][row].at_limit
         and [structure.kinds[piece][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
         for row in rows
     )
 
 
-def _joined_to_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
+def _merge_with_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
     """Return the structure in which a piece has the kinds of a neighbouring arc."""
     kinds = list(structure.kinds)
     kinds[piece] = kinds[arc]
     return replace(structure, kinds=tuple(kinds)).merged()
 
 
-def _left_limits(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
+def _find_left_limits(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
     """Rows of first order that one control holds along an arc, and leaves, or comes from, by a neighbouring bang."""
     if not 0 <= arc < structure.pieces:
         return []
     return [
         row
-        for row in structure.changes(max(piece, arc))
-        if structure.first_order(row)
+        for row in structure.row_changes(max(piece, arc))
+        if structure.is_first_order(row)
         and [structure.kinds[arc][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
         and structure.kinds[piece][structure.holders[row][0]].at_limit
     ]
 
 
-def _leaves_limit_outward(
+def _violates_limit_by_bang(
     structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, arc: int
 ) -> bool:
     """Whether a bang would lead a row beyond the limit along the neighbouring arc."""
@@ -109,29 +109,29 @@ def _outward_rate(
 # --- two limits that one control holds at once
 
 
-def without_overlaps(structure: PhaseStructure) -> PhaseStructure:
+def remove_overlapping_limits(structure: PhaseStructure) -> PhaseStructure:
     """Return the structure without pieces along which two limits hold one control, which can hold one of them.
 
     On a mesh both push in the segment in which one takes over from the other. One that is held on both sides of the
     other is left on the side on which it is shorter.
     """
     for piece in range(structure.pieces):
-        rows = _held_by_one(structure, piece)
+        rows = _find_overdetermined_rows(structure, piece)
         if len(rows) < 2:
             continue
         beside = [k for k in (piece - 1, piece + 1) if 0 <= k < structure.pieces]
         around = [[k for k in beside if structure.kinds[k][i].at_limit] for i in rows]
         if sorted(around) == [[piece - 1], [piece + 1]]:
-            return without_overlaps(structure.without(piece))
+            return remove_overlapping_limits(structure.without_piece(piece))
         for row, sides in zip(rows, around, strict=True):
             if len(sides) == 2:
                 first, last = sorted((piece, min(sides, key=lambda k: structure.lengths[k])))
                 start, end = structure.times[first], structure.times[last + 1]
-                return without_overlaps(structure.with_arc(row, start, end, ArcKind.INTERIOR))
+                return remove_overlapping_limits(structure.with_arc(row, start, end, ArcKind.INTERIOR))
     return structure
 
 
-def _held_by_one(structure: PhaseStructure, piece: int) -> list[int]:
+def _find_overdetermined_rows(structure: PhaseStructure, piece: int) -> list[int]:
     """Rows that are on limits in a piece though one control holds them all: state constraints, or else mixed paths.
 
     Its own bound may be among them.

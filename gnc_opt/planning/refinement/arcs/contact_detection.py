@@ -12,7 +12,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.error import states_at_points
+from gnc_opt.planning.refinement.error import get_states_at_points
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE, SMALL
 
@@ -34,7 +34,7 @@ some of its points may oscillate between the others."""
 
 
 @dataclass(frozen=True, eq=False)
-class Push:
+class ContactNodes:
     """Neighbouring nodes of a mesh near a limit at some of which a constraint pushes.
 
     Attributes
@@ -51,25 +51,25 @@ class Push:
     times: Array
     worth: Array
 
-    def added(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+    def add_contacts(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
         """Return the structure with the contacts of the nodes."""
-        runs, order = mask_runs(self.worth > 0), structure.orders[self.row]
+        runs, order = find_mask_runs(self.worth > 0), structure.orders[self.row]
         first, last = samples.leg.breaks[[0, -1]]
-        free = self._free_holders(structure)
+        free = self._find_unsaturated_controls(structure)
         beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
         if (
             order == 2 and free and (runs[-1][1] - runs[0][0] > TOUCH_MAX_NODES or beside)
         ):  # between its ends an arc need not push
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
-            runs = _joined_runs(runs)
+            runs = _join_adjacent_runs(runs)
         for a, b in runs:
             at_end = self._touched_end(structure, a, b, samples)
             if at_end is not None:
                 structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
                 continue
             if order == 1:
-                start, end = self._midpoint_before(a, first), self._midpoint_before(b, last)
+                start, end = self._compute_midpoint_before(a, first), self._compute_midpoint_before(b, last)
                 switches = [self._nearby_switch(structure, t, samples, k) for k, t in enumerate((start, end))]
                 if switches[0] < switches[1]:
                     start, end = switches
@@ -99,7 +99,7 @@ class Push:
                 return end
         return None
 
-    def is_known(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+    def is_end_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
         end = self._touched_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
@@ -119,7 +119,7 @@ class Push:
                 return True
         return False
 
-    def _free_holders(self, structure: PhaseStructure) -> list[int]:
+    def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
         """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
         pushing = self.times[self.worth > 0]
         pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.pieces - 1)
@@ -143,15 +143,15 @@ class Push:
         switches = []
         for k in range(1, structure.pieces):
             at = structure.times[k]
-            if abs(at - time) >= reach or structure.kinked(k):
+            if abs(at - time) >= reach or structure.has_only_kinks(k):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
-            changed = [i for i in structure.changes(k) if i in holders]
+            changed = [i for i in structure.row_changes(k) if i in holders]
             if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
-    def _midpoint_before(self, node: int, end: float) -> float:
+    def _compute_midpoint_before(self, node: int, end: float) -> float:
         """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
         times, size = self.times, self.times.size
         if 0 < node < size:
@@ -162,13 +162,13 @@ class Push:
         return float(end if abs(end - outer) <= abs(outer - inner) else outer)
 
 
-def contact_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Push]:
+def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> list[ContactNodes]:
     """Where constraints of some rows push."""
     s, rows = constraints.samples, list(rows)
-    found: list[Push] = []
+    found: list[ContactNodes] = []
     if not rows:
         return found
-    times, values, pushes = _values_at_nodes(constraints)
+    times, values, pushes = _evaluate_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.limits(int(row)):
             near = np.abs(values[row] - limit) < NOTABLE * constraints.scales[row]
@@ -181,21 +181,21 @@ def contact_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Pus
             near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
             if constraints.order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.scales[row]
-                for a, b in mask_runs(off & (worth == 0)):
-                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _fills_a_segment(times[a:b], s)
-            runs = [(a, b) for a, b in mask_runs(near) if np.any(worth[a:b] > 0)]
-            found += [Push(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
+                for a, b in find_mask_runs(off & (worth == 0)):
+                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _covers_segment(times[a:b], s)
+            runs = [(a, b) for a, b in find_mask_runs(near) if np.any(worth[a:b] > 0)]
+            found += [ContactNodes(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
     return found
 
 
-def _fills_a_segment(times: Array, samples: PhaseSamples) -> bool:
+def _covers_segment(times: Array, samples: PhaseSamples) -> bool:
     """Whether all points of some segment are among the times of neighbouring nodes."""
     leg = samples.leg
     inside = np.isin(leg.point_times, times)
     return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.offsets))
 
 
-def _values_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
+def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     """Times of points and inner boundaries, rows there and what they push on costates (n_rows, n_nodes)."""
     leg = constraints.samples.leg
     inner, points = leg.breaks[1:-1], leg.point_times
@@ -203,7 +203,7 @@ def _values_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array
         0.5 * np.diff(leg.breaks), leg.mesh.degrees
     )
     times = np.concatenate([points, inner])
-    x = np.hstack([states_at_points(leg), leg.x(inner)])
+    x = np.hstack([get_states_at_points(leg), leg.x(inner)])
     u = np.hstack([*leg.u.values, leg.u(inner)])
     densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
     # Path constraints have no row at a boundary: there they push as long as they do on both sides.
@@ -216,7 +216,7 @@ def _values_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array
     return times[order], constraints.values(times, x, u)[:, order], pushes
 
 
-def _joined_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _join_adjacent_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Join runs with one node between them: a boundary of the mesh, where a limit held at the points may be left."""
     joined = runs[:1]
     for a, b in runs[1:]:
@@ -227,7 +227,7 @@ def _joined_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return joined
 
 
-def mask_runs(here: Mask) -> list[tuple[int, int]]:
+def find_mask_runs(here: Mask) -> list[tuple[int, int]]:
     """First places, and those after the last ones, of the runs in which something holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -30,14 +30,14 @@ from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.contact_cleanup import (
-    without_oscillation_arcs,
-    without_overlaps,
+    remove_oscillation_arcs,
+    remove_overlapping_limits,
 )
 from gnc_opt.planning.refinement.arcs.contact_detection import (
     CONTACT_MIN_NODES,
     SHORT_ARC_SEGMENTS,
-    Push,
-    contact_runs,
+    ContactNodes,
+    find_contact_nodes,
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -64,7 +64,7 @@ class Determined:
     kind: ArcKind = ArcKind.INTERIOR
 
 
-def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
+def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[Determined]:
     """Return the controls that hold state constraints on their limits.
 
     On a mesh such a control swings about what holds the constraint, and so does its switching function about zero: at
@@ -74,7 +74,7 @@ def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
     points, u = leg.point_times, np.hstack(leg.u.values)
     found = []
     rows = [row for row in range(constraints.size) if constraints.order(row)]
-    for run in contact_runs(constraints, rows):
+    for run in find_contact_nodes(constraints, rows):
         held = np.flatnonzero(run.worth > 0)
         start, end = run.times[held[[0, -1]]]
         inside = (points >= start) & (points <= end)
@@ -93,7 +93,7 @@ def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
 # --- found on a mesh ------------------------------------------------------------------------------------------
 
 
-def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
+def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
     """Return the structure with the contacts that multipliers and slacks of a mesh show.
 
     A constraint of first order that pushes is on its limit; one of higher order is where it stays there over
@@ -118,27 +118,27 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         leans=(*((),) * first, *leans),
     )
     if not any(orders):
-        return without_oscillation_arcs(without_overlaps(structure), constraints, SHORT_ARC_SEGMENTS)
-    for run in _runs_of_pushes(constraints, structure):
-        structure = run.added(structure, samples)
-    return without_overlaps(without_oscillation_arcs(structure, constraints, SHORT_ARC_SEGMENTS))
+        return remove_oscillation_arcs(remove_overlapping_limits(structure), constraints, SHORT_ARC_SEGMENTS)
+    for run in _find_new_contact_nodes(constraints, structure):
+        structure = run.add_contacts(structure, samples)
+    return remove_overlapping_limits(remove_oscillation_arcs(structure, constraints, SHORT_ARC_SEGMENTS))
 
 
-def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
+def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
     """Where constraints push that determine a control, but for the contacts of the structure."""
     first, found = len(structure.controls), []
-    for run in contact_runs(constraints, np.flatnonzero(structure.orders[first:])):
-        worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
+    for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
+        worth = np.where(structure.is_at_limit(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
     s = constraints.samples
-    return [run for run in found if not run.is_known(structure, s) and not run.beside_touch(structure, s)]
+    return [run for run in found if not run.is_end_touch(structure, s) and not run.beside_touch(structure, s)]
 
 
 # --- mended ---------------------------------------------------------------------------------------------------
 
 
-def touch_of_wrong_sign(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
+def find_wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
     """Return boundary and row of a touch whose limit would have to pull, or None."""
     s, first = constraints.samples, len(structure.controls)
     for k, touches in enumerate(structure.touches):
@@ -152,14 +152,14 @@ def touch_of_wrong_sign(constraints: StateConstraints, structure: PhaseStructure
     return None
 
 
-def with_missing_contact(
+def add_missing_contact(
     constraints: StateConstraints, structure: PhaseStructure
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact where a constraint pushes, and what was done; None if none does."""
-    return _with_worst_contact(constraints, structure, _runs_of_pushes(constraints, structure))
+    return _add_most_severe_contact(constraints, structure, _find_new_contact_nodes(constraints, structure))
 
 
-def with_saturated_holder(
+def replace_saturated_controls(
     samples: PhaseSamples, structure: PhaseStructure, pieces: Indices
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure in which other controls go on to hold a limit, and what was done; None if they need not.
@@ -177,7 +177,7 @@ def with_saturated_holder(
     """
     bounds = samples.leg.control_bounds
     for boundary in range(1, structure.pieces):
-        taken = structure.taken_over(boundary)
+        taken = structure.find_constraint_exchange(boundary)
         if not taken:
             continue
         state, row = taken
@@ -199,15 +199,15 @@ def with_saturated_holder(
     return None, ""
 
 
-def _with_worst_contact(
-    constraints: StateConstraints, structure: PhaseStructure, runs: list[Push]
+def _add_most_severe_contact(
+    constraints: StateConstraints, structure: PhaseStructure, runs: list[ContactNodes]
 ) -> tuple[PhaseStructure | None, str]:
     s, labels = (
         constraints.samples,
         (*constraints.samples.leg.path_labels, *constraints.samples.leg.states.labels),
     )
     for run in sorted(runs, key=lambda r: float(np.max(r.worth)), reverse=True):
-        added = run.added(structure, s)
+        added = run.add_contacts(structure, s)
         if added != structure:
             at = run.times[int(np.argmax(run.worth))]
             label = labels[run.row - len(structure.controls)]

@@ -11,17 +11,17 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
-from gnc_opt.planning.refinement.arcs.contacts import Determined, determined, with_contacts
+from gnc_opt.planning.refinement.arcs.contacts import Determined, add_contacts, find_determined_controls
 from gnc_opt.planning.refinement.arcs.curvature import (
     SINGULAR_SHARE_OF_H,
-    affine_channels,
-    convex_channels,
-    curvature,
-    linear_limits,
-    regular_channels,
+    affine_controls,
+    convex_controls,
+    hamiltonian_curvature,
+    linear_path_limits,
+    regular_controls,
 )
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose_kind
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
@@ -36,16 +36,16 @@ HELD_STATE_TOLERANCE = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
 
 
-def structures_of(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
-    """Return the structures of all phases, contacts with state constraints included; sharp: see `detect`."""
+def detect_structures(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
+    """Return the structures of all phases with contacts; sharp: see `detect_phase_structure`."""
     problem = solution.need_problem("refine")
     return {
-        name: with_contacts(detect(s, determined(problem, s), sharp), problem, s)
+        name: add_contacts(detect_phase_structure(s, find_determined_controls(problem, s), sharp), problem, s)
         for name, s in solution.samples().items()
     }
 
 
-def detect(
+def detect_phase_structure(
     samples: PhaseSamples, determined: Sequence[Determined] = (), sharp: bool = False
 ) -> PhaseStructure:
     """Return the structure of a phase; what state constraints determine, if known, lies between its bounds.
@@ -55,31 +55,31 @@ def detect(
     constraint). Short bangs beside those are taken for noise, unless the structure is to be sharp. Other controls are
     checked by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
     """
-    leg, regular, affine = samples.leg, convex_channels(samples), affine_channels(samples)
-    strictly = regular_channels(samples)
-    limits = linear_limits(samples)
+    leg, regular, affine = samples.leg, convex_controls(samples), affine_controls(samples)
+    strictly = regular_controls(samples)
+    limits = linear_path_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
-        _linear_labels(samples, i, held[i], sharp)
+        _label_linear_control(samples, i, held[i], sharp)
         if affine[i]
-        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
+        else _label_nonlinear_control(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
         for i in range(leg.controls.size)
     ]
-    mixed = _mixed_paths(samples, regular)
+    mixed = _find_mixed_constraints(samples, regular)
     mixed_holders, leans = _mixed_holders(samples, mixed)
-    paths = _path_labels(samples, mixed)
+    paths = _label_path_constraints(samples, mixed)
     for i in limits.rows:
         if affine[i]:
             _apply_path_limits(limits, i, rows[i], paths, held[i])
-    changes = _change_times(samples, rows)
+    changes = _locate_switching_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
-    for labels in [*paths, *_state_labels(samples, controls, determined)]:
+    for labels in [*paths, *_label_states(samples, controls, determined)]:
         rows.append(labels)
-        changes.append(_label_change_midpoints(samples, labels))
+        changes.append(_find_label_changes(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-    kinds = np.stack([_labels_at(row, at, middles) for row, at in zip(rows, changes, strict=True)])
+    kinds = np.stack([_look_up_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)])
     return PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in kinds.T),
@@ -94,33 +94,33 @@ def detect(
             ),
             *((),) * leg.states.size,
         ),
-        slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
+        slopes=(*(0,) * leg.controls.size, *limits.slope_signs, *(0,) * leg.states.size),
         leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
     ).merged()
 
 
-def switching(samples: PhaseSamples, times: Array) -> Array:
+def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
     """Return dH/du of every control at some times (s), (m, n_times)."""
     leg = samples.leg
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros(0)
     return samples.functions.control_gradient(times, leg.x(times), leg.flown(times), leg.lam(times), mu)
 
 
-def _linear_labels(
+def _label_linear_control(
     samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]], sharp: bool = False
 ) -> KindArray:
     """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
-    gradient = _gain_share(samples, samples.control_gradient, i)
-    labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
-    for k in _singular_segments(samples, i, gradient):
+    gradient = _compute_hamiltonian_gain(samples, samples.control_gradient, i)
+    labels = choose_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
+    for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
-    labels[_within_spans(samples, held)] = ArcKind.SINGULAR
+    labels[_mask_intervals(samples, held)] = ArcKind.SINGULAR
     if not sharp:
         _absorb_short_bangs(samples, i, labels, gradient)
     return labels
 
 
-def _within_spans(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
+def _mask_intervals(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
     """Which samples lie within some times."""
     found = np.zeros(samples.times.size, dtype=bool)
     for start, end in spans:
@@ -140,18 +140,18 @@ def _apply_path_limits(
     Singular arcs stay, and times at which state constraints determine the control.
     """
     samples = limits.samples
-    inside = ~limits.near_end(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
-    segments = _singular_segments(samples, i, _gain_share(samples, samples.switching, i))
+    inside = ~limits.find_samples_near_bound(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
+    segments = _find_singular_segments(samples, i, _compute_hamiltonian_gain(samples, samples.switching, i))
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
-    singular |= _within_spans(samples, determined)
-    own, held = limits.labels(i, samples.switching[i] < 0)
-    labels[:] = choose(singular, ArcKind.SINGULAR, own)
+    singular |= _mask_intervals(samples, determined)
+    own, held = limits.label_control(i, samples.switching[i] < 0)
+    labels[:] = choose_kind(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
-        paths[row] = choose(singular, ArcKind.INTERIOR, kinds)
+        paths[row] = choose_kind(singular, ArcKind.INTERIOR, kinds)
 
 
-def _gain_share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
+def _compute_hamiltonian_gain(samples: PhaseSamples, gradient: Array, i: int) -> Array:
     """What a control's whole range gains in H, in shares of H, (n_samples,)."""
     return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 
@@ -168,14 +168,14 @@ def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradie
     noise = np.empty(labels.size, dtype=bool)
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
     for first, last in itertools.pairwise(edges):
-        small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H and not _leaves_bound(
+        small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H and not _leaves_state_bound(
             samples, i, first, last
         )
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
-    _extend_label(samples, labels, ArcKind.SINGULAR, noise)
+    _absorb_short_pieces(samples, labels, ArcKind.SINGULAR, noise)
 
 
-def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
+def _leaves_state_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
     """Whether a state that a control moves at once is on its bound at an end of a run of samples, and leaves it."""
     bounds, ends = samples.leg.state_bounds, [first, last - 1]
     off = np.minimum(samples.x - bounds.lower[:, None], bounds.upper[:, None] - samples.x)
@@ -183,10 +183,10 @@ def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
     left = (np.min(share[:, [0, -1]], axis=1) < CONTROL_AT_BOUND_SHARE) & (
         np.max(share, axis=1) > STATE_LEFT_BOUND_RATIO * CONTROL_AT_BOUND_SHARE
     )
-    return bool(np.any(left)) and bool(np.any(left & np.any(_moved_at_once(samples, i)[:, ends], axis=1)))
+    return bool(np.any(left)) and bool(np.any(left & np.any(_direct_effects(samples, i)[:, ends], axis=1)))
 
 
-def _extend_label(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
+def _absorb_short_pieces(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
     """Let arcs of a label swallow neighbours shorter than `SHORT_ARC_SEGMENTS` segments, if all
     of those are candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
@@ -205,7 +205,7 @@ def _extend_label(samples: PhaseSamples, labels: KindArray, label: ArcKind, cand
                 break
 
 
-def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
+def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
     """Segments on which the control lies between its bounds while its switching function stays small.
 
     A switch smears over one segment, too, but there the switching function leaves zero at once; so a lone
@@ -222,11 +222,11 @@ def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[i
     return [k for k in found if k - 1 in found or k + 1 in found]
 
 
-def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
+def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
     """LOWER, UPPER or INTERIOR at each sample; from bound to bound within so many segments is a jump."""
     at_lower, at_upper = samples.leg.control_bounds.near(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
-    labels = _labels_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
+    labels = _label_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
     for first, last in itertools.pairwise(edges):
@@ -234,11 +234,11 @@ def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> Kind
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
             high = samples.u[i, first:last] > samples.leg.control_bounds.middle[i]
-            labels[first:last] = choose(high, ArcKind.UPPER, ArcKind.LOWER)
+            labels[first:last] = choose_kind(high, ArcKind.UPPER, ArcKind.LOWER)
     return labels
 
 
-def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
+def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
     """Which path constraints are inequalities on controls that H determines: they become active with a kink.
 
     The length of a direction does not: it is at its limit all along but where the direction does not matter.
@@ -264,7 +264,7 @@ def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, 
     return own, [tuple(int(signs[p, i]) for i in held) for p, held in enumerate(own)]
 
 
-def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
+def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
     """LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR for all but mixed ones.
 
     Where H bends in none of its controls, as their costates vanish, so does its multiplier, and nothing else
@@ -276,15 +276,15 @@ def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
     depends = np.any(
         samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
     )
-    bends = curvature(samples) > CONVEX
+    bends = hamiltonian_curvature(samples) > CONVEX
     idle = np.abs(samples.mu) <= NEGLIGIBLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
     at_lower, at_upper = samples.leg.path_bounds.near(values, SMALL * np.max(np.abs(values), axis=1))
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
-    return list(_labels_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
+    return list(_label_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
-def _state_labels(
+def _label_states(
     samples: PhaseSamples, controls: KindArray, determined: Sequence[Determined] = ()
 ) -> list[KindArray]:
     """LOWER, INTERIOR or UPPER at each sample for every state.
@@ -294,7 +294,7 @@ def _state_labels(
     arc reaches an end of the phase at which another value is given.
     """
     first = len(samples.leg.path_labels)
-    leg, rows, commanded = samples.leg, [], _moved_by_singular_controls(samples, controls)
+    leg, rows, commanded = samples.leg, [], _singular_effects(samples, controls)
     ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
@@ -306,27 +306,27 @@ def _state_labels(
         for kind, _, distance in limits:
             for k in range(leg.mesh.segments):
                 here = samples.segments == k
-                if np.all(distance[here] < margin) and _middle(commanded[i, here]):
+                if np.all(distance[here] < margin) and _select_middle_value(commanded[i, here]):
                     labels[here] = kind
         for kind, limit, _ in limits if np.any(labels != ArcKind.INTERIOR) else ():
             off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
             inner = ~np.isin(samples.segments, off)
             pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
-            labels[_within_spans(samples, pushes) & inner] = kind
-            _extend_label(samples, labels, kind, commanded[i] & inner)
+            labels[_mask_intervals(samples, pushes) & inner] = kind
+            _absorb_short_pieces(samples, labels, kind, commanded[i] & inner)
         rows.append(labels)
     return rows
 
 
-def _moved_by_singular_controls(samples: PhaseSamples, controls: KindArray) -> Mask:
+def _singular_effects(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Where a singular control moves a state at once, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        found |= _moved_at_once(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
+        found |= _direct_effects(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
     return found
 
 
-def _moved_at_once(samples: PhaseSamples, channel: int) -> Mask:
+def _direct_effects(samples: PhaseSamples, channel: int) -> Mask:
     """Where the rate of a state depends on a control, (n_states, n_samples)."""
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
@@ -334,21 +334,21 @@ def _moved_at_once(samples: PhaseSamples, channel: int) -> Mask:
     return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 
 
-def _middle(values: Mask) -> bool:
+def _select_middle_value(values: Mask) -> bool:
     return bool(values[values.size // 2])
 
 
-def _labels_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
-    return choose(at_lower, ArcKind.LOWER, choose(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
+def _label_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
+    return choose_kind(at_lower, ArcKind.LOWER, choose_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
 
 
-def _label_change_midpoints(samples: PhaseSamples, labels: KindArray) -> list[float]:
+def _find_label_changes(samples: PhaseSamples, labels: KindArray) -> list[float]:
     """Times between samples of different labels."""
     jumps = np.flatnonzero(labels[1:] != labels[:-1])
     return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]
 
 
-def _change_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:
+def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:
     """Times at which each control's label changes; sign changes of the switching functions are polished."""
     times = samples.times
     found = [(i, j) for i, row in enumerate(rows) for j in np.flatnonzero(row[1:] != row[:-1])]
@@ -361,14 +361,14 @@ def _change_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[flo
     if polished:
         channels, places = np.array(polished).T
 
-        def own(t: Array, channel: Array) -> Array:
-            return np.asarray(switching(samples, t)[channel, np.arange(t.size)])
+        def signal_at(t: Array, channel: Array) -> Array:
+            return np.asarray(evaluate_switching_functions(samples, t)[channel, np.arange(t.size)])
 
-        at |= zip(polished, roots(own, times[places], times[places + 1], channels), strict=True)
+        at |= zip(polished, find_roots(signal_at, times[places], times[places + 1], channels), strict=True)
     return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
 
 
-def roots(function: Callable[..., Array], left: Array, right: Array, *arguments: Array) -> Array:
+def find_roots(function: Callable[..., Array], left: Array, right: Array, *arguments: Array) -> Array:
     """Return zeros between times (s) (n,), to rounding, or the middle where the signs do not differ."""
     from scipy.optimize.elementwise import find_root  # slow to import
 
@@ -376,7 +376,7 @@ def roots(function: Callable[..., Array], left: Array, right: Array, *arguments:
     return np.where(found.success, found.x, 0.5 * (left + right))
 
 
-def _labels_at(labels: KindArray, changes: list[float], times: Array) -> KindArray:
+def _look_up_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
     """Labels of a channel at times that lie between its changes."""
     starts = np.concatenate([[0], np.flatnonzero(labels[1:] != labels[:-1]) + 1])
     return np.asarray(labels[starts][np.searchsorted(changes, times)])

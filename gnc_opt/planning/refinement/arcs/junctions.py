@@ -21,7 +21,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.detection import roots
+from gnc_opt.planning.refinement.arcs.detection import find_roots
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.polynomial import Side
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -46,16 +46,16 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
     for boundary in range(1, structure.pieces):
-        if structure.kinked(boundary):
+        if structure.has_only_kinks(boundary):
             wanted = [
                 junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
-                else _wanted_time(samples, plan, boundary, i)
-                for i in structure.changes(boundary)
+                else _find_kink_time(samples, plan, boundary, i)
+                for i in structure.row_changes(boundary)
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))
-    contact = [any(structure.orders[i] for i in structure.changes(k)) for k in range(1, structure.pieces)]
+    contact = [any(structure.orders[i] for i in structure.row_changes(k)) for k in range(1, structure.pieces)]
     span, lengths = times[-1] - times[0], structure.lengths
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
     settled = np.where(
@@ -65,7 +65,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     )
     if np.all(moves <= settled):
         return None
-    return structure.at(tuple(times))
+    return structure.with_times(tuple(times))
 
 
 def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
@@ -89,13 +89,13 @@ def junction_time(constraints: StateConstraints, structure: PhaseStructure, boun
     return time + float(np.clip(move, -most, most))
 
 
-def _wanted_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
+def _find_kink_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
     """Where one control or path constraint wants its kink."""
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
     n_controls = len(plan.structure.controls)
-    signals = _control_signals if row < n_controls else _path_signals
+    signals = _control_excess if row < n_controls else _path_excess
     pieces = plan.segment_pieces[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
         here = np.flatnonzero(pieces == piece)
@@ -104,16 +104,16 @@ def _wanted_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> 
             here, side = here[::-1], "left"
         index = row if row < n_controls else row - n_controls
 
-        def violation(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
+        def compute_violation(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
             return direction * signals(samples, index, direction, side, t)[number]
 
-        reach = _violation_end(samples.times[here], violation)
+        reach = _find_violation_end(samples.times[here], compute_violation)
         if reach is not None:
             return reach
     return plan.structure.times[boundary]
 
 
-def _control_signals(
+def _control_excess(
     samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
     """How far a control lies above its limit, and its switching function, at some times (n_times,)."""
@@ -124,7 +124,7 @@ def _control_signals(
     return u[i] - limit, gradient[i]
 
 
-def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: Array) -> tuple[Array, Array]:
+def _path_excess(samples: PhaseSamples, i: int, direction: int, side: Side, t: Array) -> tuple[Array, Array]:
     """How far a path constraint lies above its limit, and its multiplier with the sign reversed, (n_times,)."""
     leg, bounds = samples.leg, samples.leg.path_bounds
     limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
@@ -132,7 +132,7 @@ def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: 
     return values[i] - limit, -leg.path_multiplier(t, side)[i]
 
 
-def _violation_end(times: Array, violation: Callable[[Array], Array]) -> float | None:
+def _find_violation_end(times: Array, violation: Callable[[Array], Array]) -> float | None:
     """Return up to where a violation that starts at the first time reaches, or None if there is none."""
     over = violation(times) > 0
     if not over[0]:
@@ -140,4 +140,4 @@ def _violation_end(times: Array, violation: Callable[[Array], Array]) -> float |
     if np.all(over):
         return float(times[-1])
     k = int(np.argmin(over))
-    return float(roots(violation, times[k - 1 : k], times[k : k + 1])[0])
+    return float(find_roots(violation, times[k - 1 : k], times[k : k + 1])[0])

@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose_kind
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, NOTABLE
 
@@ -37,7 +37,7 @@ class LinearLimits:
     slopes: Array
 
     @classmethod
-    def of(cls, samples: PhaseSamples, linear: Mask) -> LinearLimits:
+    def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearLimits:
         """Find those of controls in which H is linear, (m,)."""
         leg, found = samples.leg, dict[int, tuple[int, ...]]()
         slopes = np.zeros((len(leg.path_labels), samples.times.size))
@@ -59,61 +59,61 @@ class LinearLimits:
         return cls(samples, found, slopes)
 
     @property
-    def paths(self) -> Mask:
+    def linear_paths(self) -> Mask:
         """Which path constraints are among them, (n_paths,)."""
         return np.asarray(
             np.isin(np.arange(self.slopes.shape[0]), [r for rows in self.rows.values() for r in rows])
         )
 
     @property
-    def signs(self) -> tuple[int, ...]:
+    def slope_signs(self) -> tuple[int, ...]:
         """The sign of each constraint's slope in its control, (n_paths,)."""
         return tuple(int(np.sign(np.sum(slope))) for slope in self.slopes)
 
-    def ended(self, control: int) -> tuple[bool, bool]:
+    def has_path_bounds(self, control: int) -> tuple[bool, bool]:
         """Return whether a control has a lower, and an upper, end all along the phase."""
-        above, below = self._control_ranges(control)
+        above, below = self._compute_control_ranges(control)
         bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
         most = np.min([bounds.upper[control] * everywhere, *above.values()], axis=0)
         least = np.max([bounds.lower[control] * everywhere, *below.values()], axis=0)
         return bool(np.all(np.isfinite(least))), bool(np.all(np.isfinite(most)))
 
-    def near_end(self, control: int, margin: float) -> Mask:
+    def find_samples_near_bound(self, control: int, margin: float) -> Mask:
         """Where a control is as close as this to the least or most that its constraints allow, (n_samples,)."""
-        above, below = self._control_ranges(control)
+        above, below = self._compute_control_ranges(control)
         u = self.samples.u[control]
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
 
-    def presses(self, control: int) -> bool:
+    def stays_at_limits(self, control: int) -> bool:
         """Whether H sends a control to its bounds and constraints, and it is there, all along the phase."""
         s, bounds = self.samples, self.samples.leg.control_bounds
-        above, below = self._control_ranges(control)
+        above, below = self._compute_control_ranges(control)
         upward = s.switching[control] < 0
         most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
         least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
         off = np.where(upward, most - s.u[control], s.u[control] - least)
         return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > PRESSED_SHARE)
 
-    def labels(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
+    def label_control(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""
         bounds = self.samples.leg.control_bounds
-        own = choose(upward, ArcKind.UPPER, ArcKind.LOWER)
-        above, below = self._control_ranges(control)
+        own = choose_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
+        above, below = self._compute_control_ranges(control)
         best = np.where(upward, bounds.upper[control], bounds.lower[control])
         held: dict[int, KindArray] = {}
         for row in self.rows[control]:
             here = np.where(upward, above[row], below[row])
             tighter = np.where(upward, here < best, here > best)
             best = np.where(tighter, here, best)
-            own = choose(tighter, ArcKind.SINGULAR, own)
+            own = choose_kind(tighter, ArcKind.SINGULAR, own)
             for other, kinds in held.items():
-                held[other] = choose(tighter, ArcKind.INTERIOR, kinds)
-            limit = choose(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
-            held[row] = choose(tighter, limit, ArcKind.INTERIOR)
+                held[other] = choose_kind(tighter, ArcKind.INTERIOR, kinds)
+            limit = choose_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
+            held[row] = choose_kind(tighter, limit, ArcKind.INTERIOR)
         return own, held
 
-    def _control_ranges(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
+    def _compute_control_ranges(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
         """The largest and least values of a control that each of its constraints allows, (n_samples,)."""
         s, bounds = self.samples, self.samples.leg.path_bounds
         u, values = s.u[control], s.functions.paths(s.times, s.x, s.u)
@@ -127,7 +127,7 @@ class LinearLimits:
 
     # --- mending ---
 
-    def with_arc(
+    def insert_arc(
         self, structure: PhaseStructure, row: int, sample: int, interval: tuple[float, float], kind: ArcKind
     ) -> PhaseStructure:
         """Return the structure with a row at another place over an interval, and what limits it, or it limits, with it.
@@ -154,7 +154,7 @@ class LinearLimits:
             row, kind = holder, ArcKind.LOWER if upward else ArcKind.UPPER
         if row not in self.rows or not kind.at_limit:
             return structure.with_arc(row, *interval, kind)
-        own, held = self.labels(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
+        own, held = self.label_control(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
         for path, kinds in held.items():
             if kinds[sample].at_limit:
                 structure = structure.with_arc(first + path, *interval, kinds[sample])

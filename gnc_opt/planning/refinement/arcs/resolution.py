@@ -27,7 +27,7 @@ RESOLUTION_TOLERANCE_SHARE = 0.1
 """Share of the tolerance that the terms left out may amount to."""
 
 
-def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
+def set_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
     """Return the plan with as many collocation points as the flight along its pieces needs.
 
     Parameters
@@ -41,28 +41,28 @@ def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
     tol : float
         On the defects between the nodes, in those measures.
     """
-    left = _series_remainders(s, flown)
+    left = _compute_series_remainders(s, flown)
     times = np.asarray(plan.structure.times)
     at_once = left(times)
     found = [
-        _resolution(left, row, times[k], times[k + 1], RESOLUTION_TOLERANCE_SHARE * tol)
+        _choose_resolution(left, row, times[k], times[k + 1], RESOLUTION_TOLERANCE_SHARE * tol)
         for k, row in enumerate(at_once)
     ]
     return replace(plan, resolutions=tuple(found))
 
 
-def _resolution(
+def _choose_resolution(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> Resolution:
     """As few segments as are fine enough with `ARC_MAX_DEGREE` points at most, and the points of each."""
-    found = _cut_interval(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
+    found = _subdivide_interval(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
     fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[PIECE_MIN_POINTS:ARC_MAX_DEGREE] <= most)
     degree = PIECE_MIN_POINTS + int(fine[0]) if fine.size else ARC_MAX_DEGREE
     edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
     return Resolution(len(found), degree, edges=edges)
 
 
-def _cut_interval(
+def _subdivide_interval(
     left: Callable[[Array], Array], row: Array, ends: tuple[float, float], most: float, room: int
 ) -> list[tuple[float, Array]]:
     """Where the segments of a stretch end, with what points leave along each: halves of what is too steep."""
@@ -75,17 +75,17 @@ def _cut_interval(
         not np.max(halves[:, ARC_MAX_DEGREE]) < HALVING_GAIN_RATIO * row[ARC_MAX_DEGREE]
     ):  # what is left is how far the flight is off
         return [(end, row)]
-    first = _cut_interval(left, halves[0], (start, middle), most, room // 2)
-    return first + _cut_interval(left, halves[1], (middle, end), most, room // 2)
+    first = _subdivide_interval(left, halves[0], (start, middle), most, room // 2)
+    return first + _subdivide_interval(left, halves[1], (middle, end), most, room // 2)
 
 
-def _series_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
+def _compute_series_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
     """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
     rule = gauss_rule(N_TERMS)
     series = np.linalg.inv(legendre.legvander(rule.points, N_TERMS - 1))
 
-    def left(breaks: Array) -> Array:
+    def compute_remainders(breaks: Array) -> Array:
         lengths = np.diff(breaks)
         t = (breaks[:-1, None] + 0.5 * lengths[:, None] * (1 + rule.points)).ravel()
         x, u, lam = leg.x(t), leg.u(t), leg.lam(t)
@@ -100,4 +100,4 @@ def _series_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Ar
         amounts = np.max(terms, axis=0) * lengths[:, None]
         return np.asarray(np.cumsum(amounts[:, ::-1], axis=1)[:, ::-1])
 
-    return left
+    return compute_remainders

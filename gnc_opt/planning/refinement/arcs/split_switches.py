@@ -37,14 +37,14 @@ FREE_SPANS_MIN = 10.0
 """Pieces shorter than so many instants leave no room for one."""
 
 
-def shared_boundaries(structure: PhaseStructure) -> tuple[int, ...]:
+def find_shared_boundaries(structure: PhaseStructure) -> tuple[int, ...]:
     """Return the boundaries at which several controls change, with pieces next to them that have space."""
     least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
         k
         for k in range(1, structure.pieces)
-        if sum(row < len(structure.controls) for row in structure.changes(k)) > 1
-        and not structure.kinked(k)
+        if sum(row < len(structure.controls) for row in structure.row_changes(k)) > 1
+        and not structure.has_only_kinks(k)
         and not structure.touches[k]
         and min(structure.lengths[k - 1 : k + 1]) > least
     )
@@ -57,17 +57,17 @@ def solve_with_split_switches(
     freed = solution.need_problem("refine")
     meshes = {}
     for name, plan in plans.items():
-        freed, meshes[name] = _with_free_spans(plan, freed, name)
+        freed, meshes[name] = _release_split_intervals(plan, freed, name)
     sharper = replace(options, tolerance=min(SPLIT_SOLVE_TOLERANCE, options.tolerance))
     found = solve_mesh(freed, meshes, guess=solution, options=sharper, limits=SolveLimits(deadline=deadline))
-    return _with_multipliers_of(solution, found, plans) if found.status.solved else None
+    return _copy_multipliers(solution, found, plans) if found.status.solved else None
 
 
-def _with_multipliers_of(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Solution:
+def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Solution:
     """The trajectory of a solution with the multipliers of another one."""
     held = solution.need_problem("refine")
     for name, plan in plans.items():
-        held = plan.hold(held, name)
+        held = plan.hold_arcs(held, name)
     transcription = transcribe(held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme)
     own, others = (program_start(transcription, held, s) for s in (solution, other))
     assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
@@ -81,51 +81,51 @@ def _with_multipliers_of(solution: Solution, other: Solution, plans: Mapping[str
     )
 
 
-def _with_free_spans(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
+def _release_split_intervals(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
     """The problem as a plan holds it, but for the instants beside shared boundaries, and its mesh."""
-    problem = plan.hold(problem, name)
-    cuts, mesh, held = _Cuts.of(plan), plan.mesh(), problem.phases[name].numbers.arcs
+    problem = plan.hold_arcs(problem, name)
+    cuts, mesh, held = _SplitMesh.from_plan(plan), plan.mesh(), problem.phases[name].numbers.arcs
     assert held is not None, "just held"
     twin = problem.with_fixed_arcs(
         name,
-        arcs=cuts.kinds(held.controls),
-        paths=cuts.kinds(held.paths) if held.paths else None,
-        states=cuts.kinds(held.states) if held.states else None,
+        arcs=cuts.expand_kinds(held.controls),
+        paths=cuts.expand_kinds(held.paths) if held.paths else None,
+        states=cuts.expand_kinds(held.states) if held.states else None,
         smooth=tuple(replace(s, first=cuts.first(s.first), last=cuts.last(s.last)) for s in held.smooth),
-        junctions=tuple(replace(j, boundary=cuts.boundary(j.boundary)) for j in held.junctions),
+        junctions=tuple(replace(j, boundary=cuts.map_boundary(j.boundary)) for j in held.junctions),
     )
     return twin, cuts.mesh(mesh)
 
 
 @dataclass(frozen=True)
-class _Cuts:
+class _SplitMesh:
     """The segments of a mesh, and boundaries with an instant on either side."""
 
     segments: int
     boundaries: tuple[int, ...]
 
     @classmethod
-    def of(cls, plan: Plan) -> _Cuts:
+    def from_plan(cls, plan: Plan) -> _SplitMesh:
         ends = plan.piece_ends
-        return cls(ends[-1], tuple(ends[k] for k in shared_boundaries(plan.structure)))
+        return cls(ends[-1], tuple(ends[k] for k in find_shared_boundaries(plan.structure)))
 
-    def boundary(self, old: int) -> int:
+    def map_boundary(self, old: int) -> int:
         """Where a boundary is among the new ones."""
         return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)
 
     def first(self, old: int) -> int:
         """The segment with which the old segment of that number begins, after its instant."""
-        return self.boundary(old) + (old in self.boundaries)
+        return self.map_boundary(old) + (old in self.boundaries)
 
     def last(self, old: int) -> int:
         """One after the segment with which the old segment before that number ends, before its instant."""
-        return self.boundary(old) - (old in self.boundaries)
+        return self.map_boundary(old) - (old in self.boundaries)
 
-    def kinds(self, rows: Kinds) -> KindArray:
+    def expand_kinds(self, rows: Kinds) -> KindArray:
         """Kinds by rows and new segments: in the instants free, what changes at their boundary."""
-        return np.array([self._row(row) for row in rows], dtype=object)
+        return np.array([self._expand_row(row) for row in rows], dtype=object)
 
-    def _row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
+    def _expand_row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
         found: list[ArcKind] = []
         for k, kind in enumerate(row):
             if k in self.boundaries:
@@ -146,5 +146,5 @@ class _Cuts:
                 breaks.append(end - FREE_SPAN)
                 degrees.append(FREE_SPAN_POINTS)
             breaks.append(end)
-        movable = tuple(self.boundary(k) for k in old.movable if k not in self.boundaries)
+        movable = tuple(self.map_boundary(k) for k in old.movable if k not in self.boundaries)
         return Mesh(tuple(breaks), tuple(degrees), movable)

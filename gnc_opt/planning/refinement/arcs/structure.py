@@ -110,7 +110,7 @@ class PhaseStructure:
         """The kinds as an object array (n_rows, A)."""
         return np.asarray(self.kinds, dtype=object).T
 
-    def after(self, time: float) -> PhaseStructure:
+    def cut_before(self, time: float) -> PhaseStructure:
         """Return what of it lies after a time (s)."""
         if time <= self.times[0]:
             return self
@@ -118,7 +118,7 @@ class PhaseStructure:
         times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
         return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
 
-    def determined(self, piece: int) -> set[int]:
+    def find_determined_controls(self, piece: int) -> set[int]:
         """Return the controls that state bounds and path constraints determine which are held in a piece.
 
         Of several singular controls that can hold a limit it determines one, the first of its holders that no other
@@ -128,7 +128,7 @@ class PhaseStructure:
         found: set[int] = set()
         for i in range(self._n_free, len(self.orders)):
             if self.kinds[piece][i].at_limit:
-                holders = self.holders[i] or self._may_hold(i)
+                holders = self.holders[i] or self._find_candidate_controls(i)
                 free = [
                     c for c in self.holders[i] if self.kinds[piece][c] is ArcKind.SINGULAR and c not in found
                 ]
@@ -136,43 +136,43 @@ class PhaseStructure:
                 found |= ({*holders} - singular) | {*free[:1]}
         return found
 
-    def _may_hold(self, row: int) -> list[int]:
+    def _find_candidate_controls(self, row: int) -> list[int]:
         mixed = self.regular[row]
         return [i for i in range(self._n_free) if not mixed or self.regular[i]]
 
-    def changes(self, boundary: int) -> list[int]:
+    def row_changes(self, boundary: int) -> list[int]:
         """Return the rows that change between a piece and the one before."""
         pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
         return [i for i, (before, after) in enumerate(pair) if before is not after]
 
-    def kinked(self, boundary: int) -> bool:
+    def has_only_kinks(self, boundary: int) -> bool:
         """Whether controls only have a kink between a piece and the one before.
 
         They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
         a control that enters H linearly jumps to where it holds a state constraint. Where a limit takes over from a
         state constraint or from another limit, the time is as well determined as that of a switch: both are met.
         """
-        if self.taken_over(boundary) or self.handed_over(boundary):
+        if self.find_constraint_exchange(boundary) or self.find_limit_exchange(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self.regular[i] or self._determines(i, boundary) or self.gives_out(i, boundary))
+            (self.regular[i] or self._determines(i, boundary) or self.has_saturated_control(i, boundary))
             and not (before[i].at_limit and after[i].at_limit)
-            for i in self.changes(boundary)
+            for i in self.row_changes(boundary)
         )
 
-    def curved(self) -> Mask:
+    def find_convex_rows(self) -> Mask:
         """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""
         return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.pieces, axis=1)
 
-    def gives_out(self, row: int, boundary: int) -> bool:
+    def has_saturated_control(self, row: int, boundary: int) -> bool:
         """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
 
         It comes to its bound as continuously as a control that H determines.
         """
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
-        if row >= self._n_free or len(singular) != 1 or row not in self.determined(singular[0]):
+        if row >= self._n_free or len(singular) != 1 or row not in self.find_determined_controls(singular[0]):
             return False
         bound = beside[0] if singular[0] == boundary else beside[1]
         return any(
@@ -183,23 +183,23 @@ class PhaseStructure:
             for i, (order, holders) in enumerate(zip(self.orders, self.holders, strict=True))
         )
 
-    def handed_over(self, boundary: int) -> list[int]:
+    def find_limit_exchange(self, boundary: int) -> list[int]:
         """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
-        rows = self.changes(boundary)
+        rows = self.row_changes(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
-        sides = [held[i].sign * self._slope(i) for held in beside for i in rows if held[i].at_limit]
+        sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].at_limit]
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
-    def taken_over(self, boundary: int) -> list[int]:
+    def find_constraint_exchange(self, boundary: int) -> list[int]:
         """Return a state constraint and a limit of the control that holds it, if one takes over from the other there.
 
         Uphill a control comes to its limit on the side to which it holds the constraint, which is left; or it is on the
         other, braking, until the constraint is met. Either way it goes on without a jump, and the costates jump.
         """
-        rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
+        rows, beside = self.row_changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
-        states = [i for i in rows if self.first_order(i)]
+        states = [i for i in rows if self.is_first_order(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
@@ -212,32 +212,32 @@ class PhaseStructure:
         if len(kinds) != 2:
             return []
         lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
-        sides = kinds[state].sign * lean, kinds[limit].sign * self._slope(limit)
+        sides = kinds[state].sign * lean, kinds[limit].sign * self._slope_sign(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
 
-    def _slope(self, row: int) -> int:
+    def _slope_sign(self, row: int) -> int:
         """The sign of what a control does to its own row or a path constraint; 0 if it changes, or for states."""
         own = 1 if row < self._n_free else self.slopes[row] or (*self.leans[row], 0)[0]
         return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
 
-    def first_order(self, row: int) -> bool:
+    def is_first_order(self, row: int) -> bool:
         """Whether a row is a state constraint of first order; bounds held by singular controls have holders alone."""
         held = row >= self._n_free + self.n_paths and bool(self.holders[row]) and not self.orders[row]
         return self.orders[row] == 1 or held
 
-    def limited_by_paths(self) -> Mask:
+    def find_path_limited_controls(self) -> Mask:
         """Return where a path constraint is in the place of a control's bound, (n_controls, A)."""
         held = np.zeros((self._n_free, self.pieces), dtype=bool)
         for row in np.flatnonzero(self.slopes):
             held[list(self.holders[row])] |= [kinds[row].at_limit for kinds in self.kinds]
         return held
 
-    def beside_takeovers(self) -> Mask:
+    def mask_beside_exchanges(self) -> Mask:
         """Return where rows are off their limit beside a boundary at which one takes over, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
         for k in range(1, self.pieces):
-            given_out = [row for row in self.changes(k) if self.gives_out(row, k)]
-            for row in [*self.handed_over(k), *self.taken_over(k), *given_out]:
+            given_out = [row for row in self.row_changes(k) if self.has_saturated_control(row, k)]
+            for row in [*self.find_limit_exchange(k), *self.find_constraint_exchange(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
         return beside
 
@@ -247,7 +247,7 @@ class PhaseStructure:
         linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.holders[row])
         return bool(self.orders[row]) and not linear
 
-    def beside_contacts(self, touches: bool, firm: bool = False) -> Mask:
+    def mask_beside_contacts(self, touches: bool, firm: bool = False) -> Mask:
         """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A).
 
         But not where the direction of a vector could hold them, whose magnitude is at its limit: it would lead far
@@ -257,7 +257,7 @@ class PhaseStructure:
         held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
         beside = np.zeros_like(held)
         for k in range(1, self.pieces):
-            if not firm or self.kinked(k):
+            if not firm or self.has_only_kinks(k):
                 beside[:, k - 1] |= held[:, k]
                 beside[:, k] |= held[:, k - 1]
         if touches:
@@ -267,7 +267,7 @@ class PhaseStructure:
             beside[row] &= ~np.any(self.matrix()[bends] == ArcKind.INTERIOR, axis=0)
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
-    def on_contact(self, piece: int) -> bool:
+    def has_contact(self, piece: int) -> bool:
         """Whether a state constraint determines a control in a piece."""
         return any(
             kind.at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
@@ -277,7 +277,7 @@ class PhaseStructure:
         """Times at which a row touches a limit, s."""
         return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
 
-    def contact(self, row: int, times: Array) -> Mask:
+    def is_at_limit(self, row: int, times: Array) -> Mask:
         """Whether a row is held at a limit, or touches it, at some times (n,)."""
         pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.pieces - 1)
         before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.pieces - 1)
@@ -289,11 +289,11 @@ class PhaseStructure:
         ]
         return np.asarray(held[pieces] | held[before] | np.isin(times, touched))
 
-    def at(self, times: tuple[float, ...]) -> PhaseStructure:
+    def with_times(self, times: tuple[float, ...]) -> PhaseStructure:
         """Return the same order of switches at other times."""
         return replace(self, times=times)
 
-    def without(self, piece: int) -> PhaseStructure:
+    def without_piece(self, piece: int) -> PhaseStructure:
         """Return the structure after a piece has vanished; switches that cancel vanish with it."""
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
         inner = 0 < piece < self.pieces - 1
@@ -306,14 +306,14 @@ class PhaseStructure:
             times = [self.times[0], *self.times[2:]]
         elif piece == self.pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
-        return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+        return self._merge(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
-    def emptied(self, piece: int) -> PhaseStructure:
+    def collapse_piece(self, piece: int) -> PhaseStructure:
         """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
 
         That needs a limit of second order, or one of a path constraint at an end of the phase.
         """
-        kinds, left = self.kinds[piece], self.without(piece)
+        kinds, left = self.kinds[piece], self.without_piece(piece)
         inner = 0 < piece < self.pieces - 1
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
         time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
@@ -325,7 +325,7 @@ class PhaseStructure:
                 left = left.with_touch(i, time, kind)
         return left
 
-    def swapped(self, piece: int) -> PhaseStructure | None:
+    def swap_switches(self, piece: int) -> PhaseStructure | None:
         """Return the structure in which the switches at the two ends of a piece change places.
 
         ``None`` where there is nothing to swap: at the phase's ends, when one control switches at both ends, or where
@@ -348,7 +348,7 @@ class PhaseStructure:
     def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a row at another place from ``start`` to ``end``; its touches there are gone."""
         times = sorted({*self.times, start, end})
-        touches = self._touches_at(times)
+        touches = self._collect_touches(times)
         for k, t in enumerate(times):
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
@@ -358,29 +358,29 @@ class PhaseStructure:
         for piece, middle in zip(kinds, middles, strict=True):
             if start < middle < end:
                 piece[row] = kind
-        return self._merged(times, tuple(tuple(piece) for piece in kinds), touches)
+        return self._merge(times, tuple(tuple(piece) for piece in kinds), touches)
 
     def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a row at a limit for an instant."""
         times = sorted({*self.times, time})
-        touches = self._touches_at(times)
+        touches = self._collect_touches(times)
         touches[times.index(time)] += ((row, kind),)
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.pieces - 1)
-        return self._merged(times, tuple(self.kinds[k] for k in pieces), touches)
+        return self._merge(times, tuple(self.kinds[k] for k in pieces), touches)
 
     def without_touch(self, boundary: int, row: int) -> PhaseStructure:
         """Return the structure in which a row does not touch its limit at a boundary."""
         touches = list(self.touches)
         touches[boundary] = tuple(touch for touch in touches[boundary] if touch[0] != row)
-        return self._merged(list(self.times), self.kinds, touches)
+        return self._merge(list(self.times), self.kinds, touches)
 
-    def _touches_at(self, times: list[float]) -> list[tuple[Touch, ...]]:
+    def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
         """What is touched at each of some times, those of the structure among them."""
         known = dict(zip(self.times, self.touches, strict=True))
         return [known.get(t, ()) for t in times]
 
-    def arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
+    def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
         """Return the arcs of every control, and those of active path constraints and state bounds.
 
         A touch is an arc without length.
@@ -391,7 +391,7 @@ class PhaseStructure:
             Of all rows.
         """
         found = []
-        determined = [self.determined(k) for k in range(self.pieces)]
+        determined = [self.find_determined_controls(k) for k in range(self.pieces)]
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
             if i < self._n_free:
@@ -410,9 +410,9 @@ class PhaseStructure:
 
     def merged(self) -> PhaseStructure:
         """Return the structure with equal neighbouring pieces joined."""
-        return self._merged(list(self.times), self.kinds, list(self.touches))
+        return self._merge(list(self.times), self.kinds, list(self.touches))
 
-    def _merged(self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]) -> PhaseStructure:
+    def _merge(self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]) -> PhaseStructure:
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
         return replace(
             self,
@@ -422,12 +422,12 @@ class PhaseStructure:
         )
 
 
-def signs_of(kinds: KindArray) -> Indices:
+def limit_signs(kinds: KindArray) -> Indices:
     """Return -1 where a lower limit is held, +1 where an upper one is, 0 elsewhere; same shape."""
     return np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
 
 
-def choose(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
+def choose_kind(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
     """Return ``kind`` where the condition holds and ``otherwise`` elsewhere, as an object array."""
     chosen = np.where(condition, cast(Any, kind), cast(Any, otherwise))
     return np.asarray(chosen, dtype=object)

@@ -14,18 +14,18 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
     SINGULAR_GAIN_MAX,
-    defects,
-    finer,
-    singular_gradient,
+    compute_dynamics_defects,
+    compute_singular_gradients,
+    refine_inaccurate_pieces,
 )
 from gnc_opt.planning.refinement.arcs.contacts import (
-    touch_of_wrong_sign,
-    with_missing_contact,
-    with_saturated_holder,
+    add_missing_contact,
+    find_wrong_touch,
+    replace_saturated_controls,
 )
-from gnc_opt.planning.refinement.arcs.curvature import affine_channels, curved_channels, linear_limits
+from gnc_opt.planning.refinement.arcs.curvature import affine_controls, linear_path_limits, nonconvex_controls
 from gnc_opt.planning.refinement.arcs.junctions import move_kinks
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose, signs_of
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose_kind, limit_signs
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
@@ -49,39 +49,39 @@ def improve_plans(
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
-        structure, action = without_vanished_piece(s, plans[name], left)
+        structure, action = remove_vanished_piece(s, plans[name], left)
         if structure is not None:
-            return {**plans, name: plans[name].restructured(structure)}, action
+            return {**plans, name: plans[name].replace_structure(structure)}, action
     for name, c in constraints.items():
-        structure, action = _corrected_contacts(c, plans[name].structure)
+        structure, action = _correct_contacts(c, plans[name].structure)
         if structure is not None:
-            return {**plans, name: plans[name].restructured(structure)}, action
+            return {**plans, name: plans[name].replace_structure(structure)}, action
     for name, s in samples.items():
-        structure, action = _with_saturated_arc(s, plans[name], left)
+        structure, action = _add_saturated_arc(s, plans[name], left)
         if structure is None:
-            structure, action = _with_overrun_bound(s, plans[name])
+            structure, action = _replace_saturated_controls(s, plans[name])
         if structure is not None:
-            return {**plans, name: plans[name].restructured(structure)}, action
-    adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
+            return {**plans, name: plans[name].replace_structure(structure)}, action
+    adjusted = {name: _move_kinks_and_refine(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
     for name, s in samples.items():
-        structure, action = _with_missing_arc(s, plans[name], problem)
+        structure, action = _add_missing_arc(s, plans[name], problem)
         if structure is not None:
-            left.add((name, plans[name].structure.at(())))
-            return {**plans, name: plans[name].completed(structure)}, action
+            left.add((name, plans[name].structure.with_times(())))
+            return {**plans, name: plans[name].extend_structure(structure)}, action
     return plans, ""
 
 
-def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
+def _move_kinks_and_refine(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
     """Move kinks and raise resolutions where the solution asks for it."""
-    moved, raised = move_kinks(constraints, plan), finer(constraints.samples, plan, tol)
+    moved, raised = move_kinks(constraints, plan), refine_inaccurate_pieces(constraints.samples, plan, tol)
     if moved is not None:
         emptied = np.flatnonzero(moved.lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
-            left = plan.structure.emptied(int(emptied[0]))
-            return plan.restructured(left), f"piece {emptied[0] + 1} dropped"
+            left = plan.structure.collapse_piece(int(emptied[0]))
+            return plan.replace_structure(left), f"piece {emptied[0] + 1} dropped"
     if raised and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
     resolutions = raised.resolutions if raised else plan.resolutions
@@ -95,7 +95,7 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
 # --- arcs that vanish -----------------------------------------------------------------------------------
 
 
-def without_vanished_piece(
+def remove_vanished_piece(
     samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
@@ -103,15 +103,15 @@ def without_vanished_piece(
     shortest = int(np.argmin(lengths))
     if structure.pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
-    other = structure.swapped(shortest)
-    left.add((samples.leg.name, structure.at(())))
+    other = structure.swap_switches(shortest)
+    left.add((samples.leg.name, structure.with_times(())))
     # Only an order that has been left before is not tried again.
-    if other is not None and (samples.leg.name, other.at(())) not in left:
-        return _with_room(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
-    return structure.emptied(shortest), f"piece {shortest + 1} dropped"
+    if other is not None and (samples.leg.name, other.with_times(())) not in left:
+        return _lengthen_piece(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
+    return structure.collapse_piece(shortest), f"piece {shortest + 1} dropped"
 
 
-def _with_room(structure: PhaseStructure, piece: int) -> PhaseStructure:
+def _lengthen_piece(structure: PhaseStructure, piece: int) -> PhaseStructure:
     """Give a swapped piece some length to start from."""
     times = np.asarray(structure.times)
     room = SMALL * (times[-1] - times[0])
@@ -119,46 +119,46 @@ def _with_room(structure: PhaseStructure, piece: int) -> PhaseStructure:
     left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
     right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
     times[piece], times[piece + 1] = left, right
-    return structure.at(tuple(float(t) for t in times))
+    return structure.with_times(tuple(float(t) for t in times))
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _with_missing_arc(
+def _add_missing_arc(
     samples: PhaseSamples, plan: Plan, problem: Problem
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
     pieces = plan.segment_pieces[samples.segments]
     kinds = plan.structure.matrix()[:, pieces]
-    violation, asked = _structure_violations(samples, plan.structure, kinds)
-    curved = _curved_rows(samples, violation.shape[0])
+    violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
+    curved = _find_nonlinear_rows(samples, violation.shape[0])
     for i in range(violation.shape[0]):
-        _forgive_own_switches(violation[i], kinds[i], NEGLIGIBLE if curved[i] else SWITCH_SIGN_ERROR)
-    return _with_worst_arc(samples, plan.structure, violation, asked)
+        _mask_own_switches(violation[i], kinds[i], NEGLIGIBLE if curved[i] else SWITCH_SIGN_ERROR)
+    return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
-def _with_worst_arc(
+def _add_most_severe_arc(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that the largest violation asks for and what was done, or None."""
     if not violation.size or violation.max() < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
-    start, end = violation_interval(samples.times, violation[i])
+    start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    mended = linear_limits(samples).with_arc(structure, i, j, (start, end), asked[i, j])
+    mended = linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
     return mended, f"arc of {label} added at {start:.4g} s"
 
 
-def _curved_rows(samples: PhaseSamples, count: int) -> Mask:
+def _find_nonlinear_rows(samples: PhaseSamples, count: int) -> Mask:
     """Which of so many rows are controls that H bends in either way."""
     curved = np.zeros(count, dtype=bool)
-    curved[: samples.leg.controls.size] = curved_channels(samples)
+    curved[: samples.leg.controls.size] = nonconvex_controls(samples)
     return curved
 
 
-def _structure_violations(
+def _compute_structure_violations(
     samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
 ) -> tuple[Array, KindArray]:
     """Violation of each control and path constraint where it is, and the place that it asks for.
@@ -177,23 +177,23 @@ def _structure_violations(
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
     below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
     kinds = kinds[: pull.shape[0]]
-    signs = signs_of(kinds)
+    signs = limit_signs(kinds)
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
-    linear = linear_limits(samples).paths
+    linear = linear_path_limits(samples).linear_paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
-    affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
-    curved = np.append(curved_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
+    affine = np.append(affine_controls(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
+    curved = np.append(nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
     checked = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
-    opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
-    crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return violation, choose(
-        checked, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed
+    opposite = choose_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    crossed = choose_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
+    return violation, choose_kind(
+        checked, choose_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed
     )
 
 
-def _with_saturated_arc(
+def _add_saturated_arc(
     samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
@@ -204,40 +204,40 @@ def _with_saturated_arc(
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
     singular = plan.structure.controls == ArcKind.SINGULAR
-    released = plan.structure.beside_takeovers()[: len(singular)]
-    singular = (singular & ~plan.structure.limited_by_paths() & ~released)[:, pieces]
+    released = plan.structure.mask_beside_exchanges()[: len(singular)]
+    singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SMALL * samples.control_scale)
-    left_open = zip(plan.resolutions, singular_gradient(samples, plan), strict=True)
-    stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
+    left_open = zip(plan.resolutions, compute_singular_gradients(samples, plan), strict=True)
+    stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[pieces]
     jumps = np.where(gain > 0, at_lower, at_upper)
-    reached = singular & stuck & affine_channels(samples)[:, None] & jumps
+    reached = singular & stuck & affine_controls(samples)[:, None] & jumps
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        here = _run_around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
+        here = _find_surrounding_run(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
         violation[i, here] = np.abs(gain[i, here])
-    asked = choose(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
-    structure, action = _with_worst_arc(samples, plan.structure, violation, asked)
-    if structure is None or (samples.leg.name, structure.at(())) in left:
+    asked = choose_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    structure, action = _add_most_severe_arc(samples, plan.structure, violation, asked)
+    if structure is None or (samples.leg.name, structure.with_times(())) in left:
         return None, ""
     return structure, action
 
 
-def _with_overrun_bound(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
-    if np.max(defects(samples)) > SINGULAR_GAIN_MAX:
+def _replace_saturated_controls(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+    if np.max(compute_dynamics_defects(samples)) > SINGULAR_GAIN_MAX:
         return None, ""
-    return with_saturated_holder(samples, plan.structure, plan.segment_pieces[samples.segments])
+    return replace_saturated_controls(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
-def _run_around(holds: Mask, j: int) -> slice:
+def _find_surrounding_run(holds: Mask, j: int) -> slice:
     """The run of samples around the j-th in which something holds."""
     fails = np.flatnonzero(~holds)
     before, after = fails[fails < j], fails[fails > j]
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
-def _forgive_own_switches(violation: Array, kinds: KindArray, least: float = SWITCH_SIGN_ERROR) -> None:
+def _mask_own_switches(violation: Array, kinds: KindArray, least: float = SWITCH_SIGN_ERROR) -> None:
     """Zero the violations that reach up to one of the channel's own switches, but for such on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
@@ -245,29 +245,29 @@ def _forgive_own_switches(violation: Array, kinds: KindArray, least: float = SWI
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
-            _leading_run(violation > 0, range(int(j), -1, -1)),
-            _leading_run(violation > 0, range(int(j) + 1, violation.size)),
+            _select_leading_run(violation > 0, range(int(j), -1, -1)),
+            _select_leading_run(violation > 0, range(int(j) + 1, violation.size)),
         )
         if min(np.max(violation[run], initial=0.0) for run in sides) < least:
             for run in sides:
                 violation[run] = 0.0
 
 
-def _leading_run(holds: Mask, places: range) -> list[int]:
+def _select_leading_run(holds: Mask, places: range) -> list[int]:
     """The places, one after the other, up to the first at which it does not hold."""
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
 
-def violation_interval(times: Array, violation: Array) -> tuple[float, float]:
+def find_violation_interval(times: Array, violation: Array) -> tuple[float, float]:
     """Return where there is a violation around the largest one: its zeros, by straight lines between samples."""
     j, fine = int(np.argmax(violation)), np.flatnonzero(violation <= 0)
     before, after = fine[fine < j], fine[fine > j]
-    start = _linear_zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
-    end = _linear_zero(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
+    start = _interpolate_zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
+    end = _interpolate_zero(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
     return float(start), float(end)
 
 
-def _linear_zero(times: Array, values: Array, left: int, right: int) -> float:
+def _interpolate_zero(times: Array, values: Array, left: int, right: int) -> float:
     """Zero of a straight line between two samples whose values do not have the same sign."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
 
@@ -275,15 +275,15 @@ def _linear_zero(times: Array, values: Array, left: int, right: int) -> float:
 # --- contacts with state constraints --------------------------------------------------------------------------
 
 
-def _corrected_contacts(
+def _correct_contacts(
     constraints: StateConstraints, structure: PhaseStructure
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
 
     A touch may pull because another is missing beside it.
     """
-    added, action = with_missing_contact(constraints, structure)
-    wrong = touch_of_wrong_sign(constraints, structure)
+    added, action = add_missing_contact(constraints, structure)
+    wrong = find_wrong_touch(constraints, structure)
     if added is not None or wrong is None:
         return added, action
     return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"

@@ -18,22 +18,22 @@ from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, uniform_points
-from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.refinement.arcs.resolution import resolved
-from gnc_opt.planning.refinement.arcs.split_switches import shared_boundaries, solve_with_split_switches
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, count_uniform_points
+from gnc_opt.planning.refinement.arcs.detection import detect_structures
+from gnc_opt.planning.refinement.arcs.resolution import set_resolutions
+from gnc_opt.planning.refinement.arcs.split_switches import find_shared_boundaries, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_update import (
     KINKS_MOVED,
     RAISED,
     SMOOTHED,
     improve_plans,
-    without_vanished_piece,
+    remove_vanished_piece,
 )
 from gnc_opt.planning.refinement.error import estimate_errors
-from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record
-from gnc_opt.planning.refinement.switching.collocated_trajectory import collocated
-from gnc_opt.planning.refinement.switching.newton import settle
+from gnc_opt.planning.refinement.iterations import IterationLimits, record_iteration, show_pass
+from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
+from gnc_opt.planning.refinement.switching.newton import solve_times
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -59,7 +59,7 @@ def optimise_switches(
     solution: Solution,
     *,
     tol: float = SWITCHING_TIME_TOLERANCE,
-    limits: PassLimits | None = None,
+    limits: IterationLimits | None = None,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
@@ -73,7 +73,7 @@ def optimise_switches(
         A solved collocation solution, with its problem.
     tol : float
         On the error between the nodes; see `gnc_opt.planning.refinement.error`.
-    limits : PassLimits, optional
+    limits : IterationLimits, optional
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
@@ -92,12 +92,12 @@ def optimise_switches(
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=ARC_SOLVE_MAX_ITERATIONS)
-    found = structures or structures_of(solution)
-    plans = {name: _first_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
+    found = structures or detect_structures(solution)
+    plans = {name: _build_initial_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
     tries: list[_Try] = []
-    with pass_meter(solution.problem_name, tol, progress) as show:
+    with show_pass(solution.problem_name, tol, progress) as show:
         try:
-            loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
+            loop = _StructureLoop(problem, tol, limits or IterationLimits(), chosen, show, tries)
             guess, settled, flown = (
                 _newton_start(solution, plans, loop.aim) if segments == "few" else (solution, plans, None)
             )
@@ -106,7 +106,7 @@ def optimise_switches(
                 status = loop.run(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
-    best = _best_try(tries, status, tol)
+    best = _select_best_iterate(tries, status, tol)
     records = [t.record for t in tries] or [_record(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
@@ -114,21 +114,21 @@ def optimise_switches(
         return solution, history
     solution, plans = tries[best].solution, tries[best].plans
     if status is RefinementStatus.CONVERGED:
-        solution = _with_unique_costates(solution, plans, chosen, loop.limits.deadline)
-    return replace(solution, structure=_arcs(solution, plans)), history
+        solution = _determine_unique_costates(solution, plans, chosen, loop.limits.deadline)
+    return replace(solution, structure=_list_arcs(solution, plans)), history
 
 
-def _first_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Plan:
+def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Plan:
     if segments == "few":
-        return Plan.of(structure, uniform_points(mesh))
-    return Plan.refined(structure, mesh)
+        return Plan.from_structure(structure, count_uniform_points(mesh))
+    return Plan.from_refined_mesh(structure, mesh)
 
 
-def _with_unique_costates(
+def _determine_unique_costates(
     solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
 ) -> Solution:
     """Return the solution with costates that make every switching function vanish where switches share a time."""
-    if not any(shared_boundaries(plan.structure) for plan in plans.values()) or verify(solution).ok:
+    if not any(find_shared_boundaries(plan.structure) for plan in plans.values()) or verify(solution).ok:
         return solution
     apart = solve_with_split_switches(solution, plans, options, deadline)
     if apart is None or verify(apart).ok:
@@ -149,7 +149,7 @@ class _Try:
     record: RefinementIteration
 
 
-def _best_try(tries: list[_Try], status: RefinementStatus, tol: float) -> int | None:
+def _select_best_iterate(tries: list[_Try], status: RefinementStatus, tol: float) -> int | None:
     """Return the pass to keep: where the loop came to rest, or the one whose objective has the least estimated error.
 
     None without any; of passes within the tolerance the one with the least local error.
@@ -172,22 +172,22 @@ def _newton_start(
     if len(plans) > 1:
         return solution, plans, None  # The flow of one phase says nothing about the others.
     ((name, plan),) = plans.items()
-    found = settle(solution, plan.structure)
+    found = solve_times(solution, plan.structure)
     if found is None:
         return solution, plans, None
     structure, flight = found
-    guess = flight.solution(solution)
-    plan = resolved(Plan.of(structure, plan.points), solution.samples()[name], guess, aim)
-    return guess, {name: plan}, collocated(solution, flight, plan)
+    guess = flight.build_solution(solution)
+    plan = set_resolutions(Plan.from_structure(structure, plan.points), solution.samples()[name], guess, aim)
+    return guess, {name: plan}, collocate_trajectory(solution, flight, plan)
 
 
 @dataclass(frozen=True, eq=False)
-class _Loop:
+class _StructureLoop:
     """What it is asked for, and what it has tried."""
 
     problem: Problem
     tol: float
-    limits: PassLimits
+    limits: IterationLimits
     options: SolverOptions
     show: Callable[[RefinementIteration], None]
     tries: list[_Try]
@@ -208,34 +208,34 @@ class _Loop:
                 return RefinementStatus.INTERRUPTED
             if any(plan.mesh().size > self.limits.points for plan in plans.values()):
                 return RefinementStatus.POINT_LIMIT
-            spent = sum(record.work for record in self.records)
-            if self.limits.are_spent(spent):
+            spent = sum(record.work for record in self.iteration_records)
+            if self.limits.are_exhausted(spent):
                 return RefinementStatus.BUDGET_LIMIT
-            within = self.limits.of_solve((plan.mesh() for plan in plans.values()), spent)
-            found = flown or _solve(self.problem, plans, solution, self.options, within)
+            within = self.limits.limit_solve((plan.mesh() for plan in plans.values()), spent)
+            found = flown or _solve_program(self.problem, plans, solution, self.options, within)
             flown = None
             if not found.status.solved:
-                self._add_try(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
+                self._append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
                 vain += 1
-                others = _alternative_plans(found, plans, left)
+                others = _propose_alternative_plans(found, plans, left)
                 if others is None or vain == UNSOLVED_MAX_ITERATIONS:
                     return RefinementStatus.FAILED
                 plans = others
                 continue
             solution, vain = found, 0
-            current = {name: _plan_at_solution(plan, solution, name) for name, plan in plans.items()}
+            current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve_plans(solution, current, left, self.aim)
             record = _record(solution, begin, action or "structure unchanged")
-            self._add_try(_Try(solution, current, record))
-            if len(self.records) == 1 and record.error > self.limits.worst:
+            self._append(_Try(solution, current, record))
+            if len(self.iteration_records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
             if not action:
                 return RefinementStatus.CONVERGED
-            changes = set() if _only_adjusts(record) else _arc_order_changes(current, plans)
+            changes = set() if _keeps_arc_order(record) else _list_arc_orders(current, plans)
             again, asked = changes & asked, changes | asked
-            if again or _makes_no_progress(self.records):
+            if again or _is_stalled(self.iteration_records):
                 return RefinementStatus.STALLED
         return RefinementStatus.ITERATION_LIMIT
 
@@ -245,16 +245,16 @@ class _Loop:
         return min(self.tol, SWITCHING_TIME_TOLERANCE)
 
     @property
-    def records(self) -> list[RefinementIteration]:
+    def iteration_records(self) -> list[RefinementIteration]:
         """Of all tries."""
         return [t.record for t in self.tries]
 
-    def _add_try(self, tried: _Try) -> None:
+    def _append(self, tried: _Try) -> None:
         self.tries.append(tried)
         self.show(tried.record)
 
 
-def _alternative_plans(
+def _propose_alternative_plans(
     failed: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]]
 ) -> dict[str, Plan] | None:
     """Return what to try where a structure had no solution, or None.
@@ -262,67 +262,67 @@ def _alternative_plans(
     Without limits beside them arcs may have left for where these are worth nothing; else a piece that vanished on the
     way is in the way.
     """
-    if any(plan.leaves_limits for plan in plans.values()):
+    if any(plan.may_leave_limits for plan in plans.values()):
         return {name: replace(plan, firm=True) for name, plan in plans.items()}
     for name, s in failed.samples().items():
-        current = _plan_at_solution(plans[name], failed, name)
-        structure, _ = without_vanished_piece(s, current, left)
+        current = _update_plan_times(plans[name], failed, name)
+        structure, _ = remove_vanished_piece(s, current, left)
         if structure is not None:
-            return {**plans, name: current.restructured(structure)}
+            return {**plans, name: current.replace_structure(structure)}
     return None
 
 
-def _makes_no_progress(records: list[RefinementIteration]) -> bool:
+def _is_stalled(records: list[RefinementIteration]) -> bool:
     """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
 
     Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
     """
-    changes = [k for k, r in enumerate(records) if not _only_adjusts(r) or SMOOTHED in str(r.actions)]
+    changes = [k for k, r in enumerate(records) if not _keeps_arc_order(r) or SMOOTHED in str(r.actions)]
     errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
     return len(errors) > STALLED_MAX_ITERATIONS and min(errors[-STALLED_MAX_ITERATIONS:]) > 0.5 * min(
         errors[:-STALLED_MAX_ITERATIONS]
     )
 
 
-def _arc_order_changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
+def _list_arc_orders(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
     """Return the orders of arcs, whatever their times, before and after a change of a structure."""
     return {
-        (name, plan.structure.at(()), after[name].structure.at(()))
+        (name, plan.structure.with_times(()), after[name].structure.with_times(()))
         for name, plan in before.items()
         if after[name].structure != plan.structure
     }
 
 
-def _only_adjusts(record: RefinementIteration) -> bool:
+def _keeps_arc_order(record: RefinementIteration) -> bool:
     """Whether a solution asked for nothing but other kinks and resolutions."""
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
 
-def _solve(
+def _solve_program(
     problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions, limits: SolveLimits
 ) -> Solution:
     held = problem
     for name, plan in plans.items():
-        held = plan.hold(held, name)
+        held = plan.hold_arcs(held, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
     found = solve_mesh(held, meshes, guess=guess, options=options, limits=limits)
     return replace(found, problem=problem)
 
 
-def _plan_at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
+def _update_plan_times(plan: Plan, solution: Solution, name: str) -> Plan:
     """Return the plan with the switch times of the solution."""
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
-    return replace(plan, structure=plan.structure.at(times))
+    return replace(plan, structure=plan.structure.with_times(times))
 
 
 def _record(solution: Solution, begin: float, action: str) -> RefinementIteration:
-    return pass_record(solution, estimate_errors(solution), begin, action)
+    return record_iteration(solution, estimate_errors(solution), begin, action)
 
 
-def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
+def _list_arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in solution.samples().items():
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
-        arcs += plans[name].structure.arcs(name, labels)
+        arcs += plans[name].structure.list_arcs(name, labels)
     return tuple(arcs)

@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.refinement.error import PhaseError, states_at_points
+from gnc_opt.planning.refinement.error import PhaseError, get_states_at_points
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
@@ -40,7 +40,7 @@ def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     active : array (rows, N)
         The phase's `activity`, which is dear and the same for all segments.
     """
-    found = _switches(error, k) or _junctions(error, k, active)
+    found = _find_switches(error, k) or _find_junctions(error, k, active)
     found.sort(key=lambda kink: kink.start)
     merged: list[Kink] = []
     for kink in found:
@@ -51,7 +51,7 @@ def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     return merged if len(merged) <= SEGMENT_MAX_KINKS else []
 
 
-def _switches(error: PhaseError, k: int) -> list[Kink]:
+def _find_switches(error: PhaseError, k: int) -> list[Kink]:
     """Zeros of dH/du with a control on its bound: there it leaves the bound, or jumps to the other one."""
     samples = error.samples
     leg, bounds = samples.leg, samples.leg.control_bounds
@@ -63,19 +63,19 @@ def _switches(error: PhaseError, k: int) -> list[Kink]:
         unit = samples.control_scale[i] / samples.hamiltonian_scale
         roots: list[float] = []
         for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
-            if np.isfinite(level) and _reaches(
+            if np.isfinite(level) and _reaches_level(
                 samples.u_polynomial[i, inside], level, samples.control_scale[i]
             ):
-                roots += _crossings(_gradient_at(error, i, level, times) * unit, times)
+                roots += _zero_crossings(_control_gradient(error, i, level, times) * unit, times)
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
 
-def _reaches(values: Array, level: float, scale: float) -> bool:
+def _reaches_level(values: Array, level: float, scale: float) -> bool:
     return bool(np.min(np.abs(values - level)) < 0.1 * scale)
 
 
-def _gradient_at(error: PhaseError, i: int, level: float, times: Array) -> Array:
+def _control_gradient(error: PhaseError, i: int, level: float, times: Array) -> Array:
     """Return d(H + mu.c)/du_i at times with control i at a level."""
     leg, functions = error.samples.leg, error.samples.functions
     u = leg.flown.clipped(times)
@@ -84,7 +84,7 @@ def _gradient_at(error: PhaseError, i: int, level: float, times: Array) -> Array
     return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
 
 
-def _crossings(values: Array, times: Array) -> list[float]:
+def _zero_crossings(values: Array, times: Array) -> list[float]:
     """Return the zeros of a switching function, in shares of H, from a straight line between its samples."""
     before = np.flatnonzero(values[:-1] * values[1:] < 0)
     if not before.size or not (np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE):
@@ -93,7 +93,7 @@ def _crossings(values: Array, times: Array) -> list[float]:
     return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
 
 
-def _junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
+def _find_junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Kinks where bounds and path constraints set in or end, or change sides, between neighbouring points."""
     leg = error.samples.leg
     points, offsets = leg.point_times, leg.mesh.offsets
@@ -103,12 +103,12 @@ def _junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
     for row in active[:, first : last + 1]:
         here = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
-            start, end = _onset_interval(here, row, int(j), leg.duration)
+            start, end = _bracket_onset(here, row, int(j), leg.duration)
             kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def _onset_interval(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
+def _bracket_onset(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
     """Return between which times the pull of a constraint sets in, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
     across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
@@ -128,19 +128,19 @@ def _onset_interval(times: Array, pull: Array, j: int, duration: float) -> tuple
 def limit_activity(error: PhaseError) -> Array:
     """Return the pull of active bounds and paths at the points, (rows, N), in shares of H."""
     leg, yardstick = error.samples.leg, error.yardstick
-    x, u = states_at_points(leg), np.hstack(leg.u.values)
+    x, u = get_states_at_points(leg), np.hstack(leg.u.values)
     worth = error.samples.hamiltonian_scale
     rows = [
-        _active(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
-        _active(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
+        _active_pull(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
+        _active_pull(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
     ]
     if leg.path_labels:
         values = yardstick.functions.paths(leg.point_times, x, u)
-        rows.append(_active(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
+        rows.append(_active_pull(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
     return np.concatenate(rows)
 
 
-def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float) -> Array:
+def _active_pull(values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float) -> Array:
     gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
     pull = multipliers * scale[:, None] / worth
     limits = (bounds.lower < bounds.upper)[:, None]
@@ -153,12 +153,12 @@ def kink_boundaries(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SAME_TIME * leg.duration)
     cuts = [left]
-    for edge in (edge for kink in kinks for edge in _kink_edges(kink, NEGLIGIBLE * leg.duration)):
+    for edge in (edge for kink in kinks for edge in _select_kink_edges(kink, NEGLIGIBLE * leg.duration)):
         if edge - cuts[-1] > least and right - edge > least:
             cuts.append(edge)
     return [*cuts, right]
 
 
-def _kink_edges(kink: Kink, sharp: float) -> tuple[float, ...]:
+def _select_kink_edges(kink: Kink, sharp: float) -> tuple[float, ...]:
     """Both ends of a kink's interval, or its middle where they are as good as one."""
     return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

@@ -19,8 +19,8 @@ from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import final_barrier_parameter
 from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
-from gnc_opt.planning.refinement.iterations import PassLimits, converges_too_slowly, pass_meter, pass_record
-from gnc_opt.planning.refinement.mesh.remesh import Past, Remesh, known_segments
+from gnc_opt.planning.refinement.iterations import IterationLimits, is_stagnating, record_iteration, show_pass
+from gnc_opt.planning.refinement.mesh.remesh import Past, Remesh, index_segments
 from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -51,7 +51,7 @@ NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class _MeshSolution:
     """A solution with its error."""
 
     solution: Solution
@@ -61,20 +61,20 @@ class _State:
     @property
     def finite_error(self) -> float:
         """Largest error of the segments whose functions are defined."""
-        worst = np.concatenate([e.worst for e in self.errors.values()])
+        worst = np.concatenate([e.largest_errors for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
 
     @property
-    def total(self) -> float:
+    def total_error(self) -> float:
         """Sum of the errors of all segments."""
-        return float(sum(np.sum(np.minimum(e.worst, 1e6)) for e in self.errors.values()))
+        return float(sum(np.sum(np.minimum(e.largest_errors, 1e6)) for e in self.errors.values()))
 
 
 def refine_mesh(
     solution: Solution,
     *,
     tol: float = 1e-8,
-    limits: PassLimits | None = None,
+    limits: IterationLimits | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> tuple[Solution, History]:
@@ -87,7 +87,7 @@ def refine_mesh(
     tol : float
         Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
         dimensionless; see `gnc_opt.planning.refinement.error`.
-    limits : PassLimits, optional
+    limits : IterationLimits, optional
         Default: `DEFAULT_ITERATIONS`. Twice as much work is allowed while the error falls to a third or less each time.
     options : SolverOptions, optional
         For the solves.
@@ -110,14 +110,14 @@ def refine_mesh(
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
-    limits = limits or PassLimits(DEFAULT_ITERATIONS)
+    limits = limits or IterationLimits(DEFAULT_ITERATIONS)
     refinement = _Refinement(solution, tol, limits, options)
-    with pass_meter(solution.problem_name, tol, progress) as show:
+    with show_pass(solution.problem_name, tol, progress) as show:
         try:
             status = refinement.run(show)
         except KeyboardInterrupt:
-            status = refinement.ending_without(Status.INTERRUPTED)
-    return refinement.result(status)
+            status = refinement.classify_failed_solve(Status.INTERRUPTED)
+    return refinement.build_result(status)
 
 
 class _Refinement:
@@ -127,7 +127,7 @@ class _Refinement:
         self,
         solution: Solution,
         tol: float,
-        limits: PassLimits,
+        limits: IterationLimits,
         options: SolverOptions | None,
     ) -> None:
         self._problem = solution.need_problem("refine")
@@ -139,7 +139,7 @@ class _Refinement:
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._begin = time.perf_counter()
-        self._state = self._evaluated(solution, self._begin, Actions())
+        self._state = self._evaluate_solution(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
     def run(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
@@ -147,35 +147,35 @@ class _Refinement:
         show(self._records[-1])
         for _ in range(self._limits.passes):
             if time.perf_counter() > self._limits.deadline:
-                return self.ending_without(Status.INTERRUPTED)
-            plan = self._plan()
+                return self.classify_failed_solve(Status.INTERRUPTED)
+            plan = self._plan_next_meshes()
             if isinstance(plan, RefinementStatus):
                 return plan
-            if self._limits.are_spent(self._spent):
-                return self._ending(RefinementStatus.BUDGET_LIMIT)
+            if self._limits.are_exhausted(self._spent_work):
+                return self._classify_ending(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
-            self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
-            status = self._solve(meshes, actions)
+            self._past = {name: index_segments(e) for name, e in self._state.errors.items()}
+            status = self._solve_on_meshes(meshes, actions)
             show(self._records[-1])
-            if status is Status.ITERATION_LIMIT and self._limits.are_spent(self._spent):
-                return self._ending(RefinementStatus.BUDGET_LIMIT)
+            if status is Status.ITERATION_LIMIT and self._limits.are_exhausted(self._spent_work):
+                return self._classify_ending(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
-                return self.ending_without(status)
-        return self._ending(RefinementStatus.ITERATION_LIMIT)
+                return self.classify_failed_solve(status)
+        return self._classify_ending(RefinementStatus.ITERATION_LIMIT)
 
     @property
-    def _spent(self) -> float:
+    def _spent_work(self) -> float:
         """Work of all passes but the first, which was given."""
         return sum(record.work for record in self._records[1:])
 
-    def _plan(self) -> NextMeshes | RefinementStatus:
+    def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here.
 
         The aim comes closer in stages: while the trajectory still moves, details are premature. Where the points
         do not suffice for a stage, they go to the worst segments.
         """
         last = self._state.record
-        if self._converged(last):
+        if self._has_converged(last):
             return RefinementStatus.CONVERGED
         error = min(self._state.finite_error, 1.0)
         stage = max(
@@ -183,28 +183,28 @@ class _Refinement:
             (STAGE_ERROR_SHARE if error < NOTABLE else COARSE_MESH_TOLERANCE_SHARE) * error,
         )
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
-        plan = self._refined_meshes(stage)
-        limited = self._too_many(plan[0])
-        while self._too_many(plan[0]):
+        plan = self._refine_meshes(stage)
+        limited = self._exceed_point_limit(plan[0])
+        while self._exceed_point_limit(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
-            plan = self._refined_meshes(stage)
-        if not self._stalled(plan[0]):
+            plan = self._refine_meshes(stage)
+        if not self._is_stalled(plan[0]):
             return plan
         return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
 
-    def _refined_meshes(self, stage: float) -> NextMeshes:
+    def _refine_meshes(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
             meshes[name], actions = Remesh(error, stage, self._past.get(name, {})).mesh()
             total = total + actions
         return meshes, total
 
-    def _too_many(self, meshes: dict[str, Mesh]) -> bool:
+    def _exceed_point_limit(self, meshes: dict[str, Mesh]) -> bool:
         return max(mesh.size for mesh in meshes.values()) > self._limits.points
 
-    def result(self, status: RefinementStatus) -> tuple[Solution, History]:
+    def build_result(self, status: RefinementStatus) -> tuple[Solution, History]:
         """Return the best solution and the record."""
         best = self._best.record
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
@@ -213,43 +213,43 @@ class _Refinement:
         history = History(status, self._tol, tuple(self._records), self._chosen, message, seconds)
         return self._best.solution, history
 
-    def ending_without(self, status: Status) -> RefinementStatus:
+    def classify_failed_solve(self, status: Status) -> RefinementStatus:
         """Return how it ends without another solution, because of what became of the last solve."""
         interrupted = status is Status.INTERRUPTED
-        return self._ending(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
+        return self._classify_ending(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
 
-    def _ending(self, otherwise: RefinementStatus) -> RefinementStatus:
+    def _classify_ending(self, otherwise: RefinementStatus) -> RefinementStatus:
         """Return how it ends if no pass follows: there may be an accurate solution already."""
-        return RefinementStatus.CONVERGED if self._converged(self._best.record) else otherwise
+        return RefinementStatus.CONVERGED if self._has_converged(self._best.record) else otherwise
 
-    def _converged(self, record: RefinementIteration) -> bool:
+    def _has_converged(self, record: RefinementIteration) -> bool:
         return record.solved and record.error <= self._tol
 
-    def _stalled(self, meshes: dict[str, Mesh]) -> bool:
+    def _is_stalled(self, meshes: dict[str, Mesh]) -> bool:
         """Whether nothing is left to do, or neither the largest error nor the sum of all falls fast enough."""
         if meshes == self._state.record.meshes:
             return True
         errors = [r.error for r in self._records]
-        return all(converges_too_slowly(values, self._tol) for values in (errors, self._totals))
+        return all(is_stagnating(values, self._tol) for values in (errors, self._totals))
 
-    def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
+    def _solve_on_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes, warm, then cold; remember the pass."""
         begin = time.perf_counter()
-        within = self._limits.of_solve(meshes.values(), self._spent)
+        within = self._limits.limit_solve(meshes.values(), self._spent_work)
         solution = solve_mesh(
             self._problem,
             meshes,
             scheme=self._scheme,
             guess=self._state.solution,
-            options=self._warm_options(),
+            options=self._choose_warm_options(),
             limits=replace(within, warm_iterations=WARM_MAX_ITERATIONS),
         )
-        self._state = self._evaluated(solution, begin, actions)
+        self._state = self._evaluate_solution(solution, begin, actions)
         if self._is_better(self._state, self._best):
             self._best, self._chosen = self._state, len(self._records) - 1
         return solution.status
 
-    def _warm_options(self) -> SolverOptions:
+    def _choose_warm_options(self) -> SolverOptions:
         """Return the options with tolerance and barrier parameter that suit how far the solution still has to move."""
         options, left = self._options, min(self._state.finite_error, 1.0)
         if not self._asked:
@@ -261,18 +261,18 @@ class _Refinement:
             options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_BARRIER * left, last))
         return options
 
-    def _evaluated(self, solution: Solution, begin: float, actions: Actions) -> _State:
+    def _evaluate_solution(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
         errors = estimate_errors(solution)
-        record = pass_record(solution, errors, begin, actions)
+        record = record_iteration(solution, errors, begin, actions)
         self._records.append(record)
-        state = _State(solution, errors, record)
-        self._totals.append(state.total)
+        state = _MeshSolution(solution, errors, record)
+        self._totals.append(state.total_error)
         return state
 
-    def _is_better(self, new: _State, old: _State) -> bool:
+    def _is_better(self, new: _MeshSolution, old: _MeshSolution) -> bool:
         """Whether a solution is within the tolerance, or its objective has the smaller error."""
-        if self._converged(new.record) != self._converged(old.record):
-            return self._converged(new.record)
+        if self._has_converged(new.record) != self._has_converged(old.record):
+            return self._has_converged(new.record)
         if not new.record.solved:
             return False
         return new.solution.objective_error.value < old.solution.objective_error.value

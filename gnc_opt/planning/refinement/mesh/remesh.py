@@ -18,7 +18,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error import PhaseError
 from gnc_opt.planning.refinement.mesh.kinks import Kink, find_kinks, kink_boundaries, limit_activity
-from gnc_opt.planning.refinement.mesh.smoothness import decay_rates, error_density, quantiles
+from gnc_opt.planning.refinement.mesh.smoothness import error_density, error_quantiles, legendre_decay_rates
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE, SAME_TIME
@@ -74,8 +74,8 @@ class Remesh:
 
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
-        self._worst = self.error.worst
-        self._decades = self.error.errors.decades(REMESH_TOLERANCE_SHARE * self.tol)
+        self._worst = self.error.largest_errors
+        self._decades = self.error.errors.compute_required_decades(REMESH_TOLERANCE_SHARE * self.tol)
         self._density: Array | None = None
         self._active: Array | None = None
         self.raised = self.split = 0
@@ -83,13 +83,13 @@ class Remesh:
     def mesh(self) -> tuple[Mesh, Actions]:
         """Return the mesh and what was done."""
         pieces: list[Piece] = []
-        rates = decay_rates(self.error)
+        rates = legendre_decay_rates(self.error)
         for k, degree in enumerate(self._leg.mesh.degrees):
             own = Piece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
-            pieces += [own] if self._worst[k] <= self.tol else self._refined_segment(k, own, float(rates[k]))
-        return _mesh(pieces), Actions(self.raised, self.split)
+            pieces += [own] if self._worst[k] <= self.tol else self._refine_segment(k, own, float(rates[k]))
+        return _build_mesh(pieces), Actions(self.raised, self.split)
 
-    def _refined_segment(self, k: int, own: Piece, rate: float) -> list[Piece]:
+    def _refine_segment(self, k: int, own: Piece, rate: float) -> list[Piece]:
         """Return what becomes of an inaccurate segment."""
         narrow = (own.end - own.start) < SAME_TIME * self._leg.duration
         if narrow:
@@ -101,7 +101,7 @@ class Remesh:
             cuts = kink_boundaries(self._leg, k, kinks)
             if len(cuts) > 2:
                 self.split += 1
-                return self._pieces_around_kinks(cuts, kinks, own.degree)
+                return self._split_around_kinks(cuts, kinks, own.degree)
         excess = float(self._decades[k])
         wanted = own.degree + max(1, math.ceil(excess / rate))
         if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < NOTABLE:
@@ -112,7 +112,7 @@ class Remesh:
         self.split += 1
         return self._split_segment(k, own, rate, excess)
 
-    def _pieces_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
+    def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
         """Pieces around kinks: smooth ones as they were, those with a kink of low degree."""
         pieces = []
         for a, b in itertools.pairwise(cuts):
@@ -123,7 +123,7 @@ class Remesh:
 
     def _is_degree_wasted(self, k: int, degree: int) -> bool:
         """Whether raising this segment's degree the last time brought next to nothing."""
-        key = _segment_key(self._fraction(self._leg.breaks[k]), self._fraction(self._leg.breaks[k + 1]))
+        key = _segment_key(self._to_fraction(self._leg.breaks[k]), self._to_fraction(self._leg.breaks[k + 1]))
         if key not in self.past or self.past[key][0] >= degree:
             return False
         old_degree, old_error = self.past[key]
@@ -135,7 +135,7 @@ class Remesh:
         """Split where the error arises, with the degree that the halves are expected to need."""
         if self._density is None:
             self._density = error_density(self.error)
-        low, middle, high = quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
+        low, middle, high = error_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
         if high - low < 0.3 * width:
             edges = [low, high]
@@ -150,16 +150,16 @@ class Remesh:
         degree = min(max(3, min(needed, own.degree)), 10)
         return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
 
-    def _fraction(self, t: float) -> float:
+    def _to_fraction(self, t: float) -> float:
         return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))
 
 
-def known_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, float]]:
+def index_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, float]]:
     """Return degree and error of each segment by its ends, for the next `Remesh`."""
     leg = error.samples.leg
     fractions = (leg.breaks - leg.breaks[0]) / (leg.breaks[-1] - leg.breaks[0])
     return {
-        _segment_key(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.worst[k]))
+        _segment_key(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.largest_errors[k]))
         for k, degree in enumerate(leg.mesh.degrees)
     }
 
@@ -168,6 +168,6 @@ def _segment_key(start: float, end: float) -> tuple[float, float]:
     return round(start, 12), round(end, 12)
 
 
-def _mesh(pieces: list[Piece]) -> Mesh:
+def _build_mesh(pieces: list[Piece]) -> Mesh:
     times = [pieces[0].start, *(p.end for p in pieces)]
     return Mesh.at_times(times, [p.degree for p in pieces])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.refinement.error import PhaseError, states_at_points
+from gnc_opt.planning.refinement.error import PhaseError, get_states_at_points
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.tolerances import TINY
 
@@ -17,7 +17,7 @@ DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Decay rates are clipped to this range, in decades per degree."""
 
 
-def decay_rates(error: PhaseError) -> Array:
+def legendre_decay_rates(error: PhaseError) -> Array:
     """Return the decay of the Legendre coefficients of rates, integrands and controls, (K,).
 
     In decades per degree, of their envelope (Liu, Hager & Rao, IEEE Transactions on Control Systems
@@ -25,7 +25,7 @@ def decay_rates(error: PhaseError) -> Array:
     """
     leg, functions, yardstick = error.samples.leg, error.samples.functions, error.yardstick
     points, u = leg.point_times, np.hstack(leg.u.values)
-    x = states_at_points(leg)
+    x = get_states_at_points(leg)
     signals = np.concatenate(
         [
             functions.rates(points, x, u) / yardstick.state[:, None],
@@ -62,16 +62,16 @@ def error_density(error: PhaseError) -> Array:
     density = np.max(residual, axis=0)
     leg, points = error.samples.leg, error.samples.leg.point_times
     if leg.integral_labels:
-        known = functions.integrands(points, states_at_points(leg), np.hstack(leg.u.values))
+        known = functions.integrands(points, get_states_at_points(leg), np.hstack(leg.u.values))
         interpolant = error.samples.sample(interpolate_points(leg.breaks, leg.rules, known))
         gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
         density = density + np.max(gap, axis=0)
-    costates = np.max(error.errors.costates, axis=0) >= error.worst
+    costates = np.max(error.errors.costates, axis=0) >= error.largest_errors
     density = np.where(costates[error.samples.segments], np.max(error.adjoint, axis=0), density)
     return np.asarray(np.nan_to_num(density, nan=0.0, posinf=0.0))
 
 
-def quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
+def error_quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
     """Return the times in segment k up to which the given shares of its error arise."""
     inside = error.samples.segments == k
     times, weights = error.samples.times[inside], error.samples.weights[inside]

@@ -1,7 +1,7 @@
 """A converged flight as a solution on a mesh.
 
 States and costates are integrated between collocation points; their polynomials have the dynamics' slopes
-at the points. `keeps_limits` checks the limits between the ends.
+at the points. `satisfies_limits` checks the limits between the ends.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integra
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.switching.newton_step import final_gradient
-from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchFlight
+from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchedFlow
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
@@ -29,7 +29,7 @@ LIMIT_EXCEEDED_TOLERANCE = 1e-7
 """By how much a limit may be exceeded, in shares of what is limited."""
 
 
-def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | None:
+def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> Solution | None:
     """Return the flight with its last step at the collocation points of a plan.
 
     None if a limit is exceeded, or if the known solution is merely acceptable: its optimum may be degenerate.
@@ -38,7 +38,7 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
     ----------
     known : Solution
         Of one phase, whose switches have led to the flight.
-    flight : SwitchFlight
+    flight : SwitchedFlow
         At rest.
     plan : Plan
         Of the structure that the flight's last step leads to.
@@ -72,13 +72,13 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
     rates = s.functions.rates(times[at], x[:, at], u)
     forces = -s.functions.state_gradient(times[at], x[:, at], u, lam[:, at], nothing)
     costate_nodes = [np.append(r.points, 1.0) if leg.scheme == "LG" else r.state_nodes for r in rules]
-    of_lam = _integrated(breaks, rules, costate_nodes, lam[:, first[:-1]], forces)
+    of_lam = _integrate_slopes(breaks, rules, costate_nodes, lam[:, first[:-1]], forces)
     told = replace(
         leg,
         mesh=mesh,
         initial_time=float(breaks[0]),
         final_time=float(breaks[-1]),
-        x=_integrated(breaks, rules, [r.state_nodes for r in rules], x[:, first[:-1]], rates),
+        x=_integrate_slopes(breaks, rules, [r.state_nodes for r in rules], x[:, first[:-1]], rates),
         u=interpolate_points(breaks, rules, u),
         lam=of_lam,
         lam_start=lam[:, first[:-1]],
@@ -92,16 +92,16 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
     )  # fmt: skip
     nu = flight.step.multipliers[int(np.sum(leg.final_bounds.fixed)) :]
     flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
-    if not keeps_limits(flown, s.state_scale):
+    if not satisfies_limits(flown, s.state_scale):
         return None
     return replace(
-        completed(flown),
+        complete_multipliers(flown),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
     )
 
 
-def _integrated(
+def _integrate_slopes(
     breaks: Array, rules: list[CollocationRule], nodes: list[Array], starts: Array, slopes: Array
 ) -> PiecewisePolynomial:
     """Polynomials from the starts of segments (n, K) with slopes at the collocation points (n, N)."""
@@ -113,7 +113,7 @@ def _integrated(
     return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
-def keeps_limits(flown: Solution, state_scale: Array) -> bool:
+def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
     """Return whether states, path constraints and ends are within limits: the flow knows none but equalities."""
     (s,) = flown.samples().values()
     leg = s.leg
@@ -135,7 +135,7 @@ def keeps_limits(flown: Solution, state_scale: Array) -> bool:
     )
 
 
-def completed(flown: Solution) -> Solution:
+def complete_multipliers(flown: Solution) -> Solution:
     """Return the flight with its cost, and the multipliers of limits that follow from its costates."""
     (leg,) = flown.phases.values()
     ends, functions = evaluate_ends(flown), flown.functions(leg.name)

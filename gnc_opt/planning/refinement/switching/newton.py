@@ -23,9 +23,9 @@ from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose_kind
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, newton_step, simplified_newton_step
-from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchFlight
+from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchedFlow
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, TINY
@@ -64,7 +64,7 @@ STEP_MIN_SHARE = 0.2
 """Of a step that must be left after `ARC_MAX_SHRINK_SHARE`; if less is, the arc that stands in the way has vanished."""
 
 
-def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, SwitchFlight] | None:
+def solve_times(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Find optimal switch times; drop and add arcs as needed.
 
     The flight is that of a grid whose error is known; the structure is where the step that this leaves leads to.
@@ -78,25 +78,25 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
 
     Returns
     -------
-    (PhaseStructure, SwitchFlight) or None
+    (PhaseStructure, SwitchedFlow) or None
         None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
     if not _is_applicable(problem, s, structure):
         return None
-    switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS
-    flight = _optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
+    switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS
+    flight = _find_optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
     while flight is not None and flight.error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _flight_near(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
-    if flight is None or _allowed_share(flight.switches, flight.step)[0] < 1:
+        flight = _apply_known_step(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
+    if flight is None or _limit_step(flight.switches, flight.step)[0] < 1:
         return None
-    return _structure(structure, s, _moved(flight.switches, flight.step.change)), flight
+    return _build_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
 
 
-def settle_flow(
+def solve_flow(
     solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
-) -> tuple[PhaseStructure, SwitchFlight] | None:
+) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Find the least cost to some accuracy, without any collocated problem.
 
     The grid is made finer until the change of the cost, estimated from a trajectory on a grid `PARTS` times as fine,
@@ -116,81 +116,81 @@ def settle_flow(
 
     Returns
     -------
-    (PhaseStructure, SwitchFlight) or None
+    (PhaseStructure, SwitchedFlow) or None
         Limits between the ends are not looked at. None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_applicable(problem, s, structure):
         return None
-    switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
-    flight = None if known is None else _flight_near(problem, s, switches, known, accuracy, steps)
+    switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
+    flight = None if known is None else _apply_known_step(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.missing_arc is not None:
-        flight = _optimum(problem, s, switches, accuracy, steps)
+        flight = _find_optimum(problem, s, switches, accuracy, steps)
     while flight is not None and flight.error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _flight_near(problem, s, flight.switches, flight.step, accuracy, steps)
+        flight = _apply_known_step(problem, s, flight.switches, flight.step, accuracy, steps)
     if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
         return None
-    return _structure(structure, s, flight.switches), flight
+    return _build_structure(structure, s, flight.switches), flight
 
 
-def _optimum(
+def _find_optimum(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
-) -> SwitchFlight | None:
+) -> SwitchedFlow | None:
     """Return the flight whose switches have converged with signs that agree.
 
     If the arcs that they ask for vanish again, or lead to no rest, it is the last one at rest.
     """
-    rested: SwitchFlight | None = None
+    rested: SwitchedFlow | None = None
     for _ in range(NEWTON_MAX_STEPS):
         step = newton_step(problem, s, switches, steps)
         if step is None:
             break
-        share, emptied = _allowed_share(switches, step)
+        share, emptied = _limit_step(switches, step)
         if emptied and share < STEP_MIN_SHARE:
-            switches = _without_arc(switches, emptied)
-        elif share < 1 or step.share(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
-            switches = _moved(switches, share * step.change)
+            switches = _remove_arc(switches, emptied)
+        elif share < 1 or step.relative_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
+            switches = _shift_switches(switches, share * step.change)
         else:
-            flight = _converged_flight(problem, s, switches, step, accuracy)
-            if flight is None or (rested is not None and _same_switches(flight.switches, rested.switches)):
+            flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
+            if flight is None or (rested is not None and _equal_switches(flight.switches, rested.switches)):
                 break
             if flight.missing_arc is None:
                 return flight
-            rested, switches = flight, _with_arc(flight.switches, *flight.missing_arc)
+            rested, switches = flight, _insert_arc(flight.switches, *flight.missing_arc)
     return rested
 
 
-def _flight_near(
+def _apply_known_step(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
-) -> SwitchFlight | None:
+) -> SwitchedFlow | None:
     """Return the flight of switches near the given ones that the matrices of another step lead to."""
-    return _converged_flight(
+    return _iterate_newton_steps(
         problem, s, switches, simplified_newton_step(problem, s, switches, known, steps), accuracy
     )
 
 
-def _converged_flight(
+def _iterate_newton_steps(
     problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep | None, accuracy: float
-) -> SwitchFlight | None:
+) -> SwitchedFlow | None:
     """Return the flight of switches near the given ones that a step and those after it lead to.
 
     Steps take the matrices of the one before as long as these shrink fast enough.
     """
     before = math.inf  # length of the step before, if that had these matrices
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
-        if step is None or _allowed_share(switches, step)[0] < 1:
+        if step is None or _limit_step(switches, step)[0] < 1:
             return None
-        length, away = step.share(switches), _distance_from_rest(step, switches, accuracy)
+        length, away = step.relative_size(switches), _convergence_measure(step, switches, accuracy)
         if away < NOTABLE:
-            return SwitchFlight.of(problem, s, switches, step)
-        switches = _moved(switches, step.change)
+            return SwitchedFlow.integrate(problem, s, switches, step)
+        switches = _shift_switches(switches, step.change)
         shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
         if away * shrinks < NOTABLE:
-            flight = SwitchFlight.of(problem, s, switches, step)
+            flight = SwitchedFlow.integrate(problem, s, switches, step)
             if (
                 flight is None
-                or _distance_from_rest(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
+                or _convergence_measure(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
             ):
                 return flight
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
@@ -200,9 +200,9 @@ def _converged_flight(
     return None
 
 
-def _distance_from_rest(step: SwitchStep, switches: Switches, accuracy: float) -> float:
+def _convergence_measure(step: SwitchStep, switches: Switches, accuracy: float) -> float:
     """How far from rest switches are, in shares of what an accuracy of the cost permits."""
-    return max(step.gain / accuracy, step.share(switches) / math.sqrt(accuracy))
+    return max(step.gain / accuracy, step.relative_size(switches) / math.sqrt(accuracy))
 
 
 def _is_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
@@ -233,21 +233,21 @@ def _is_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure)
 # --- switches -------------------------------------------------------------------------------------------
 
 
-def _switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
+def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     """One switch for every control that changes between two pieces."""
     bounds = s.leg.control_bounds
-    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.changes(k)]
+    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.row_changes(k)]
     first = np.where(structure.controls[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
     times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
     ends = np.array([structure.times[0], structure.times[-1]])
     return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())
 
 
-def _structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
+def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
     """The switches as pieces."""
     pieces = switches.pieces(switches.order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
-    kinds = choose(at_upper, ArcKind.UPPER, ArcKind.LOWER)
+    kinds = choose_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
     columns = np.vstack([kinds, others]).T
     times, kept = [], []
@@ -258,7 +258,7 @@ def _structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> Phas
     return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merged()
 
 
-def _arcs(switches: Switches) -> list[tuple[int, int]]:
+def _list_arc_ends(switches: Switches) -> list[tuple[int, int]]:
     """Unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
     found: list[tuple[int, int]] = []
     for i in range(switches.first.size):
@@ -269,12 +269,12 @@ def _arcs(switches: Switches) -> list[tuple[int, int]]:
     return found
 
 
-def _allowed_share(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
+def _limit_step(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
     """The share of a step that leaves every arc some length, and the arc that limits it."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
     longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
     share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
-    for begin, end in _arcs(switches):
+    for begin, end in _list_arc_ends(switches):
         shrinks = step.change[begin] - step.change[end]
         room = ARC_MAX_SHRINK_SHARE * (times[end] - times[begin])
         if shrinks > 0 and room < share * shrinks:
@@ -282,12 +282,12 @@ def _allowed_share(switches: Switches, step: SwitchStep) -> tuple[float, tuple[i
     return share, limiting
 
 
-def _moved(switches: Switches, change: Array) -> Switches:
+def _shift_switches(switches: Switches, change: Array) -> Switches:
     times = switches.times + change[1:-1]
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
 
 
-def _same_switches(switches: Switches, others: Switches) -> bool:
+def _equal_switches(switches: Switches, others: Switches) -> bool:
     """Whether the same controls switch at the same times, nearly."""
     if not np.array_equal(switches.channels, others.channels):
         return False
@@ -295,7 +295,7 @@ def _same_switches(switches: Switches, others: Switches) -> bool:
     return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
 
 
-def _without_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
+def _remove_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
     """Drop the switches at the ends of an arc that has vanished."""
     begin, end = arc
     first = switches.first.copy()
@@ -307,7 +307,7 @@ def _without_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
     return replace(switches, times=times, channels=channels, first=first)
 
 
-def _with_arc(switches: Switches, i: int, start: float, end: float) -> Switches:
+def _insert_arc(switches: Switches, i: int, start: float, end: float) -> Switches:
     first, added = switches.first.copy(), [t for t in (start, end) if switches.ends[0] < t < switches.ends[1]]
     if start <= switches.ends[0]:
         first[i] = switches.toggled[i] - first[i]

@@ -55,7 +55,7 @@ class SwitchStep:
     rows: Array
     steps: int = FLOW_INITIAL_STEPS
 
-    def share(self, switches: Switches) -> float:
+    def relative_size(self, switches: Switches) -> float:
         """Its largest entry, as a share of the phase."""
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
@@ -73,23 +73,23 @@ def newton_step(
     steps : int
         Of the grid.
     """
-    flow = _flown(problem, s, switches, steps)
-    ends = _Ends.of(problem, s, flow)
+    flow = _integrate_flow(problem, s, switches, steps)
+    ends = _EndConditions.from_flow(problem, s, flow)
     if not np.isfinite(flow.final_sensitivity).all():
         return None
     size, free = ends.size, ends.free
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_sensitivity[:size]])
-    slope, jacobian, _ = ends.derivatives(np.zeros(ends.constraints.size))
+    slope, jacobian, _ = ends.compute_derivatives(np.zeros(ends.constraints.size))
     rows = np.vstack([flow.final_sensitivity[ends.given], jacobian @ changes])[:, free]
-    if not independent(rows):
+    if not are_independent(rows):
         return None  # Their multipliers would run away in the collocated problem.
     gradient = (slope @ changes)[free]
     multipliers = np.asarray(np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0])
-    adjoint, slope, curvature = ends.worth(multipliers)
+    adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
     hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
-    change = model_minimum(hessian, gradient, rows, ends.misses)
-    gain = ends.relative(float(gradient @ change))
-    return SwitchStep(ends.spread(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
+    change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
+    gain = ends.normalise_cost_change(float(gradient @ change))
+    return SwitchStep(ends.expand(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
 
 
 def simplified_newton_step(
@@ -111,19 +111,19 @@ def simplified_newton_step(
     refinement : int
         Every step of the grid is divided into so many.
     """
-    ends = _Ends.of(problem, s, _flown(problem, s, switches, steps, refinement))
+    ends = _EndConditions.from_flow(problem, s, _integrate_flow(problem, s, switches, steps, refinement))
     if not np.isfinite(ends.flow.final).all():
         return None
-    adjoint, slope, _ = ends.worth(known.multipliers)
+    adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
     gradient = (
         ends.flow.gradient(adjoint) + slope[: ends.size] @ ends.flow.initial_sensitivity[: ends.size]
     )[ends.free]
-    change = model_minimum(known.hessian, gradient, known.rows, ends.misses)
+    change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.misses)
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
-    gain = ends.relative(float((gradient - known.rows.T @ known.multipliers) @ change))
+    gain = ends.normalise_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
     return SwitchStep(
-        ends.spread(change),
+        ends.expand(change),
         ends.flow,
         adjoint,
         multipliers,
@@ -137,10 +137,10 @@ def simplified_newton_step(
 
 def final_gradient(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
     """Return the derivative of the cost with respect to the final values of a flow, with the multipliers of a step."""
-    return _Ends.of(problem, s, flow).worth(multipliers)[0]
+    return _EndConditions.from_flow(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
 
 
-def _flown(
+def _integrate_flow(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
@@ -148,7 +148,7 @@ def _flown(
 
 
 @dataclass(frozen=True, eq=False)
-class _Ends:
+class _EndConditions:
     """A flow and its end conditions; ``misses``: given final values, then boundary constraints."""
 
     problem: Problem
@@ -161,12 +161,12 @@ class _Ends:
     cost: float
 
     @classmethod
-    def of(cls, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> _Ends:
+    def from_flow(cls, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> _EndConditions:
         leg = s.leg
         given, limits = np.flatnonzero(leg.final_bounds.fixed), problem.constraint_interval()
         free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
         free[[0, -1]] = ~np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
-        cost, constraints = _end_values(s, problem, flow)
+        cost, constraints = _evaluate_end_values(s, problem, flow)
         misses = np.concatenate(
             [flow.final[given] - leg.final_bounds.lower[given], constraints - limits.lower]
         )
@@ -177,40 +177,40 @@ class _Ends:
         """States, integrals and time."""
         return self.s.leg.states.size + self.s.leg.integrals.size + 1
 
-    def derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
+    def compute_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Derivatives of cost and constraints with respect to both ends: gradient of their sum, Jacobian, Hessian."""
         functions = self.problem.reuse("end derivatives", lambda: end_derivatives(self.problem))
         both = self.flow.initial[: self.size], self.flow.final[: self.size]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
-    def worth(self, multipliers: Array) -> tuple[Array, Array, Array]:
+    def compute_lagrangian_derivatives(self, multipliers: Array) -> tuple[Array, Array, Array]:
         """Cost gradient (final values); the Lagrangian's gradient and Hessian with respect to both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
-        slope, _, curvature = self.derivatives(nu)
+        slope, _, curvature = self.compute_derivatives(nu)
         adjoint = np.zeros(self.flow.final.size)
         adjoint[: self.size] = slope[self.size :]
         adjoint[self.given] += on_states
         return adjoint, slope, curvature
 
-    def relative(self, gain: float) -> float:
+    def normalise_cost_change(self, gain: float) -> float:
         """A change of the cost, relative to its size."""
         return abs(gain) / max(abs(self.cost), TINY)
 
-    def spread(self, change: Array) -> Array:
+    def expand(self, change: Array) -> Array:
         """A change of what is free as one of start, switches and end."""
         spread = np.zeros(self.free.size)
         spread[self.free] = change
         return spread
 
 
-def independent(rows: Array) -> bool:
+def are_independent(rows: Array) -> bool:
     """Whether gradients of conditions are linearly independent, in whatever units the conditions are."""
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     return bool(np.all(sizes > 0) and np.linalg.matrix_rank(rows / sizes, RANK) == rows.shape[0])
 
 
-def model_minimum(hessian: Array, gradient: Array, rows: Array, misses: Array) -> Array:
+def minimise_quadratic_model(hessian: Array, gradient: Array, rows: Array, misses: Array) -> Array:
     """Return the step to the minimum of a quadratic model on linear conditions, its negative curvatures reversed."""
     back = np.linalg.lstsq(rows, -misses, rcond=RANK)[0]
     null = np.linalg.qr(rows.T, mode="complete")[0][:, rows.shape[0] :]
@@ -222,7 +222,7 @@ def model_minimum(hessian: Array, gradient: Array, rows: Array, misses: Array) -
     return np.asarray(back - null @ (directions @ (slopes / np.maximum(np.abs(curvatures), least))))
 
 
-def _end_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
+def _evaluate_end_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
     """Cost and boundary constraints at the ends of the flow."""
     n, n_integrals = s.leg.states.size, s.leg.integrals.size
     start, final, clock = flow.initial[:n], flow.final[:n], n + n_integrals

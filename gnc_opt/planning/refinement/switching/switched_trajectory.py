@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.structure_update import violation_interval
+from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, simplified_newton_step
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -27,7 +27,7 @@ NEW_ARC_INSET_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class SwitchFlight:
+class SwitchedFlow:
     """A phase integrated on a grid `STEP_PARTS` times as fine as that of a step; ``step`` is the Newton step there."""
 
     s: PhaseSamples
@@ -35,9 +35,9 @@ class SwitchFlight:
     step: SwitchStep
 
     @classmethod
-    def of(
+    def integrate(
         cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
-    ) -> SwitchFlight | None:
+    ) -> SwitchedFlow | None:
         """Fly a phase; None where that is no number.
 
         Parameters
@@ -78,7 +78,7 @@ class SwitchFlight:
         """Costates (n_states, n_steps + 1)."""
         return self.flow.adjoints(self.step.adjoint)[: self.s.leg.states.size]
 
-    def solution(self, known: Solution) -> Solution:
+    def build_solution(self, known: Solution) -> Solution:
         """Return the flight as a solution, with costates and multipliers; its objective is the known one's."""
         s, leg, n = self.s, self.s.leg, self.s.leg.states.size
         first = STEP_PARTS * np.flatnonzero(np.diff(self.times[::STEP_PARTS]) > 0)
@@ -88,7 +88,7 @@ class SwitchFlight:
         x, lam, nothing = self.x[:, flat], self.lam[:, flat], np.zeros((len(leg.path_labels), flat.size))
         rates = s.functions.rates(self.times[flat], x, held)
         forces = -s.functions.state_gradient(self.times[flat], x, held, lam, nothing)
-        of_x, of_lam = (_interpolated(breaks, v, r) for v, r in ((x, rates), (lam, forces)))
+        of_x, of_lam = (_interpolate_hermite(breaks, v, r) for v, r in ((x, rates), (lam, forces)))
         middles = 0.5 * (breaks[1:] + breaks[:-1])
         grown = replace(
             leg,
@@ -119,16 +119,16 @@ class SwitchFlight:
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
         for i in range(wrong.shape[0]):
-            forgive(wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0])))
+            mask_near_switches(wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0])))
         i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
         if wrong[i, j] < NEGLIGIBLE:
             return None
-        start, end = violation_interval(times, wrong[i])
+        start, end = find_violation_interval(times, wrong[i])
         inset = NEW_ARC_INSET_SHARE * (end - start)
         return i, start + inset * (start > times[0]), end - inset * (end < times[-1])
 
 
-def _nodes() -> tuple[Array, Array]:
+def _compute_hermite_basis() -> tuple[Array, Array]:
     """Nodes on [-1, 1], and Hermite basis values there for values and rates at -1, -1/3, 1/3, 1."""
     n = 2 * (STEP_PARTS + 1)
     nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, STEP_PARTS + 1)
@@ -139,10 +139,10 @@ def _nodes() -> tuple[Array, Array]:
     return nodes, np.asarray(basis)
 
 
-_NODES, _BASIS = _nodes()
+_NODES, _BASIS = _compute_hermite_basis()
 
 
-def _interpolated(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
+def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
     """Polynomials through values and rates, (n, K * 4), at both ends and at the thirds of every segment."""
     halves, rows = 0.5 * np.diff(breaks), values.shape[0]
     here = values.reshape(rows, halves.size, -1), rates.reshape(rows, halves.size, -1) * halves[:, None]
@@ -150,7 +150,7 @@ def _interpolated(breaks: Array, values: Array, rates: Array) -> PiecewisePolyno
     return PiecewisePolynomial(breaks, (_NODES,) * halves.size, tuple(found.transpose(1, 0, 2)))
 
 
-def forgive(wrong: Array, switches: Indices) -> None:
+def mask_near_switches(wrong: Array, switches: Indices) -> None:
     """Zero the violations of switches that are not quite converged: largest at the switch itself."""
     for k in switches:
         most, wrong[k] = abs(wrong[k]) + NEGLIGIBLE, 0.0

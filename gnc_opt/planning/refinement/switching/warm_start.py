@@ -9,10 +9,10 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.detection import detect
+from gnc_opt.planning.refinement.arcs.detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.switching.collocated_trajectory import completed, keeps_limits
-from gnc_opt.planning.refinement.switching.newton import settle_flow
+from gnc_opt.planning.refinement.switching.collocated_trajectory import complete_multipliers, satisfies_limits
+from gnc_opt.planning.refinement.switching.newton import solve_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
@@ -27,7 +27,7 @@ FLOW_GRID_ACCURACY_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class KnownFlight:
+class KnownSwitches:
     """Data of a known one-phase solution for variations of its problem; ``step`` is at its optimum."""
 
     solution: Solution
@@ -36,44 +36,44 @@ class KnownFlight:
     step: SwitchStep | None = None
 
     @classmethod
-    def of(cls, solution: Solution) -> KnownFlight | None:
+    def from_solution(cls, solution: Solution) -> KnownSwitches | None:
         """Return what is known of a refined solution; None where no structure is."""
         if not solution.structure or len(solution.phases) != 1:
             return None
         (s,) = solution.samples().values()
-        return cls(replace(solution, structure=()), detect(s), s.state_scale)
+        return cls(replace(solution, structure=()), detect_phase_structure(s), s.state_scale)
 
-    def differentiated(self) -> KnownFlight | None:
+    def with_newton_step(self) -> KnownSwitches | None:
         """Return the same with its step; None if switch times do not decide everything."""
-        found = settle_flow(self.solution, self.structure, FLOW_COST_ACCURACY)
+        found = solve_flow(self.solution, self.structure, FLOW_COST_ACCURACY)
         if found is None:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the structure that was settled on
         structure, flight = (
-            settle_flow(self.solution, found[0], FLOW_GRID_ACCURACY_SHARE * FLOW_COST_ACCURACY, half) or found
+            solve_flow(self.solution, found[0], FLOW_GRID_ACCURACY_SHARE * FLOW_COST_ACCURACY, half) or found
         )
         return replace(self, structure=structure, step=flight.step)
 
-    def vary(self, problem: Problem) -> Solution | None:
+    def solve_variation(self, problem: Problem) -> Solution | None:
         """Fly a variation with its own switch times; None where that fails."""
-        start = on_the_way(self.solution, problem)
+        start = truncate_solution(self.solution, problem)
         (leg,) = start.phases.values()
-        left = self.structure.after(leg.initial_time)
+        left = self.structure.cut_before(leg.initial_time)
         step = self.step if left.pieces == self.structure.pieces else None
-        begun = _with_moved_start(recompute_from_problem(replace(start, problem=problem.frozen())))
-        found = None if begun is None else settle_flow(begun, left, FLOW_COST_ACCURACY, step)
+        begun = _shift_start(recompute_from_problem(replace(start, problem=problem.frozen())))
+        found = None if begun is None else solve_flow(begun, left, FLOW_COST_ACCURACY, step)
         if begun is None or found is None:
             return None
         structure, flight = found
-        flown = flight.solution(begun)
+        flown = flight.build_solution(begun)
         (leg,) = flown.phases.values()
-        if not keeps_limits(flown, self.state_scale):
+        if not satisfies_limits(flown, self.state_scale):
             return None
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
-        return replace(completed(flown), structure=structure.arcs(leg.name, labels))
+        return replace(complete_multipliers(flown), structure=structure.list_arcs(leg.name, labels))
 
 
-def on_the_way(known: Solution, problem: Problem) -> Solution:
+def truncate_solution(known: Solution, problem: Problem) -> Solution:
     """Return what of a known solution is left when a variation of its problem begins."""
     if len(known.phases) != 1:
         return known
@@ -84,7 +84,7 @@ def on_the_way(known: Solution, problem: Problem) -> Solution:
     return remaining_solution(known, float(begins.lower[0]))
 
 
-def _with_moved_start(known: Solution) -> Solution | None:
+def _shift_start(known: Solution) -> Solution | None:
     """The trajectory moved to where its problem says that it starts; None if it has other times there."""
     (leg,) = known.phases.values()
     for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
