@@ -23,9 +23,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
 from gnc_opt.planning.optimality.nlp_point import to_scipy_sparse
 from gnc_opt.planning.transcription.transcription import Transcription
-
-SMALL_WEIGHT = 1e-6
-"""Weight of the squares of the rows' multipliers beside those of limits."""
+from gnc_opt.tolerances import NEGLIGIBLE
 
 NULL_SPACE_MIN_SHARE = 0.5
 """Least share of the largest multiplier that the part in the null space has if that has drifted."""
@@ -70,11 +68,11 @@ def _along_phases(transcription: Transcription) -> Mask:
 def _null_space_part(free: Any, along: Any, rows: Array, limits: Array) -> Array:
     """Return the part r of the multipliers of rows (m,) that the variables ``free`` (m, n) leave open."""
     m, n = free.shape
-    weight = SMALL_WEIGHT * scipy.sparse.eye_array(m) + along @ along.T
+    weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T
     system = scipy.sparse.block_array(
         [[weight, free], [free.T, -REGULARISATION * scipy.sparse.eye_array(n)]], format="csc"
     )
-    wanted = np.concatenate([SMALL_WEIGHT * rows - along @ limits, np.zeros(n)])
+    wanted = np.concatenate([NEGLIGIBLE * rows - along @ limits, np.zeros(n)])
     factors = scipy.sparse.linalg.splu(system)
     found = factors.solve(wanted)
     return np.asarray((found + factors.solve(wanted - system @ found))[:m])

@@ -26,10 +26,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import evaluate_within_bounds
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import BRANCH_ENDED, NEGLIGIBLE
-
-CONTROL_PEAK_WEIGHT = 1e-3
-"""Weight of the peak of a control beyond its bounds: errors below 1e-8 keep it below 1e-5."""
+from gnc_opt.tolerances import BRANCH_ENDED, NEGLIGIBLE, SMALL
 
 COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2: costates affect the cost in second order only."""
@@ -96,7 +93,7 @@ class ErrorScales:
         span = leg.duration
         states = _largest(s, _bound_excess(s.x, leg.state_bounds, self.state, s.times))
         excess = _bound_excess(s.u_polynomial, leg.control_bounds, self.control)
-        controls = np.maximum(s.segment_integrals(excess) / span, CONTROL_PEAK_WEIGHT * _largest(s, excess))
+        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _largest(s, excess))
         overshoot = [states, controls]
         if leg.path_labels:
             values = evaluate_within_bounds(f.paths, *at, leg.control_bounds)

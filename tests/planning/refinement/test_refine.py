@@ -292,7 +292,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
     real, begun = module.optimise_switches, []
 
     def unconvincing(*args: Any, structures: Any, **more: Any) -> Any:
-        begun.append([structure.at(()) for structure in structures.values()])
+        begun.append([structure.with_times(()) for structure in structures.values()])
         solution, history = real(*args, structures=structures, **more)
         return solution, replace(history, status=RefinementStatus.STALLED)
 
@@ -348,14 +348,14 @@ def candidate(
     suboptimal: float = 0.0,
 ) -> Any:
     """An answer with a cost, its estimated and local errors, and whether it passes the optimality check."""
-    made = SimpleNamespace(solved=True, cost=cost, passes=passes, loss=loss, error=error, stage="60")
+    made = SimpleNamespace(solved=True, cost=cost, passes_check=passes, loss=loss, error=error, stage="60")
     made.solution = SimpleNamespace(
         objective=cost,
         objective_error=SimpleNamespace(
             value=estimate, scale=cost, suboptimal=suboptimal, infeasible=estimate - suboptimal
         ),
     )
-    made.estimate = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
+    made.objective_error = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
     made.rank = lambda tol: Candidate.rank(made, tol)
     made.is_lower = lambda other, **margin: Candidate.is_lower(made, other, **margin)
     return made

@@ -476,7 +476,7 @@ def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str,
         assert found.objective == len(script) and history.chosen == len(script) - 1
 
 
-@pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.SWITCHING_TIME_TOLERANCE), (1e-12, 1e-12)])
+@pytest.mark.parametrize(("tol", "asked"), [(1e-3, 1e-9), (1e-12, 1e-12)])
 def test_what_was_detected_is_tried_after_a_structure_that_fails(
     monkeypatch: pytest.MonkeyPatch, tol: float, asked: float
 ) -> None:

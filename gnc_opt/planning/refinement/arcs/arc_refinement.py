@@ -10,10 +10,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import TINY
-
-SINGULAR_GRADIENT_TOLERANCE = 1e-9
-"""First-order gain in H, in shares of H, that may be left along a singular arc."""
+from gnc_opt.tolerances import EQUAL, TINY
 
 SINGULAR_GAIN_MAX = 1e-4
 """Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
@@ -57,7 +54,7 @@ def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: f
         Of states and costates in every segment of the piece.
     gradient, tol : float
     """
-    smoother = r.raise_control_degree(gradient) if gradient > SINGULAR_GRADIENT_TOLERANCE else r
+    smoother = r.raise_control_degree(gradient) if gradient > EQUAL else r
     if smoother != r and gradient > max(float(np.max(errors)), SINGULAR_GAIN_MAX):
         return smoother
     if np.all(errors <= tol):

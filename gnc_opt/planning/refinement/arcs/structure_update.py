@@ -34,13 +34,6 @@ from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 SMOOTHED = "singular controls of higher degree"
 
-SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN = 1e-7
-"""First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
-
-SWITCH_SIGN_ERROR = 1e-5
-"""The same on both sides of a switch of the same control. Where H bends in it, half of what it bends is left on either
-side of a jump that should be a short interior arc: there more than a `NEGLIGIBLE` one counts."""
-
 
 def improve_plans(
     solution: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]], tol: float
@@ -132,9 +125,8 @@ def _add_missing_arc(
     pieces = plan.segment_pieces[samples.segments]
     kinds = plan.structure.matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
-    curved = _find_nonlinear_rows(samples, violation.shape[0])
     for i in range(violation.shape[0]):
-        _mask_own_switches(violation[i], kinds[i], NEGLIGIBLE if curved[i] else SWITCH_SIGN_ERROR)
+        _mask_own_switches(violation[i], kinds[i])
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
@@ -142,20 +134,13 @@ def _add_most_severe_arc(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that the largest violation asks for and what was done, or None."""
-    if not violation.size or violation.max() < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
+    if not violation.size or violation.max() < GONE:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
     mended = linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
     return mended, f"arc of {label} added at {start:.4g} s"
-
-
-def _find_nonlinear_rows(samples: PhaseSamples, count: int) -> Mask:
-    """Which of so many rows are controls that H bends in either way."""
-    curved = np.zeros(count, dtype=bool)
-    curved[: samples.leg.controls.size] = nonconvex_controls(samples)
-    return curved
 
 
 def _compute_structure_violations(
@@ -237,7 +222,7 @@ def _find_surrounding_run(holds: Mask, j: int) -> slice:
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
-def _mask_own_switches(violation: Array, kinds: KindArray, least: float = SWITCH_SIGN_ERROR) -> None:
+def _mask_own_switches(violation: Array, kinds: KindArray) -> None:
     """Zero the violations that reach up to one of the channel's own switches, but for such on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
@@ -248,7 +233,7 @@ def _mask_own_switches(violation: Array, kinds: KindArray, least: float = SWITCH
             _select_leading_run(violation > 0, range(int(j), -1, -1)),
             _select_leading_run(violation > 0, range(int(j) + 1, violation.size)),
         )
-        if min(np.max(violation[run], initial=0.0) for run in sides) < least:
+        if min(np.max(violation[run], initial=0.0) for run in sides) < NEGLIGIBLE:
             for run in sides:
                 violation[run] = 0.0
 

@@ -38,15 +38,13 @@ from gnc_opt.planning.solution.history import History, RefinementIteration, Refi
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.engine import verify
+from gnc_opt.tolerances import EQUAL
 
 STALLED_MAX_ITERATIONS = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
 UNSOLVED_MAX_ITERATIONS = 2
 """Structures without a solution, one made of the other, after which the loop gives up."""
-
-SWITCHING_TIME_TOLERANCE = 1e-9
-"""Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
 
 ARC_SOLVE_TOLERANCE, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
@@ -58,7 +56,7 @@ Segments: TypeAlias = Literal["few", "kept"]
 def optimise_switches(
     solution: Solution,
     *,
-    tol: float = SWITCHING_TIME_TOLERANCE,
+    tol: float = EQUAL,
     limits: IterationLimits | None = None,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
@@ -242,7 +240,7 @@ class _StructureLoop:
     @property
     def aim(self) -> float:
         """Error that meshes are refined to: it costs little more, where a structure is known."""
-        return min(self.tol, SWITCHING_TIME_TOLERANCE)
+        return min(self.tol, EQUAL)  # that costs a solve of a few iterations, if any
 
     @property
     def iteration_records(self) -> list[RefinementIteration]:

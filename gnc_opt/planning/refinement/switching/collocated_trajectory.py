@@ -24,9 +24,7 @@ from gnc_opt.planning.solution.quality import worst_bound_violation, worst_path_
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
 from gnc_opt.planning.verification.recomputed import evaluate_ends
-
-LIMIT_EXCEEDED_TOLERANCE = 1e-7
-"""By how much a limit may be exceeded, in shares of what is limited."""
+from gnc_opt.tolerances import AT_LIMIT
 
 
 def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> Solution | None:
@@ -124,15 +122,10 @@ def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
         (leg.duration_bounds, leg.duration, s.span),
     )
     inside = all(
-        np.all(
-            (value >= box.lower - LIMIT_EXCEEDED_TOLERANCE * scale)
-            & (value <= box.upper + LIMIT_EXCEEDED_TOLERANCE * scale)
-        )
+        np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
         for box, value, scale in ends
     )
-    return (
-        inside and worst_bound_violation(s).or_worse(worst_path_violation(s)).value < LIMIT_EXCEEDED_TOLERANCE
-    )
+    return inside and worst_bound_violation(s).or_worse(worst_path_violation(s)).value < AT_LIMIT
 
 
 def complete_multipliers(flown: Solution) -> Solution:

@@ -12,18 +12,13 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.switching.collocated_trajectory import complete_multipliers, satisfies_limits
-from gnc_opt.planning.refinement.switching.newton import solve_flow
+from gnc_opt.planning.refinement.switching.newton import GRID_SHARE_OF_ACCURACY, solve_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed import recompute_from_problem
-
-FLOW_COST_ACCURACY = 1e-9
-"""Of the cost, relative to its size."""
-
-FLOW_GRID_ACCURACY_SHARE = 0.1
-"""Share of the accuracy that the grid of a known flight is worth: its neighbours may need a little more."""
+from gnc_opt.tolerances import EQUAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +40,11 @@ class KnownSwitches:
 
     def with_newton_step(self) -> KnownSwitches | None:
         """Return the same with its step; None if switch times do not decide everything."""
-        found = solve_flow(self.solution, self.structure, FLOW_COST_ACCURACY)
+        found = solve_flow(self.solution, self.structure, EQUAL)
         if found is None:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the structure that was settled on
-        structure, flight = (
-            solve_flow(self.solution, found[0], FLOW_GRID_ACCURACY_SHARE * FLOW_COST_ACCURACY, half) or found
-        )
+        structure, flight = solve_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
         return replace(self, structure=structure, step=flight.step)
 
     def solve_variation(self, problem: Problem) -> Solution | None:
@@ -61,7 +54,7 @@ class KnownSwitches:
         left = self.structure.cut_before(leg.initial_time)
         step = self.step if left.pieces == self.structure.pieces else None
         begun = _shift_start(recompute_from_problem(replace(start, problem=problem.frozen())))
-        found = None if begun is None else solve_flow(begun, left, FLOW_COST_ACCURACY, step)
+        found = None if begun is None else solve_flow(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
         structure, flight = found
