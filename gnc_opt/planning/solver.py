@@ -16,7 +16,7 @@ from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.check import check_numbers
 from gnc_opt.planning.problem.measured_start import with_start_on_bounds
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, recover_initial_meshes
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.engine import StructureChoice, refine, refine_by_stages
@@ -110,7 +110,7 @@ class Resolver:
         within, moved = with_start_on_bounds(problem)
         if moved:
             return _noted(self.solve(within, near=near), MOVED_START, moved)
-        stated, problem = problem, restated(problem)
+        stated, problem = problem, reformulate(problem)
         if not stated.has_variation(self._problem):
             raise ProblemError(
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
@@ -266,7 +266,7 @@ def solve(
     elif tol is not None:
         tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
-    problem = restated(problem)
+    problem = reformulate(problem)
     if options.max_wall_time is not None:
         wall = min(options.max_wall_time, limits.max_wall_time or options.max_wall_time)
         limits = replace(limits, max_wall_time=wall)

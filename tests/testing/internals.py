@@ -56,14 +56,14 @@ from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.guess import simulation as guess_simulation
-from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED, end_values, guess_times, phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED, guess_ends, guess_times, phase_guess
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval import Interval, free
-from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
-from gnc_opt.planning.problem.redundant_bounds import implied_norm_bounds, monotone_states
-from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
+from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,

@@ -24,7 +24,7 @@ from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.problem.guess.perturbation import with_random_guess
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import (
     ProgramStart,
@@ -125,7 +125,7 @@ def solve_mesh(
     progress : bool
         Show iterations while solving.
     """
-    chosen, problem = options or SolverOptions(), restated(problem)
+    chosen, problem = options or SolverOptions(), reformulate(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         known = {name: guess.phases[name] for name in problem.phases}
         # Boundaries that moved with arcs would, without these, move to where the points see least.

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.problem.functions import end_values
+from gnc_opt.planning.problem.functions import build_end_value_function
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
@@ -106,7 +106,7 @@ class Magnitudes:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_columns(end_values(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_columns(build_end_value_function(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # what has no value has not changed
             changes = np.abs(found[:, 1:] - base[:, None])

@@ -15,7 +15,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
-from gnc_opt.planning.problem.functions import end_values
+from gnc_opt.planning.problem.functions import build_end_value_function
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -276,7 +276,7 @@ def link_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Arra
 
 
 def _end_jacobians(problem: Problem) -> Any:
-    ends = end_values(problem)
+    ends = build_end_value_function(problem)
     arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
     column = ends(*arguments)[:-1]
     states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]

@@ -52,7 +52,7 @@ from gnc_opt.planning.optimality.reach import (
     reach_gramians,
     start_links,
 )
-from gnc_opt.planning.problem.functions import end_gradients, end_values
+from gnc_opt.planning.problem.functions import build_end_value_function, end_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -438,7 +438,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_columns(end_values(problem), 1 + 2 * len(moves), *columns, nu)
+            found = evaluate_columns(build_end_value_function(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return replace_nonfinite(first), replace_nonfinite(second)

@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.problem.interval import Interval, stack_all
+from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import ConstraintOrder, constraint_order
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -40,7 +40,7 @@ class StateConstraints:
     @cached_property
     def bounds(self) -> Interval:
         """Limits of all rows."""
-        return stack_all([self.samples.leg.path_bounds, self.samples.leg.state_bounds])
+        return stack_intervals([self.samples.leg.path_bounds, self.samples.leg.state_bounds])
 
     def limits(self, row: int) -> list[tuple[ArcKind, float]]:
         """Return the limits that a row has."""

@@ -21,7 +21,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseCo
 from gnc_opt.planning.optimality.cost_scale import parameter_scale, state_variations
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.functions import EndGradients, end_function
-from gnc_opt.planning.problem.interval import Interval, intersect, stack_all
+from gnc_opt.planning.problem.interval import Interval, intersect, stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -132,7 +132,7 @@ class Conditions:
         """Put conditions below each other."""
         return cls(
             np.concatenate([rows.values for rows in parts]),
-            stack_all([rows.limits for rows in parts]),
+            stack_intervals([rows.limits for rows in parts]),
             np.vstack([rows.jacobian for rows in parts]),
             np.concatenate([rows.multipliers for rows in parts]),
         )
@@ -279,7 +279,7 @@ def _collect_end_conditions(
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
         boxes = [leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds]
-        others.append(Conditions(times, stack_all(boxes), jacobian, np.zeros(3)))
+        others.append(Conditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
         row += 2 * size
     at_end.append(
         Conditions(

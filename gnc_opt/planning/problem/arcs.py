@@ -128,7 +128,7 @@ class Held:
     junctions: tuple[Junction, ...] = ()
 
 
-def read_kinds(
+def read_arc_kinds(
     given: ArrayLike,
     labels: tuple[str, ...],
     limits: Interval,
@@ -140,7 +140,7 @@ def read_kinds(
         kinds = np.atleast_2d(np.asarray(given, dtype=object))
     except (TypeError, ValueError):  # symbols, or objects that refuse
         kinds = np.empty((0, 0), dtype=object)
-    read = [[_read_kind(entry) for entry in row] for row in kinds] if kinds.ndim == 2 else []
+    read = [[_read_arc_kind(entry) for entry in row] for row in kinds] if kinds.ndim == 2 else []
     if len(read) != len(labels) or any(kind not in MAY_BE_TOLD for row in read for kind in row):
         names = ", ".join(kind.name for kind in MAY_BE_TOLD)
         raise ProblemError(
@@ -154,7 +154,7 @@ def read_kinds(
     return tuple(tuple(kind for kind in row if kind is not None) for row in read)
 
 
-def _read_kind(entry: Any) -> ArcKind | None:
+def _read_arc_kind(entry: Any) -> ArcKind | None:
     """What an entry means; None if nothing."""
     if isinstance(entry, ArcKind):
         return entry

@@ -15,12 +15,12 @@ from gnc_opt.planning.problem.check_functions import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.expressions import bind_at_ends, end_arguments, function_along, phase_terms
+from gnc_opt.planning.problem.expressions import bind_ends, build_phase_function, end_arguments, stack_terms
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval import Interval, free, intersect
-from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
 
@@ -32,7 +32,7 @@ def check_problem(problem: Statement) -> None:
     """Raise `ProblemError` at the first mistake; see ``Problem.check`` for what is looked at."""
     check_numbers(problem)
     first = "checked" not in problem.builds
-    solved = restated(problem)
+    solved = reformulate(problem)
     if first:
         check_unused_controls(problem)
         for leg in solved.phases.values():
@@ -76,7 +76,7 @@ def _check_times(leg: Phase) -> None:
     span = leg.numbers.duration
     least, most = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
     asked = leg.numbers
-    times = f"initial time {_show(asked.initial_time, 0)} s, final time {_show(asked.final_time, 0)} s"
+    times = f"initial time {_format(asked.initial_time, 0)} s, final time {_format(asked.final_time, 0)} s"
     if most < 0:
         raise ProblemError(
             f"{leg.where} ends before it starts ({times}): correct time(initial=..., final=...)."
@@ -87,9 +87,9 @@ def _check_times(leg: Phase) -> None:
     crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
     if max(crossed, least - span.upper[0], span.lower[0] - most) > slack:
         raise ProblemError(
-            f"{leg.where} cannot last {_show(span, 0)} s between an initial time of "
-            f"{_show(asked.initial_time, 0)} s "
-            f"and a final time of {_show(asked.final_time, 0)} s: correct time(..., duration=...)."
+            f"{leg.where} cannot last {_format(span, 0)} s between an initial time of "
+            f"{_format(asked.initial_time, 0)} s "
+            f"and a final time of {_format(asked.final_time, 0)} s: correct time(..., duration=...)."
         )
 
 
@@ -101,8 +101,8 @@ def _check_boundary_values(leg: Phase) -> None:
         if wrong.size:
             i = int(wrong[0])
             raise ProblemError(
-                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.where} is {_show(values, i)}, "
-                f"outside its bounds {_show(leg.numbers.states, i)}: correct one of the two."
+                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.where} is {_format(values, i)}, "
+                f"outside its bounds {_format(leg.numbers.states, i)}: correct one of the two."
             )
 
 
@@ -112,18 +112,18 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
     if not box.lower.size:
         return
     function, p = (
-        _path_function(problem, leg),
+        _build_path_function(problem, leg),
         Interval(leg.model.parameter_values, leg.model.parameter_values),
     )
     for end, time, values in zip(
         ("initial", "final"), leg.times(), (numbers.initial, numbers.final), strict=True
     ):
         arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
-        reached = ranges_of(function, arguments)
+        reached = compute_ranges(function, arguments)
         for k in _rows_beyond_limits(reached, box):
             raise ProblemError(
                 f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.where}: it is "
-                f"{_show(reached, k)} there, outside its limits {_show(box, k)}: correct one of the two."
+                f"{_format(reached, k)} there, outside its limits {_format(box, k)}: correct one of the two."
             )
 
 
@@ -134,8 +134,8 @@ def _warn_of_repeated_limits(problem: Statement, leg: Phase) -> None:
         return
     p = Interval(leg.model.parameter_values, leg.model.parameter_values)
     time = Interval(leg.times()[0].lower, leg.times()[1].upper)
-    function = _path_function(problem, leg)
-    reached = ranges_of(function, (time, numbers.states, numbers.controls, p, q))
+    function = _build_path_function(problem, leg)
+    reached = compute_ranges(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
     with np.errstate(invalid="ignore"):
         same = (np.abs(reached.upper - box.upper) <= slack) | (np.abs(reached.lower - box.lower) <= slack)
@@ -156,9 +156,9 @@ def _rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
     return [int(i) for i in np.flatnonzero(outside)]
 
 
-def _path_function(problem: Statement, leg: Phase) -> Any:
+def _build_path_function(problem: Statement, leg: Phase) -> Any:
     return leg.reuse(
-        "paths and parameters", lambda: function_along(problem, leg, "paths", leg.path_expression())
+        "paths and parameters", lambda: build_phase_function(problem, leg, "paths", leg.path_expression())
     )
 
 
@@ -169,7 +169,7 @@ def _check_phase_order(problem: Statement, leg: Phase) -> None:
     before, start = problem.phases[leg.follows].times()[0], leg.times()[0]
     if start.upper[0] <= before.lower[0]:
         raise ProblemError(
-            f"{leg.where} follows phase '{leg.follows}' but starts at {_show(start, 0)} s, when that one starts: let "
+            f"{leg.where} follows phase '{leg.follows}' but starts at {_format(start, 0)} s, when that one starts: let "
             f"its start be free, {leg.name}.time(initial=None, final=...)."
         )
 
@@ -186,20 +186,20 @@ def _check_constraints(problem: Statement) -> None:
         arguments += [*ends, *leg.times(), free(len(leg.integrands)), Interval(p, p)]
 
     def build() -> Any:
-        rows = bind_at_ends(problem, problem.constraint_expression())
+        rows = bind_ends(problem, problem.constraint_expression())
         return ca.Function("constraints", end_arguments(problem), [ca.densify(rows)])
 
     function = problem.reuse("constraints", build)
-    reached = ranges_of(function, [*arguments, problem.parameter_interval()])
+    reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
     for k in _rows_beyond_limits(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
-            f"and end values of the phases: it is {_show(reached, k)} there, outside its limits {_show(box, k)}: "
+            f"and end values of the phases: it is {_format(reached, k)} there, outside its limits {_format(box, k)}: "
             "correct one of the two."
         )
 
 
-def _show(interval: Interval | None, i: int) -> str:
+def _format(interval: Interval | None, i: int) -> str:
     if interval is None:
         return "free"
     lower, upper = interval.lower[i], interval.upper[i]
@@ -242,7 +242,7 @@ def _check_unused_parameters(problem: Statement) -> None:
         [
             ends,
             *(problem.bind(leg, ends) for leg in legs),
-            *(problem.bind(leg, phase_terms(leg)) for leg in legs),
+            *(problem.bind(leg, stack_terms(leg)) for leg in legs),
         ]
     )
     models = {id(leg.model): leg.model for leg in legs}.values()

@@ -13,12 +13,12 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expressions import ROOTS, nodes_of, operations_in
 from gnc_opt.planning.problem.expressions import (
-    bind_at_ends,
+    bind_ends,
     end_arguments,
-    end_points,
-    outside_tables,
-    phase_terms,
-    table_uses,
+    end_symbols,
+    find_table_exits,
+    stack_terms,
+    table_calls,
 )
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, phase_guess
 from gnc_opt.planning.problem.interval import Interval, intersect
@@ -63,7 +63,7 @@ _CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 def warn_of_kinks(problem: Statement, leg: Phase) -> None:
     """Issue a `ProblemWarning` for each kind of operation without derivatives along a phase, and coarse tables."""
-    uses = table_uses(problem, leg)
+    uses = table_calls(problem, leg)
     for table in dict.fromkeys(use.table for use in uses):
         if table.method == "linear":
             warn_user(
@@ -71,10 +71,10 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not operations_in(phase_terms(leg)) & _KINKS.keys():
+    if not operations_in(stack_terms(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
-    for operation, (kind, where) in _first_kinks(problem, leg, looked_up):
+    for operation, (kind, where) in _find_first_kinks(problem, leg, looked_up):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:
             remedy = _REMEDIES.get(kind, remedy)
@@ -83,13 +83,13 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
 
 def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:
     """Raise `ProblemError` if the guess leaves a table that refuses it; warn, if wanted, where it leaves another."""
-    if not table_uses(problem, leg):
+    if not table_calls(problem, leg):
         return
     start = phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()
     p = leg.model.parameter_values
-    for found in outside_tables(problem, leg, times, start.states, start.controls, p, q):
+    for found in find_table_exits(problem, leg, times, start.states, start.controls, p, q):
         if found.table.outside == "error":
             raise ProblemError(
                 f"the guess leaves a table ({found}): give another guess(), or a larger table."
@@ -100,7 +100,7 @@ def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None
             )
 
 
-def _first_kinks(
+def _find_first_kinks(
     problem: Statement, leg: Phase, looked_up: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield each meaning's first operation with the kind and name of its expression."""
@@ -108,7 +108,7 @@ def _first_kinks(
     free = [leg.model.symbol(name) for name in problem.parameters.names if name in leg.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
     told: set[str] = set()
-    for what, labels, stacked in _expressions_along(leg):
+    for what, labels, stacked in _collect_phase_expressions(leg):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
             for node in nodes_of(expression):
                 operation = node.op()
@@ -126,12 +126,12 @@ _REMEDY = (
 
 
 def warn_of_norms(problem: Statement, leg: Phase) -> None:
-    """Issue a `ProblemWarning` for each of `singular_norms` and `shifted_norms`."""
-    for text in [*singular_norms(problem, leg), *shifted_norms(leg)]:
+    """Issue a `ProblemWarning` for each of `singular_norms` and `find_shifted_norms`."""
+    for text in [*singular_norms(problem, leg), *find_shifted_norms(leg)]:
         warn_user(f"{text}.")
 
 
-def shifted_norms(leg: Phase) -> list[str]:
+def find_shifted_norms(leg: Phase) -> list[str]:
     """Return which integrands contain a norm that has no derivative at controls other than zero: ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
@@ -176,12 +176,12 @@ def singular_norms(problem: Statement, leg: Phase) -> list[str]:
     guessed = evaluate_along(problem, leg, times, start.states, start.controls, q)
     texts = []
     for kind, tried in evaluate_along(problem, leg, times, start.states, still, q).items():
-        for row, what in _undefined_values(leg, tried, guessed[kind]):
+        for row, what in _find_undefined_values(leg, tried, guessed[kind]):
             texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.where} has {what}: {_REMEDY}")
     return texts
 
 
-def _undefined_values(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
+def _find_undefined_values(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
     """Yield rows with their faults at zero controls and at the guess."""
     n = leg.model.states.size
     columns = slice(n, n + leg.model.controls.size)
@@ -220,7 +220,7 @@ def check_values(problem: Statement) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess, and say where."""
     ends: list[Any] = []
     for leg in problem.phases.values():
-        ends += _check_along(problem, leg)
+        ends += _check_phase_functions(problem, leg)
     _check_ends(problem, ends)
 
 
@@ -240,7 +240,7 @@ class Tried:
         shape = (len(rows), len(columns), values.shape[1])
         return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
 
-    def first_bad(self) -> tuple[str, int] | None:
+    def find_nonfinite(self) -> tuple[str, int] | None:
         """Return the quantity that is not finite and the index of the first time at which it is not."""
         bad = np.argwhere(~np.isfinite(self.values))
         if bad.size:
@@ -265,12 +265,12 @@ class NotFinite:
     point: Mapping[str, float]
 
 
-def first_not_finite(
+def find_nonfinite_function(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NotFinite | None:
     """Return the first function along a trajectory (columns are times) that is not finite, or has such a derivative."""
     for tried in evaluate_along(problem, leg, times, states, controls, parameters).values():
-        bad = tried.first_bad()
+        bad = tried.find_nonfinite()
         if bad:
             labels = (*leg.model.states.labels, *leg.model.controls.labels)
             values = (*states[:, bad[1]], *controls[:, bad[1]])
@@ -281,18 +281,18 @@ def first_not_finite(
 def evaluate_along(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, Tried]:
-    """Return functions along a phase and their derivatives, at the points of `first_not_finite`, by their kind."""
+    """Return functions along a phase and their derivatives at the points of `find_nonfinite_function` by kind."""
     columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
     tried = {}
-    for what, rows, function in _functions_along(problem, leg):
+    for what, rows, function in _build_phase_functions(problem, leg):
         outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
         tried[what] = Tried.at(what, rows, columns, outputs)
     return tried
 
 
-def not_finite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
+def find_nonfinite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
     """Return the first function along the guess of a phase that is not finite, or has a derivative that is not."""
-    return _Guessed.of(leg).not_finite(problem, leg)
+    return _Guessed.of(leg).find_nonfinite(problem, leg)
 
 
 @dataclass(frozen=True)
@@ -313,17 +313,17 @@ class _Guessed:
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
         return cls(start, scales, (times, states, controls))
 
-    def not_finite(self, problem: Statement, leg: Phase) -> NotFinite | None:
-        return first_not_finite(problem, leg, *self.along, problem.guessed_parameters())
+    def find_nonfinite(self, problem: Statement, leg: Phase) -> NotFinite | None:
+        return find_nonfinite_function(problem, leg, *self.along, problem.guessed_parameters())
 
 
-def _check_along(problem: Statement, leg: Phase) -> list[Any]:
+def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
     """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
     numbers, guessed = leg.numbers, _Guessed.of(leg)
     start = guessed.start
-    bad = guessed.not_finite(problem, leg)
+    bad = guessed.find_nonfinite(problem, leg)
     if bad:
-        raise _not_finite_error(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
+        raise _nonfinite_error(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
         integrands = evaluate_along(problem, leg, *guessed.along, problem.guessed_parameters())["integral"]
@@ -337,11 +337,11 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
 
 def _check_ends(problem: Statement, ends: list[Any]) -> None:
     """Try the cost and the boundary constraints at the end points of the guess."""
-    for what, rows, columns, function in _functions_at_ends(problem):
+    for what, rows, columns, function in _build_end_functions(problem):
         tried = Tried.at(what, rows, columns, function(*ends, problem.guessed_parameters()))
-        bad = tried.first_bad()
+        bad = tried.find_nonfinite()
         if bad:
-            raise _not_finite_error(f"{bad[0]} at the end points of the guess", {})
+            raise _nonfinite_error(f"{bad[0]} at the end points of the guess", {})
 
 
 def _move_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
@@ -351,7 +351,7 @@ def _move_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
 
 
-def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
+def _build_phase_functions(problem: Statement, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
     """Kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
@@ -363,14 +363,14 @@ def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[st
                 rows,
                 _function_with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]),
             )
-            for what, rows, expression in _expressions_along(leg)
+            for what, rows, expression in _collect_phase_expressions(leg)
             if rows
         ]
 
     return problem.reuse(("check", leg.name), build)
 
 
-def _expressions_along(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
+def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
     """Kind, names and expressions of what varies along a phase."""
     return (
         ("the rate of state", leg.model.states.labels, leg.model.derivative()),
@@ -379,13 +379,13 @@ def _expressions_along(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ..
     )
 
 
-def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+def _build_end_functions(problem: Statement) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
     """Kind, names, variables and function of the cost and of the boundary constraints."""
 
     def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         variables, columns = list[Any](), list[str]()
         for leg in problem.phases.values():
-            variables += end_points(leg)
+            variables += end_symbols(leg)
             columns += [
                 f"{end} {label} of {leg.name}"
                 for end in ("initial", "final")
@@ -402,7 +402,7 @@ def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], t
         built = []
         for what, rows, expression in kinds:
             if rows:
-                bound = bind_at_ends(problem, expression)
+                bound = bind_ends(problem, expression)
                 function = _function_with_jacobian(bound, ca.vertcat(*variables, q), end_arguments(problem))
                 built.append((what, rows, tuple(columns), function))
         return built
@@ -415,7 +415,7 @@ def _function_with_jacobian(expression: Any, variables: Any, arguments: list[Any
     return ca.Function("check", arguments, [ca.densify(expression), ca.vec(jacobian)])
 
 
-def _not_finite_error(what: str, point: Mapping[str, float]) -> ProblemError:
+def _nonfinite_error(what: str, point: Mapping[str, float]) -> ProblemError:
     shown = ", ".join(f"{name} = {value:.4g}" for name, value in point.items()) if len(point) <= 12 else ""
     return ProblemError(
         f"{what}{f' ({shown})' if shown else ''}: give another guess(), or bounds that keep away from the "

@@ -86,7 +86,7 @@ def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
         leg.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
 
 
-def fraction_of(leg: StatedPhase) -> Any:
+def add_phase_fraction(leg: StatedPhase) -> Any:
     """Return the symbol of the fraction of a phase, a state that is added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
         fraction, rate = _new_variable(leg, FRACTION, 1, ""), _new_variable(leg, FRACTION_RATE, 1, "1/s")
@@ -138,25 +138,25 @@ def _new_variable(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
     return Symbol(Variable(read_name(name, f"variable of {leg.where}", ProblemError), size, unit))
 
 
-def constant_ranges(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
+def split_ranges(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
     """Return ranges with None for the ends that are functions of time, which become path constraints of a phase."""
     constant = dict(ranges)
     for name, value in ranges.items():
         for end in ("lower", "upper"):
             leg.drop_path(f"{end} bound of {name}")
-        if _is_function(value):
+        if _is_time_function(value):
             raise ProblemError(
                 f"the bounds of '{name}' in {leg.where} are one function: write (lower, upper), or use path()."
             )
         if isinstance(value, tuple) and len(value) == 2:
-            constant[name] = tuple(None if _is_function(end) else end for end in value)
+            constant[name] = tuple(None if _is_time_function(end) else end for end in value)
             for end, limit in zip(("lower", "upper"), value, strict=True):
-                if _is_function(limit):
+                if _is_time_function(limit):
                     _add_range_end(leg, name, end, limit)
     return constant
 
 
-def _is_function(end: Any) -> bool:
+def _is_time_function(end: Any) -> bool:
     return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
 
 

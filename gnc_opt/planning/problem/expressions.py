@@ -45,39 +45,39 @@ class OutsideTable:
         )
 
 
-def phase_terms(leg: Phase) -> Any:
+def stack_terms(leg: Phase) -> Any:
     """Return all expressions along a phase, stacked, in the symbols of its model."""
     return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
 
 
-def function_along(problem: Statement, leg: Phase, name: str, column: Any) -> Any:
+def build_phase_function(problem: Statement, leg: Phase, name: str, column: Any) -> Any:
     """Return a column along a phase as CasADi Function of (t, x, u, p, q), q the free parameters."""
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     values = [ca.densify(problem.bind(leg, column))]
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
 
-def table_uses(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
+def table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
     """Return the calls of tables in what varies along a phase."""
 
     def find() -> tuple[TableUse, ...]:
         known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
         if not known:
             return ()
-        present = {node.element_hash() for node in nodes_of(phase_terms(leg))}
+        present = {node.element_hash() for node in nodes_of(stack_terms(leg))}
         return tuple({id(use): use for use in known if use.hashes & present}.values())
 
     return problem.reuse(("tables", leg.name), find)
 
 
-def outside_tables(
+def find_table_exits(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
 ) -> list[OutsideTable]:
     """Return where a trajectory is outside of tables: times (N,), states and controls by columns, parameters."""
-    uses = table_uses(problem, leg)
+    uses = table_calls(problem, leg)
     if not uses:
         return []
-    arguments = evaluate(_table_arguments(problem, leg, uses), times, states, controls, p, q)
+    arguments = evaluate(_build_table_arguments(problem, leg, uses), times, states, controls, p, q)
     found, row = [], 0
     for use in uses:
         for axis, grid in enumerate(use.table.grids):
@@ -92,22 +92,22 @@ def outside_tables(
     return found
 
 
-def _table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
+def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
     """The function (t, x, u, p, q) -> all arguments of all tables."""
     stacked = ca.vertcat(*(use.arguments for use in uses))
     return problem.reuse(
-        ("table arguments", leg.name), lambda: function_along(problem, leg, "tables", stacked)
+        ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", stacked)
     )
 
 
 def end_arguments(problem: Statement) -> list[Any]:
     """Return the symbols of a function of all end values: those of each phase and its parameters, free parameters."""
     legs = problem.phases.values()
-    own = zip(map(end_points, legs), parameter_arguments(legs), strict=True)
+    own = zip(map(end_symbols, legs), parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
-def bind_at_ends(problem: Statement, expression: Any) -> Any:
+def bind_ends(problem: Statement, expression: Any) -> Any:
     """Replace the parameters of all models that the problem optimises by its own symbols."""
     for leg in problem.phases.values():
         expression = problem.bind(leg, expression)
@@ -126,10 +126,10 @@ def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
     return arguments
 
 
-def refuse_foreign_ends(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
+def check_end_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol other than values at phase ends."""
     phases = list(phases)
-    own = [s for leg in phases for s in (*end_points(leg), leg.model.symbols("parameter"))]
+    own = [s for leg in phases for s in (*end_symbols(leg), leg.model.symbols("parameter"))]
     foreign = foreign_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
@@ -146,7 +146,7 @@ def refuse_foreign_ends(phases: Iterable[Phase], free_parameters: Any, expressio
     )
 
 
-def refuse_foreign_along(
+def check_phase_symbols(
     leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
 ) -> None:
     """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
@@ -154,7 +154,7 @@ def refuse_foreign_along(
     if not foreign:
         return
     name = foreign[0]
-    if name not in foreign_symbols(expression, [s for other in phases for s in end_points(other)]):
+    if name not in foreign_symbols(expression, [s for other in phases for s in end_symbols(other)]):
         raise ProblemError(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."
@@ -176,6 +176,6 @@ def refuse_other_size(name: str, size: int, model: Model, problem: str) -> None:
         )
 
 
-def end_points(leg: Phase) -> list[Any]:
+def end_symbols(leg: Phase) -> list[Any]:
     """Return the symbols of the end values of a phase: states at both ends, both times, integrals."""
     return [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]

@@ -25,7 +25,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.evaluation import Operations, evaluate, make_fast_call
 from gnc_opt.model.variables import as_expression
-from gnc_opt.planning.problem.expressions import bind_at_ends, end_arguments, end_points, function_along
+from gnc_opt.planning.problem.expressions import bind_ends, build_phase_function, end_arguments, end_symbols
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 
@@ -59,7 +59,7 @@ class PhaseFunctions:
 
     def rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dx/dt, shape of x."""
-        return self._call("rates", t, x, u)
+        return self._evaluate_function("rates", t, x, u)
 
     def fast_rates(self) -> Callable[[float, Array, Array], Array]:
         """Return dx/dt as a function of (t, x, u) at one time without conversion overhead."""
@@ -69,51 +69,51 @@ class PhaseFunctions:
 
     def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
-        return self._call("paths", t, x, u)
+        return self._evaluate_function("paths", t, x, u)
 
     def integrands(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Integrand values, shape (n_integrals, ...)."""
-        return self._call("integrands", t, x, u)
+        return self._evaluate_function("integrands", t, x, u)
 
-    def effects(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def control_effects(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return all that controls act on, (n + n_paths + n_integrals, ...): rates, path constraints and integrands."""
         return np.concatenate([f(t, x, u) for f in (self.rates, self.paths, self.integrands)])
 
     def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """H = w.L + lam.f, shape (...)."""
-        return np.asarray(self._call("hamiltonian", t, x, u, lam)[0])
+        return np.asarray(self._evaluate_function("hamiltonian", t, x, u, lam)[0])
 
     def switching(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """dH/du without path multipliers: the switching functions, shape of u."""
-        return self._call("switching", t, x, u, lam)
+        return self._evaluate_function("switching", t, x, u, lam)
 
     def control_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/du, shape of u."""
-        return self._call("control_gradient", t, x, u, lam, mu)
+        return self._evaluate_function("control_gradient", t, x, u, lam, mu)
 
     def state_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/dx, shape of x."""
-        return self._call("state_gradient", t, x, u, lam, mu)
+        return self._evaluate_function("state_gradient", t, x, u, lam, mu)
 
     def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
         """Partial derivative of H + mu.c with respect to time, shape (...)."""
-        return np.asarray(self._call("time_gradient", t, x, u, lam, mu)[0])
+        return np.asarray(self._evaluate_function("time_gradient", t, x, u, lam, mu)[0])
 
     def parameter_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/dq, shape (n_free_parameters, ...)."""
-        return self._call("parameter_gradient", t, x, u, lam, mu)
+        return self._evaluate_function("parameter_gradient", t, x, u, lam, mu)
 
     def control_hessian(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d2(H + mu.c)/du2, shape (n_controls, n_controls, ...)."""
-        flat = self._call("control_hessian", t, x, u, lam, mu)
+        flat = self._evaluate_function("control_hessian", t, x, u, lam, mu)
         m = np.shape(u)[0]
         return flat.reshape(m, m, *flat.shape[1:])
 
@@ -126,7 +126,7 @@ class PhaseFunctions:
         return ~coupled
 
     @property
-    def jumping_rates(self) -> bool:
+    def has_jumping_rates(self) -> bool:
         """Whether dx/dt contains an operation whose value jumps."""
         function = self.functions["rates"]
         return any(function.instruction_id(i) in _JUMPS for i in range(function.n_instructions()))
@@ -145,7 +145,7 @@ class PhaseFunctions:
         coupled = ~self.separable_controls
         return [np.flatnonzero(labels == label) for label in np.unique(labels[coupled])]
 
-    def quadratic_in(self, controls: Indices) -> bool:
+    def is_quadratic_in(self, controls: Indices) -> bool:
         """Whether H has constant second derivatives, and path constraints constant slopes, in some controls."""
         m = self.functions["switching"].size1_out(0)
         bends = self.functions["control_hessian"].jac_sparsity(0, 2).row()
@@ -162,28 +162,28 @@ class PhaseFunctions:
 
     def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/dx, shape (n_states, n_states, ...)."""
-        flat = self._call("state_jacobian", t, x, u)
+        flat = self._evaluate_function("state_jacobian", t, x, u)
         n = np.shape(x)[0]
         return flat.reshape(n, n, *flat.shape[1:])
 
     def input_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/du, shape (n_states, n_controls, ...)."""
-        flat = self._call("input_jacobian", t, x, u)
+        flat = self._evaluate_function("input_jacobian", t, x, u)
         return flat.reshape(np.shape(x)[0], np.shape(u)[0], *flat.shape[1:])
 
     def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/du, shape (n_paths, n_controls, ...)."""
-        flat = self._call("path_control_jacobian", t, x, u)
+        flat = self._evaluate_function("path_control_jacobian", t, x, u)
         m = np.shape(u)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), m, *flat.shape[1:])
 
     def path_state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/dx, shape (n_paths, n_states, ...)."""
-        flat = self._call("path_state_jacobian", t, x, u)
+        flat = self._evaluate_function("path_state_jacobian", t, x, u)
         n = np.shape(x)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), n, *flat.shape[1:])
 
-    def _call(
+    def _evaluate_function(
         self,
         name: str,
         t: ArrayLike,
@@ -313,15 +313,15 @@ def end_function(problem: Problem) -> Any:
 
 
 def _build_end_function(problem: Problem) -> Any:
-    cost, constraints = (bind_at_ends(problem, e) for e in (problem.cost, problem.constraint_expression()))
+    cost, constraints = (bind_ends(problem, e) for e in (problem.cost, problem.constraint_expression()))
     nu = ca.SX.sym("nu", constraints.shape[0])
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
-    ends = [symbol for leg in problem.phases.values() for symbol in end_points(leg)]
+    ends = [symbol for leg in problem.phases.values() for symbol in end_symbols(leg)]
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*ends, problem.parameter_symbols())]
     return ca.Function("ends", [*end_arguments(problem), nu], [cost, ca.densify(constraints), *gradients])
 
 
-def end_values(problem: Problem) -> Any:
+def build_end_value_function(problem: Problem) -> Any:
     """Return the CasADi Function of boundary constraints and, last, cost, in one column; inputs as `end_function`."""
 
     def build() -> Any:
@@ -339,7 +339,7 @@ def make_evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..
     if isinstance(expression, str):
         expression = leg.model.output_expression(expression)
     value = as_expression(expression, "the expression to evaluate", None, ProblemError)
-    value = value if leg.restatement is None else leg.restatement.of(value)
+    value = value if leg.restatement is None else leg.restatement.restate_expression(value)
     problem.refuse_foreign(leg, value, "the expression to evaluate")
-    function = function_along(problem, leg, "evaluate", value)
+    function = build_phase_function(problem, leg, "evaluate", value)
     return lambda *arguments: evaluate(function, *arguments)

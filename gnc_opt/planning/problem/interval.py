@@ -141,7 +141,7 @@ def free(size: int) -> Interval:
     return Interval(np.full(size, -np.inf), np.full(size, np.inf))
 
 
-def stack_all(boxes: Iterable[Interval]) -> Interval:
+def stack_intervals(boxes: Iterable[Interval]) -> Interval:
     """Return several intervals, or none, as one."""
     every = [free(0), *boxes]
     return Interval(
@@ -162,7 +162,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     """
     if value is None:
         return free(size)
-    if size == 1 and _is_pair(value):
+    if size == 1 and _is_number_pair(value):
         value = tuple(value)
     if not isinstance(value, tuple):
         fixed = Interval(_range_end(value, -np.inf, size, what), _range_end(value, np.inf, size, what))
@@ -174,7 +174,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
             f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
             "a list."
         )
-    refuse_ambiguous(value, size, what, "([a, a], [b, b]) for a range")
+    reject_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
     return read_range(value[0], value[1], size, what)
 
 
@@ -194,7 +194,7 @@ def _range_end(value: Any, none: float, size: int, what: str) -> Array:
     return as_vector(value, size, what)
 
 
-def refuse_ambiguous(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+def reject_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
     """Raise `ProblemError` for two numbers given to a vector of two: its value, or something else?"""
     if (
         size == 2
@@ -232,7 +232,7 @@ def intersect(a: Interval, b: Interval) -> Interval:
     return Interval(np.maximum(a.lower, b.lower), np.minimum(a.upper, b.upper))
 
 
-def _is_pair(value: Any) -> bool:
+def _is_number_pair(value: Any) -> bool:
     """Return whether a value is a list or an array of two numbers, or None."""
     if isinstance(value, np.ndarray):
         return bool(value.shape == (2,))

@@ -25,7 +25,7 @@ Range: TypeAlias = "tuple[float, float]"
 ANY: Range = (-math.inf, math.inf)
 
 
-def ranges_of(function: Any, arguments: Sequence[Interval]) -> Interval:
+def compute_ranges(function: Any, arguments: Sequence[Interval]) -> Interval:
     """Return the range of every entry of an SXFunction's first output, for ranges of its dense arguments."""
     size = function.size1_out(0)
     found, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
@@ -178,7 +178,7 @@ class Domain:
 
     def ranges(self, column: Any) -> Interval:
         """Return the ranges of a column."""
-        return ranges_of(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
+        return compute_ranges(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
 
     def monotone_directions(self, expression: Any, nodes: list[Any]) -> list[int]:
         """Return 1 for nodes with which a scalar expression never falls, -1 if it never rises, else 0."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.arrays import Mask
 from gnc_opt.model.expressions import nodes_of, operations_in
-from gnc_opt.planning.problem.expressions import function_along, phase_terms, table_uses
+from gnc_opt.planning.problem.expressions import build_phase_function, stack_terms, table_calls
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
@@ -35,7 +35,7 @@ class Kinks:
     arguments: Any
 
     @property
-    def of_states(self) -> Mask:
+    def state_dependent(self) -> Mask:
         """Which operations switch with states, (n_operations,); the others with controls alone."""
         found = np.zeros(len(self.words), dtype=bool)
         found[self.arguments.jac_sparsity(0, 1).row()] = True
@@ -47,7 +47,7 @@ def has_kinks(expression: Any) -> bool:
     return bool(operations_in(expression) & _WORDS.keys())
 
 
-def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
+def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
     """Return what switches along a phase, tables left out; None if nothing does."""
 
     def find() -> Kinks | None:
@@ -55,7 +55,7 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
         expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
         if not has_kinks(expression):
             return None
-        looked_up = frozenset[int]().union(*(use.hashes for use in table_uses(problem, leg)))
+        looked_up = frozenset[int]().union(*(use.hashes for use in table_calls(problem, leg)))
         found: dict[int, tuple[str, Any]] = {}
         for node in nodes_of(expression):
             operation = node.op()
@@ -66,7 +66,7 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
         if not found:
             return None
         words, arguments = zip(*found.values(), strict=True)
-        return Kinks(words, function_along(problem, leg, "kinks", ca.vertcat(*arguments)))
+        return Kinks(words, build_phase_function(problem, leg, "kinks", ca.vertcat(*arguments)))
 
     return problem.reuse(("kinks", leg.name), find)
 
@@ -80,7 +80,7 @@ def find_feature_centres(problem: Statement, leg: Phase) -> Any:
     def find() -> Any:
         t, x, _, _ = leg.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in nodes_of(phase_terms(leg)):
+        for node in nodes_of(stack_terms(leg)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]
@@ -89,7 +89,7 @@ def find_feature_centres(problem: Statement, leg: Phase) -> Any:
                     found[node.element_hash()] = node
         if not found:
             return None
-        return function_along(problem, leg, "centres", ca.vertcat(*found.values()))
+        return build_phase_function(problem, leg, "centres", ca.vertcat(*found.values()))
 
     return problem.reuse(("centres", leg.name), find)
 

@@ -32,7 +32,7 @@ def with_start_on_bounds(problem: Problem) -> tuple[Problem, str]:
     """
     moved, texts = problem, list[str]()
     for name, leg in problem.phases.items():
-        kept, places = _start_on_bounds(leg)
+        kept, places = _clip_start(leg)
         if places:
             moved = moved.clone()
             upper = np.where(leg.numbers.initial.fixed, kept, leg.numbers.initial.upper)
@@ -43,7 +43,7 @@ def with_start_on_bounds(problem: Problem) -> tuple[Problem, str]:
     return moved, ", ".join(texts)
 
 
-def _start_on_bounds(leg: Phase) -> tuple[Array, list[int]]:
+def _clip_start(leg: Phase) -> tuple[Array, list[int]]:
     """Return lower limits of the initial states (n,) and which given ones were slightly beyond a bound, now on it.
 
     What exceeds a bound by rounding only is left as it is.

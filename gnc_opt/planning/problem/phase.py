@@ -17,13 +17,13 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
-from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_kinds
+from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_arc_kinds
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
 from gnc_opt.planning.problem.control_states import (
-    constant_ranges,
-    fraction_of,
+    add_phase_fraction,
     limit_rates,
     make_polynomials,
+    split_ranges,
 )
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import (
@@ -35,7 +35,7 @@ from gnc_opt.planning.problem.interval import (
     magnitude_ranges,
     read_interval,
     split_control_ranges,
-    stack_all,
+    stack_intervals,
     stack_ranges,
     with_ranges,
 )
@@ -122,7 +122,7 @@ class Phase(Strict):
         # These begin anew in the next phase, unless a link names them.
         self.own_states: frozenset[str] = frozenset()
         self._name_ends()
-        self._note_curved(model.derivative())
+        self._record_nonaffine_vectors(model.derivative())
 
     def _name_ends(self) -> None:
         """Make the symbols of both ends."""
@@ -150,11 +150,11 @@ class Phase(Strict):
 
     def initial_state(self, name: str | Symbol) -> Any:
         """Return the symbol of a state at the phase's start, for costs and boundary constraints."""
-        return self._end_symbol("initial", name)
+        return self._get_end_symbol("initial", name)
 
     def final_state(self, name: str | Symbol) -> Any:
         """Return the symbol of a state at the phase's end, for costs and boundary constraints."""
-        return self._end_symbol("final", name)
+        return self._get_end_symbol("final", name)
 
     def ends(self, end: str) -> Any:
         """Return the stacked end-point states, ``end`` being "initial" or "final"."""
@@ -180,11 +180,11 @@ class Phase(Strict):
 
     def initial(self, **values: Any) -> None:
         """State initial values by name, of states and of controls with `rates` or `polynomials`; others are free."""
-        self._set_numbers(initial=self._values_at_end(self.numbers.initial, values, "initial value"))
+        self._set_numbers(initial=self._replace_end_values(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
         """State final values by name, of states and of controls with `rates` or `polynomials`; others are free."""
-        self._set_numbers(final=self._values_at_end(self.numbers.final, values, "final value"))
+        self._set_numbers(final=self._replace_end_values(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
         """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
@@ -192,7 +192,7 @@ class Phase(Strict):
         An end may be a function of time, a table of it, or an expression of ``model.time``, `fraction` and parameters:
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
-        ranges = constant_ranges(self, ranges)
+        ranges = split_ranges(self, ranges)
         states, controls = self._split_by_kind(split_control_ranges(self.model, ranges, self.where), "bounds")
         self._set_numbers(
             states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.where),
@@ -210,7 +210,7 @@ class Phase(Strict):
         ProblemError
             The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
         """
-        self.bounds(**magnitude_ranges(self.model, constant_ranges(self, ranges), self.where))
+        self.bounds(**magnitude_ranges(self.model, split_ranges(self, ranges), self.where))
 
     def path(
         self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
@@ -236,7 +236,7 @@ class Phase(Strict):
         self._owner.refuse_foreign(self, constraint.expression, what)
         self._owner.refuse_if_frozen()
         self.paths[name] = constraint
-        self._note_curved(constraint.expression)
+        self._record_nonaffine_vectors(constraint.expression)
         self._owner.forget_builds()
 
     @property
@@ -268,7 +268,7 @@ class Phase(Strict):
         self._owner.refuse_if_frozen()
         symbol = ca.SX.sym(f"{self.name}_{label}")
         self.integrands[label] = (symbol, value)
-        self._note_curved(value)
+        self._record_nonaffine_vectors(value)
         self._owner.forget_builds()
         return symbol
 
@@ -284,9 +284,9 @@ class Phase(Strict):
             By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
             (n, n_times), or a function of time that returns the value.
         """
-        guess, known = self.numbers.guess, self.guessable
+        guess, known = self.numbers.guess, self.guessable_names
         sizes = {
-            name: (known.get(name) or self._owner_layout(name, "guess")[name]).size
+            name: (known.get(name) or self._find_owner_layout(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
         self._set_numbers(guess=guess.join_values(time, values, sizes, self.where))
@@ -298,7 +298,7 @@ class Phase(Strict):
         """
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
-            size = self._owner_layout(name, "scale")[name].size
+            size = self._find_owner_layout(name, "scale")[name].size
             scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.where}")
         self._set_numbers(scales=scales)
 
@@ -331,7 +331,7 @@ class Phase(Strict):
     @property
     def fraction(self) -> Any:
         """The symbol of the share of the phase that has passed, from 0 to 1, for bounds and expressions along it."""
-        return fraction_of(self)
+        return add_phase_fraction(self)
 
     def add_states(
         self,
@@ -405,7 +405,7 @@ class Phase(Strict):
             "states": (states, model.states.labels, box.states),
         }
         kinds = {
-            name: read_kinds(given, labels, limits, name, self.where)
+            name: read_arc_kinds(given, labels, limits, name, self.where)
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
@@ -430,7 +430,7 @@ class Phase(Strict):
         return initial, final
 
     @property
-    def guessable(self) -> dict[str, Variable]:
+    def guessable_names(self) -> dict[str, Variable]:
         """All that a guess may name: states, controls, and the controls that are made of those."""
         model = self.model
         composed = (control.variable for control in model.composed_controls.values())
@@ -445,7 +445,7 @@ class Phase(Strict):
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {v.length: Interval(np.ones(1), np.ones(1)) for v in self.vectors if self.on_sphere(v)}
-        return stack_all(boxes.values())
+        return stack_intervals(boxes.values())
 
     @property
     def vectors(self) -> tuple[VectorControl, ...]:
@@ -467,7 +467,7 @@ class Phase(Strict):
         lengths = {v.length for v in self.vectors}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
-            self._note_curved(expression)
+            self._record_nonaffine_vectors(expression)
         self._limit_length(vector)
         if on_sphere is not None:
             self._told_on_sphere[vector.name] = on_sphere
@@ -477,7 +477,7 @@ class Phase(Strict):
         what = f"the direction of '{vector.name}'"
         self.paths[vector.length] = make_constraint(vector.length, square, None, 1.0, None, what)
 
-    def _note_curved(self, expression: Any) -> None:
+    def _record_nonaffine_vectors(self, expression: Any) -> None:
         """Note in which vectors an expression is not affine."""
         for vector in self.vectors:
             direction = self.model.symbol(vector.direction)
@@ -527,7 +527,7 @@ class Phase(Strict):
         self._owner.refuse_if_frozen()
         self.numbers = replace(self.numbers, **numbers)
 
-    def _values_at_end(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
+    def _replace_end_values(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
         jumping = next((name for name in values if name in self.model.controls), None)
         if jumping is not None:
             raise ProblemError(
@@ -536,7 +536,7 @@ class Phase(Strict):
             )
         return with_ranges(old, self.model.states, values, what, self.where)
 
-    def _end_symbol(self, end: str, name: str | Symbol) -> Any:
+    def _get_end_symbol(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name
         if not isinstance(key, str) or key not in self._ends[end]:
             raise unknown_name("state", key, self.where, self._ends[end])
@@ -546,10 +546,10 @@ class Phase(Strict):
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():
-            (states if self._owner_layout(name, what).kind == "state" else controls)[name] = value
+            (states if self._find_owner_layout(name, what).kind == "state" else controls)[name] = value
         return states, controls
 
-    def _owner_layout(self, name: str, what: str) -> Layout:
+    def _find_owner_layout(self, name: str, what: str) -> Layout:
         for layout in (self.model.states, self.model.controls):
             if name in layout:
                 return layout

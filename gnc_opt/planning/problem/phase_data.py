@@ -108,23 +108,23 @@ class Restatement:
     texts: tuple[str, ...]
 
     @classmethod
-    def of_limits(cls, model: Model, texts: tuple[str, ...]) -> Restatement:
+    def from_limits(cls, model: Model, texts: tuple[str, ...]) -> Restatement:
         """Return one that leaves the controls as they are."""
         none = ca.SX(0, 1)
         return cls(model, none, none, model.symbols("control"), texts)
 
-    def of(self, expression: Any) -> Any:
+    def restate_expression(self, expression: Any) -> Any:
         """Return an expression of the stated controls in the solved ones."""
         return ca.substitute(expression, self.stated, self.solved)
 
-    def after(self, earlier: Restatement | None) -> Restatement:
+    def compose_after(self, earlier: Restatement | None) -> Restatement:
         """Return this one and an earlier one, of whose controls it restates some, as one."""
         if earlier is None:
             return self
         return Restatement(
             earlier.model,
             ca.vertcat(earlier.stated, self.stated),
-            ca.vertcat(self.of(earlier.solved), self.solved),
+            ca.vertcat(self.restate_expression(earlier.solved), self.solved),
             ca.substitute(self.values, self.model.symbols("control"), earlier.values),
             (*earlier.texts, *self.texts),
         )

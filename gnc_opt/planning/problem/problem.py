@@ -23,12 +23,12 @@ from gnc_opt.planning.problem.check import check_problem
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.division import divide_phase
 from gnc_opt.planning.problem.expressions import (
+    check_end_symbols,
+    check_phase_symbols,
     end_arguments,
-    refuse_foreign_along,
-    refuse_foreign_ends,
     refuse_other_size,
 )
-from gnc_opt.planning.problem.guess.initial_guess import note_known_ends
+from gnc_opt.planning.problem.guess.initial_guess import record_known_ends
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
 from gnc_opt.planning.problem.phase import Phase
@@ -37,7 +37,7 @@ from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.text import heading, table
 
 
-def problem_fingerprint(problem: Statement) -> str:
+def compute_fingerprint(problem: Statement) -> str:
     """Return a hash of functions, names and numbers that define the problem, without guesses, scales and held arcs."""
     digest = hashlib.sha256()
     digest.update(
@@ -87,19 +87,19 @@ def _interval_vectors(box: Any) -> Iterable[Array]:
 
 def _phase_expressions(problem: Statement, leg: Phase) -> bytes:
     expressions = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
-    return _exact_text([*leg.model.arguments(), problem.parameter_symbols()], expressions)
+    return _serialise_expressions([*leg.model.arguments(), problem.parameter_symbols()], expressions)
 
 
 def _end_expressions(problem: Statement) -> bytes:
-    return _exact_text(end_arguments(problem), [problem.cost, problem.constraint_expression()])
+    return _serialise_expressions(end_arguments(problem), [problem.cost, problem.constraint_expression()])
 
 
-def _exact_text(arguments: list[Any], expressions: list[Any]) -> bytes:
+def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> bytes:
     """Return expressions with the places of their symbols and every digit of their constants."""
     return bytes(ca.Function("exact", arguments, expressions).serialize(), "ascii")
 
 
-def linkages(
+def build_linkages(
     problem: str,
     first: Phase,
     second: Phase,
@@ -294,9 +294,9 @@ class Problem(Statement):
         if name in self.constraints:
             raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
         constraint = make_constraint(name, expression, lower, upper, equals, what)
-        refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
+        check_end_symbols(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
-        note_known_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
+        record_known_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
         self.forget_builds()
 
     def link(
@@ -321,7 +321,7 @@ class Problem(Statement):
             Known jumps by state: x_second(start) - x_first(end), e.g. a dropped stage's mass.
         """
         legs = self.get_phase(first), self.get_phase(second)
-        for name, expression, value in linkages(self.name, *legs, states, time, jump):
+        for name, expression, value in build_linkages(self.name, *legs, states, time, jump):
             self.constrain(name, expression, equals=value)
 
     def sequence(
@@ -524,7 +524,7 @@ class Problem(Statement):
 
     def fingerprint(self) -> str:
         """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
-        return problem_fingerprint(self)
+        return compute_fingerprint(self)
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -542,7 +542,7 @@ class Problem(Statement):
 
     def refuse_foreign(self, leg: Phase, expression: Any, what: str) -> None:
         """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
-        refuse_foreign_along(
+        check_phase_symbols(
             leg, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
         )
 
@@ -563,7 +563,7 @@ class Problem(Statement):
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
         expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
         what = f"the cost of problem '{self.name}'"
-        refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), expression, what)
+        check_end_symbols(self.phases.values(), self.parameter_symbols(), expression, what)
         expect(unit, str, f"the unit of {what}", 'write unit="kg"')
         self.cost, self.sense, self.stated_cost_unit = expression, sense, unit
         self.forget_builds()

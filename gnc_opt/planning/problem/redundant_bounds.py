@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.problem.expressions import function_along
+from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
@@ -23,7 +23,7 @@ LOOSE = 0.1
 """Share of a state's bounds and start by which bounds are loosened that say nothing."""
 
 
-def loosened_bounds(leg: Phase) -> Interval:
+def loosen_bounds(leg: Phase) -> Interval:
     """Return the bounds of the states of a phase, somewhat wider."""
     bounds, initial = leg.numbers.states, leg.numbers.initial
     reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
@@ -31,8 +31,8 @@ def loosened_bounds(leg: Phase) -> Interval:
     return Interval(bounds.lower - room, bounds.upper + room)
 
 
-def monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which states with bounds never fall and which never rise, for controls and `loosened_bounds` of states."""
+def find_monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+    """Return which states with bounds never fall and which never rise, for controls and `loosen_bounds` of states."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.reuse(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
@@ -41,7 +41,7 @@ def monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     values, times = leg.model.parameter_values, leg.times()
     ranges = [
         Interval(times[0].lower, times[1].upper),
-        loosened_bounds(leg),
+        loosen_bounds(leg),
         numbers.controls,
         Interval(values, values),
         problem.parameter_interval(),
@@ -50,7 +50,7 @@ def monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     place = ("one way", leg.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        rising, falling, rate = _empty_state_mask(leg), _empty_state_mask(leg), ranges_of(rates, ranges)
+        rising, falling, rate = _empty_state_mask(leg), _empty_state_mask(leg), compute_ranges(rates, ranges)
         rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
         problem.builds[place] = known = (asked, rising, falling)
     return known[1:]
@@ -64,19 +64,19 @@ def _rates_by_controls(problem: Statement, leg: Phase) -> tuple[Array, Any]:
     """Rows of the states whose rates depend on controls, and their rates as a function."""
     rates = leg.model.derivative()
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, leg.model.symbols("control")).row(), dtype=int))
-    return rows, function_along(problem, leg, "rates", rates[rows.tolist()])
+    return rows, build_phase_function(problem, leg, "rates", rates[rows.tolist()])
 
 
 NORM_BOUND_SLACK_SHARE = 1e-2
 """Share of a length by which a bound of it may exceed it."""
 
 
-def implied_norm_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+def find_implied_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     """Return which lower and which upper bounds of states (n_states,) are the length that a vector of them keeps."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
-    for places in _vector_places(leg):
-        length = _first_length(leg, places)
+    for places in _find_state_vectors(leg):
+        length = _find_given_length(leg, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
@@ -85,7 +85,7 @@ def implied_norm_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     return idle[0], idle[1]
 
 
-def _vector_places(leg: Phase) -> list[Indices]:
+def _find_state_vectors(leg: Phase) -> list[Indices]:
     """Return the places of the vectors among the states; of scalars those with the same bounds to both sides."""
     states, bounds = leg.model.states, leg.numbers.states
     found, alike = [], dict[float, list[int]]()
@@ -98,7 +98,7 @@ def _vector_places(leg: Phase) -> list[Indices]:
     return found + [np.array(places) for places in alike.values() if len(places) > 1]
 
 
-def _first_length(leg: Phase, places: Indices) -> float:
+def _find_given_length(leg: Phase, places: Indices) -> float:
     """Return the length that a vector begins or ends with; NaN if neither is given."""
     for value in (leg.numbers.initial, leg.numbers.final):
         if np.all(value.fixed[places]):
@@ -112,7 +112,7 @@ def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float
     def build() -> Any:
         rows = places.tolist()
         products = leg.model.symbols("state")[rows] * leg.model.derivative()[rows]
-        return function_along(problem, leg, "along_itself", products)
+        return build_phase_function(problem, leg, "along_itself", products)
 
     terms = problem.reuse(("rate along itself", leg.name, places.tobytes()), build)
     random = np.random.default_rng(5)

@@ -14,7 +14,7 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.table import TableUse
 from gnc_opt.model.variables import Layout, Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval import Interval, stack_all
+from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.problem.phase import Phase
 
 S = TypeVar("S", bound="Statement")
@@ -111,7 +111,7 @@ class Statement(Strict):
 
     def parameter_interval(self) -> Interval:
         """Bounds of the stacked free parameters."""
-        return stack_all(self.parameter_bounds.values())
+        return stack_intervals(self.parameter_bounds.values())
 
     def get_phase(self, phase: Phase | str | None = None) -> Phase:
         """Return a phase by name; ``None`` is the only one there is."""
@@ -146,7 +146,7 @@ class Statement(Strict):
 
     def constraint_interval(self) -> Interval:
         """Bounds of all boundary constraint rows."""
-        return stack_all(c.interval for c in self.constraints.values())
+        return stack_intervals(c.interval for c in self.constraints.values())
 
     def constraint_labels(self) -> tuple[str, ...]:
         """Names of the boundary constraint rows."""
@@ -165,9 +165,9 @@ class Statement(Strict):
 
     def has_variation(self, other: Statement) -> bool:
         """Whether another problem is a variation of this one, or of what this one is restated as for other numbers."""
-        return other.builds is self.builds or _contains_builds(self.builds, other.builds)
+        return other.builds is self.builds or _shares_builds(self.builds, other.builds)
 
 
-def _contains_builds(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
+def _shares_builds(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
     nested = (value for value in builds.values() if isinstance(value, dict))
-    return any(own is others or _contains_builds(own, others) for own in nested)
+    return any(own is others or _shares_builds(own, others) for own in nested)

@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.nlp import NlpResult, Status
-from gnc_opt.planning.problem.check_functions import first_not_finite
+from gnc_opt.planning.problem.check_functions import find_nonfinite_function
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -103,7 +103,7 @@ def _nonfinite_functions(
     found = []
     for name, phase in phases.items():
         times = phase.point_times
-        bad = first_not_finite(
+        bad = find_nonfinite_function(
             problem, problem.phases[name], times, phase.x(times), phase.u(times), parameters
         )
         if bad:

@@ -119,7 +119,7 @@ class PhaseSamples:
 
         A jump with a state that ends there, as that of friction at rest, must not depend on how the end is rounded.
         """
-        if not self.functions.jumping_rates:
+        if not self.functions.has_jumping_rates:
             return self.times
         starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
         return np.clip(self.times, starts + GONE * (ends - starts), ends - GONE * (ends - starts))

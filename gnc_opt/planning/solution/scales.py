@@ -49,10 +49,10 @@ def find_inactive_controls(
     if coupled.size < 2 or not np.any(bound[coupled]):
         return idle
     bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
-    effects = [functions.effects(t, x, base) for base in bases]
+    effects = [functions.control_effects(t, x, base) for base in bases]
     for i in coupled:
         changes = [
-            np.abs(functions.effects(t, x, _shift_control(base, int(i), share * scale[i])) - before)
+            np.abs(functions.control_effects(t, x, _shift_control(base, int(i), share * scale[i])) - before)
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]

@@ -21,12 +21,12 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
-from gnc_opt.planning.problem.expressions import OutsideTable, outside_tables, table_uses
+from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, table_calls
 from gnc_opt.planning.problem.functions import PhaseFunctions, make_evaluator, phase_functions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.diagnosis import Violation
 from gnc_opt.planning.solution.export import time_history_records
@@ -255,9 +255,9 @@ class Solution(Printed):
         problem = self.need_problem("look for the tables of")
         found: list[OutsideTable] = []
         for name, leg in problem.phases.items():
-            if table_uses(problem, leg):
+            if table_calls(problem, leg):
                 s = self._samples[name]
-                found += outside_tables(
+                found += find_table_exits(
                     problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
                 )
         return found
@@ -399,7 +399,7 @@ class Solution(Printed):
             If the problem is not the one that was solved (its fingerprint differs).
         """
         expect(problem, Problem, "what with_problem() got", "give the problem that was solved")
-        problem = restated(problem)
+        problem = reformulate(problem)
         if problem.fingerprint() != self.provenance.get("fingerprint"):
             raise ProblemError(
                 f"problem '{problem.name}' is not the one that this solution of '{self.problem_name}' solves: "

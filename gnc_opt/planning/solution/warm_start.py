@@ -279,7 +279,7 @@ def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     known = {signal.name: signal for signal in signals}
     values: dict[str, Callable[[Any], Array]] = {
         v.name: _signal_guess(leg, known[v.name])
-        for v in problem.phases[name].guessable.values()
+        for v in problem.phases[name].guessable_names.values()
         if v.name in known and len(known[v.name].labels) == v.size
     }
     return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem

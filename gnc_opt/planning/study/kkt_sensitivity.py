@@ -39,7 +39,7 @@ from gnc_opt.planning.optimality.nlp_point import (
     saddle_matrix,
 )
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
@@ -76,7 +76,7 @@ def predict_solution(
     By the sensitivities of the last solution, if both problems are variations of one another; else along the line
     through both, ``ratio`` being the length of this step over that of the last one.
     """
-    problem = restated(problem)
+    problem = reformulate(problem)
     transcription, start = _start_values(problem, last)
     change = _predict_change(problem, last)
     if change is None and before is not None:

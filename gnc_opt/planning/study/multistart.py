@@ -22,7 +22,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.perturbation import is_plain, with_random_guess
+from gnc_opt.planning.problem.guess.perturbation import keeps_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import StructureChoice
@@ -416,7 +416,7 @@ class _Coarse:
     def __call__(self, problem: Problem, index: int) -> _StartEnding:
         options = self.options
         if index and options.mu_init is None:
-            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if is_plain(index) else None
+            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if keeps_guess_shape(index) else None
             options = replace(options, mu_init=small)
         try:
             durations = self.durations if index % 2 else None

@@ -15,9 +15,9 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.redundant_bounds import (
-    implied_norm_bounds,
-    loosened_bounds,
-    monotone_states,
+    find_implied_bounds,
+    find_monotone_states,
+    loosen_bounds,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
@@ -86,10 +86,10 @@ def _continued_states(leg: Phase, held: Held) -> set[int]:
 
 def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
     """Loosen the bounds of states that only rise, or only fall, but at the one end at which they say everything."""
-    rising, falling = monotone_states(problem, leg)
+    rising, falling = find_monotone_states(problem, leg)
     if not np.any(rising | falling):
         return
-    loose = loosened_bounds(leg)
+    loose = loosen_bounds(leg)
     lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
     first, last = slice(None, -1), slice(1, None)
     for ways, with_it, against_it in ((rising, upper, lower), (falling, lower, upper)):
@@ -104,7 +104,7 @@ def drop_inactive_constraints(
 ) -> None:
     """Drop the bounds of states that hold by themselves, since a vector keeps its length."""
     sides = (box.lower, -np.inf), (box.upper, np.inf)
-    for (limits, none), idle in zip(sides, implied_norm_bounds(problem, leg), strict=True):
+    for (limits, none), idle in zip(sides, find_implied_bounds(problem, leg), strict=True):
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 

@@ -35,7 +35,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.functions import EndGradients
-from gnc_opt.planning.problem.interval import Interval, stack_all
+from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
@@ -186,7 +186,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
         ]
     )
     gaps -= pushes
-    box = stack_all([leg.initial_time_bounds, leg.final_time_bounds])
+    box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
     times = np.array([leg.initial_time, leg.final_time])
     reach = box.upper - box.lower
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))

@@ -12,9 +12,9 @@ from gnc_opt.planning.optimality.active_set import with_movable_touches
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.narrow_features import feature_edges
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.problem.expressions import table_uses
+from gnc_opt.planning.problem.expressions import table_calls
 from gnc_opt.planning.problem.functions import EndGradients
-from gnc_opt.planning.problem.kinks import kinks_of
+from gnc_opt.planning.problem.kinks import find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.quality import NOTHING
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -143,7 +143,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     lasting = [s for s in samples if s.has_length]
     kept = missing.or_worse(costate_inconsistency(samples) if with_costates else NOTHING)
     limits = [feasibility.check_limits(solution, samples, scales, tol)]
-    if any(table_uses(problem, leg) for leg in problem.phases.values()):
+    if any(table_calls(problem, leg) for leg in problem.phases.values()):
         limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),
@@ -183,7 +183,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "none", KINKS)
     if concave is not None:
         kinks = kink_condition(concave, False, falls=True)
-    elif any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
+    elif any(find_kinks(problem, leg) is not None for leg in problem.phases.values()):
         rough = None if missing.value else find_roughness(problem, lasting, tol)
         kinks = kink_condition(rough, any(c.result is ConditionResult.FAIL for c in checked))
         if rough is not None:

@@ -16,7 +16,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.reach import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
-from gnc_opt.planning.problem.interval import Interval, stack_all
+from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.solution.propagation import segment_misses
 from gnc_opt.planning.solution.quality import (
     NOTHING,
@@ -235,7 +235,7 @@ def check_boundary_conditions(
                 _end_state_violation(values, interval, ellipsoid, labels, leg.states.units)
             )
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
-        interval = stack_all([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
+        interval = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
         lasts = np.full(3, s.span if s.has_length else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.or_worse(_worst_interval_violation(times, interval, lasts, labels, ("s",) * 3))

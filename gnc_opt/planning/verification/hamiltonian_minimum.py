@@ -207,7 +207,7 @@ class _Search:
     @cached_property
     def only_one_minimum(self) -> bool:
         """Whether H is a convex quadratic function of the controls, under affine constraints, steps aside."""
-        if not self.s.functions.quadratic_in(self.group):
+        if not self.s.functions.is_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
         gradient, bends = self.slopes(self._flown, every)

@@ -25,7 +25,7 @@ from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.reach import cell_edges, end_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
-from gnc_opt.planning.problem.functions import EndGradients, end_values
+from gnc_opt.planning.problem.functions import EndGradients, build_end_value_function
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -181,7 +181,7 @@ class ShiftedTrajectory:
         problem = self.solution.need_problem("verify")
         q = np.repeat(self.solution.parameter_values[:, None], count, axis=1)
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_columns(end_values(problem), count, *columns, q, nu)
+        values = evaluate_columns(build_end_value_function(problem), count, *columns, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         reach = self.scales.constraints[0]

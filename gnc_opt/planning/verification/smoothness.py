@@ -16,7 +16,7 @@ from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.narrow_features import bisect_sign_changes
 from gnc_opt.planning.optimality.reference_scales import Scales, second_differences
-from gnc_opt.planning.problem.kinks import Kinks, kinks_of
+from gnc_opt.planning.problem.kinks import Kinks, find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
@@ -53,7 +53,7 @@ def find_roughness(problem: Problem, samples: list[PhaseSamples], tolerance: flo
     """Return the first jump that a flight crosses inside a phase, else a kink on which it rests; None without any."""
     rests = None
     for s in samples:
-        kinks = kinks_of(problem, problem.phases[s.leg.name])
+        kinks = find_kinks(problem, problem.phases[s.leg.name])
         if kinks is None:
             continue
         values = _kink_arguments(s, kinks, s.times_within, s.x, s.u)
@@ -167,8 +167,8 @@ def _find_rest_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughnes
     long = lengths > SMEARED
     if not np.any(long):
         return None
-    of_states = bool(np.any(long & kinks.of_states))  # these are worse
-    i = int(np.argmax(np.where(kinks.of_states == of_states, lengths, 0.0)))
+    of_states = bool(np.any(long & kinks.state_dependent))  # these are worse
+    i = int(np.argmax(np.where(kinks.state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
     where = f"from {s.place(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
     return Roughness(float(lengths[i]), where, False, of_states)

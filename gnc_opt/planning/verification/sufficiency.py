@@ -37,7 +37,7 @@ from gnc_opt.planning.optimality.cost_scale import (
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import parameter_arguments
 from gnc_opt.planning.problem.interval import Interval, intersect
-from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.kinks import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -225,7 +225,7 @@ def _lower_bounds_of_ends(problem: Problem, expressions: Sequence[Any]) -> Array
         p = _parameter_interval(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
         boxes += [*ends, *leg.times(), _integral_intervals(problem, leg, q), p]
-    return ranges_of(_end_function(problem, expressions), [*boxes, q]).lower
+    return compute_ranges(_end_function(problem, expressions), [*boxes, q]).lower
 
 
 def reaches_least_cost(
@@ -300,12 +300,12 @@ def _integral_intervals(problem: Problem, leg: Phase, q: Interval) -> Interval:
     (initial, final), numbers = leg.times(), leg.numbers
     times = Interval(initial.lower, final.upper)
     integrands = leg.reuse("integrands by all", lambda: _integrand_function(problem, leg))
-    rates = ranges_of(integrands, [times, numbers.states, numbers.controls, _parameter_interval(leg), q])
+    rates = compute_ranges(integrands, [times, numbers.states, numbers.controls, _parameter_interval(leg), q])
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
     rate, span = ca.SX.sym("rate", rates.lower.size), ca.SX.sym("span", rates.lower.size)
-    return ranges_of(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
+    return compute_ranges(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
 
 
 def _integrand_function(problem: Problem, leg: Phase) -> Any:

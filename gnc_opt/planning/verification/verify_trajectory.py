@@ -28,7 +28,7 @@ from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
@@ -45,7 +45,7 @@ from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, NOTABLE, SAME_TIME, SMAL
 def reformulate_samples(
     problem: Problem, twin: Problem, samples: Mapping[str, Samples], q: Array
 ) -> dict[str, Samples]:
-    """Return samples of a problem as those of ``restated(problem)``, of which q are the first parameters."""
+    """Return samples of a problem as those of ``reformulate(problem)``, of which q are the first parameters."""
     return {name: _reformulate_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
 
 
@@ -171,7 +171,7 @@ def verify_trajectory(
     q = _read_parameters(problem, p)
     check_unused_controls(problem)
     samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)
-    verdict, twin = _check_samples(problem, samples, q, tol), restated(problem)
+    verdict, twin = _check_samples(problem, samples, q, tol), reformulate(problem)
     if verdict.minimum or twin is problem or _exceeds_whole_turns(problem, twin, samples):
         return verdict
     other = _check_reformulated(problem, twin, samples, q, tol)

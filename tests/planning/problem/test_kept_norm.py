@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import implied_norm_bounds
+from testing.internals import find_implied_bounds
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -36,7 +36,7 @@ def slew(rate: str = "kept", scalars: bool = False, size: float = 1.0) -> go.Pro
 
 def idle(problem: go.Problem) -> tuple[list[int], list[int]]:
     """Places of the states whose lower, and whose upper, bounds are idle."""
-    lower, upper = implied_norm_bounds(problem, problem.get_phase())
+    lower, upper = find_implied_bounds(problem, problem.get_phase())
     return list(np.flatnonzero(lower)), list(np.flatnonzero(upper))
 
 

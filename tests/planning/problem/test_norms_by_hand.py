@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import phase_guess, restated
+from testing.internals import phase_guess, reformulate
 
 import gnc_opt as go
 
@@ -45,7 +45,7 @@ def by_hand(limit: Any, kind: str = "vector") -> go.Problem:
 
 def leg_of(limit: Any, kind: str = "vector") -> Any:
     """The phase that is solved."""
-    return restated(by_hand(limit, kind)).phases["leg"]
+    return reformulate(by_hand(limit, kind)).phases["leg"]
 
 
 SLACK = {
@@ -100,7 +100,7 @@ def test_the_restated_phase_is_the_same_function(kind: str) -> None:
         ),
         kind,
     )
-    stated, solved = problem.phases["leg"], restated(problem).phases["leg"]
+    stated, solved = problem.phases["leg"], reformulate(problem).phases["leg"]
     (vector,) = solved.vectors
     size, angle = 1.7, 0.4
     n = np.array([np.cos(angle), np.sin(angle)])
@@ -151,7 +151,7 @@ def test_bounds_of_components_within_the_norm_are_gone_and_others_are_kept() -> 
 )
 def test_what_needs_no_restatement_stays_as_it_is(limit: Any) -> None:
     problem = by_hand(limit)
-    assert restated(problem) is problem
+    assert reformulate(problem) is problem
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     leg = problem.phases["leg"]
     leg.guess(T_x=3.0, T_y=(0.0, -8.0))
     leg.scale(T_x=2.0, T_y=7.0)
-    solved = restated(problem).phases["leg"]
+    solved = reformulate(problem).phases["leg"]
     start = phase_guess(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
     layout = solved.model.controls
     (vector,) = solved.vectors
@@ -248,7 +248,7 @@ ABSOLUTE = {
 
 @pytest.mark.parametrize("cost", ABSOLUTE.values(), ids=ABSOLUTE)
 def test_absolute_values_that_cost_are_split(cost: Any) -> None:
-    leg = restated(with_absolute(cost)).phases["leg"]
+    leg = reformulate(with_absolute(cost)).phases["leg"]
     assert leg.model.controls.names == ("u_plus", "u_minus")
     np.testing.assert_array_equal(leg.numbers.controls.lower, 0.0)
     np.testing.assert_array_equal(leg.numbers.controls.upper, 1.0)
@@ -270,7 +270,7 @@ def test_absolute_values_that_cost_are_split(cost: Any) -> None:
 )
 def test_absolute_values_of_which_more_may_be_better_stay(problem: Any) -> None:
     stated = problem()
-    assert restated(stated) is stated
+    assert reformulate(stated) is stated
 
 
 def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
@@ -313,7 +313,7 @@ SPEED = {
 def test_a_limit_of_a_root_has_the_same_value_and_slope_at_the_limit(limit: Any) -> None:
     problem = at_rest(limit)
     stated = problem.phases["leg"]
-    solved = restated(problem).phases["leg"]
+    solved = reformulate(problem).phases["leg"]
     v = stated.model.symbol("v")
     at_limit = np.sqrt(2.0) * np.array([0.6, -0.8])
     for of in (lambda e: e, lambda e: ca.jacobian(e, v)):
@@ -376,7 +376,7 @@ def test_the_least_effort_below_a_norm_passes_through_zero_in_the_stated_compone
     leg.path("limit", limit(a))
     problem.minimize(leg.integral(ca.sumsqr(a)))
     solution = go.solve(problem)
-    assert [v.name for v in restated(problem).phases["leg"].model.controls.variables] == ["a"]
+    assert [v.name for v in reformulate(problem).phases["leg"].model.controls.variables] == ["a"]
     assert solution.objective == pytest.approx(25 - 100 / 3 * np.sqrt(0.15), abs=1e-8)
     assert go.verify(solution).minimum
 
@@ -418,7 +418,7 @@ def landing(most: float | None, limit: str = "square") -> go.Problem:
 def test_bounds_that_the_length_of_a_direction_implies_are_dropped(
     most: float, limit: str, left: float
 ) -> None:
-    bounds = restated(landing(most, limit)).phases["fall"].numbers.controls
+    bounds = reformulate(landing(most, limit)).phases["fall"].numbers.controls
     assert bounds.upper.tolist() == [6.0, left, left] and bounds.lower.tolist() == [1.0, -left, -left]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from testing.internals import Interval, monotone_states, ranges_of
+from testing.internals import Interval, compute_ranges, find_monotone_states
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -40,7 +40,7 @@ ends = st.tuples(numbers, numbers).map(sorted)
 @given(a=ends, b=ends, shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=8))
 def test_values_lie_in_their_range(name, a, b, shares) -> None:
     function = ca.Function("f", [X], [EXPRESSIONS[name]])
-    box = ranges_of(function, [Interval(np.array([a[0], b[0]]), np.array([a[1], b[1]]))])
+    box = compute_ranges(function, [Interval(np.array([a[0], b[0]]), np.array([a[1], b[1]]))])
     for s, t in shares:
         at = [a[0] + s * (a[1] - a[0]), b[0] + t * (b[1] - b[0])]
         value = float(function(np.clip(at, *zip(a, b, strict=True))))  # rounding leads out of the range
@@ -60,7 +60,7 @@ def test_values_lie_in_their_range(name, a, b, shares) -> None:
     ],
 )
 def test_ranges_in_which_nothing_occurs_twice_are_the_narrowest(expression, lower, upper) -> None:
-    box = ranges_of(
+    box = compute_ranges(
         ca.Function("f", [X], [expression]), [Interval(np.array([-1.0, 1.0]), np.array([0.5, 2.0]))]
     )
     assert box.lower[0] == pytest.approx(lower)
@@ -70,7 +70,7 @@ def test_ranges_in_which_nothing_occurs_twice_are_the_narrowest(expression, lowe
 def test_what_knows_no_limit_has_none() -> None:
     """Zero times a quantity without limits is zero; one without limits less itself may be anything."""
     function = ca.Function("f", [X], [ca.vertcat(0 * X[0], X[0] - X[0] * X[1])])
-    box = ranges_of(function, [Interval(np.array([-np.inf, 1.0]), np.array([np.inf, 2.0]))])
+    box = compute_ranges(function, [Interval(np.array([-np.inf, 1.0]), np.array([np.inf, 2.0]))])
     np.testing.assert_array_equal(box.lower, [0.0, -np.inf])
     np.testing.assert_array_equal(box.upper, [0.0, np.inf])
 
@@ -79,7 +79,7 @@ def test_what_knows_no_limit_has_none() -> None:
 def test_what_leaves_the_numbers_may_be_anything_beyond(expression) -> None:
     """A division by zero, and a power beyond all numbers."""
     function = ca.Function("f", [X], [expression])
-    box = ranges_of(function, [Interval(np.array([0.0, 1.0]), np.array([0.0, 1e200]))])
+    box = compute_ranges(function, [Interval(np.array([0.0, 1.0]), np.array([0.0, 1e200]))])
     assert box.upper[0] == np.inf
     assert box.lower[0] <= 2**2.5
 
@@ -91,7 +91,7 @@ def test_a_rate_that_turns_round_just_beyond_its_bounds_is_no_budget() -> None:
     model.ode({level: u * (1.05 - other), other: u})
     problem, leg = one_phase("tank", model, initial=0.0, final=1.0)
     leg.bounds(u=(0.0, 1.0), level=(0.0, 1.0), other=(0.0, 1.0))
-    rising, _ = monotone_states(problem, leg)
+    rising, _ = find_monotone_states(problem, leg)
     assert rising.tolist() == [False, True]
 
 
@@ -114,11 +114,11 @@ def test_budgets_are_distinguished_from_what_comes_and_goes() -> None:
     )
     problem, leg = one_phase("vehicle", model, initial=0.0, final=1.0)
     leg.bounds(u=(0.0, 1.0), w=(-1.0, 1.0), **dict.fromkeys(names[:-1], (0.0, 1.0)))
-    rising, falling = monotone_states(problem, leg)
+    rising, falling = find_monotone_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["dose", "energy"]
     assert [names[i] for i in np.flatnonzero(falling)] == ["fuel"]
     leg.bounds(u=(-1.0, 0.0))
-    rising, falling = monotone_states(problem, leg)
+    rising, falling = find_monotone_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["fuel", "energy"]
     assert [names[i] for i in np.flatnonzero(falling)] == ["dose"]
 
@@ -134,7 +134,7 @@ def test_a_budget_is_found_again_for_other_numbers() -> None:
     filled = problem.with_parameters(loss=-2.0)
     pumped = problem.with_bounds(u=(-1.0, 1.0))
     for stated, ways in ((problem, (False, True)), (filled, (True, False)), (pumped, (False, False))) * 2:
-        assert tuple(bool(way[0]) for way in monotone_states(stated, stated.get_phase())) == ways
+        assert tuple(bool(way[0]) for way in find_monotone_states(stated, stated.get_phase())) == ways
 
 
 def test_a_list_of_two_is_the_range_of_a_scalar_and_the_value_of_a_vector() -> None:

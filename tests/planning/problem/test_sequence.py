@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testing.internals import end_values, guess_times
+from testing.internals import guess_ends, guess_times
 from testing.models import dynamics
 
 import gnc_opt as go
@@ -168,7 +168,7 @@ def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases
     legs[1].final(r=[8.0, 5.0])
     legs[2].initial(r=[None, 7.0])
     legs[3].final(r=[2.0, None])
-    ends = [np.stack(end_values(leg)) for leg in legs]
+    ends = [np.stack(guess_ends(leg)) for leg in legs]
     np.testing.assert_allclose([[a[0], b[0]] for a, b in ends], [[0, 2], [2, 8], [8, 4], [4, 2]], rtol=1e-14)
     np.testing.assert_allclose([[a[1], b[1]] for a, b in ends], [[5, 5], [5, 5], [7, 7], [7, 7]], rtol=1e-14)
     problem = go.Problem("a jump on the way")
@@ -176,7 +176,7 @@ def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases
     problem.sequence(first, second, durations={"first": 1.0, "second": 1.0}, drops={"first": {"m": 10.0}})
     first.initial(v=0.0, m=100.0)
     second.final(v=5.0, m=50.0)
-    assert [leg_end[1] for leg in (first, second) for leg_end in end_values(leg)] == [100.0, 80.0, 70.0, 50.0]
+    assert [leg_end[1] for leg in (first, second) for leg_end in guess_ends(leg)] == [100.0, 80.0, 70.0, 50.0]
 
 
 def test_a_link_back_hands_nothing_over() -> None:
@@ -188,7 +188,7 @@ def test_a_link_back_hands_nothing_over() -> None:
     second.time(initial=1.0, final=2.0)
     problem.link(first, second)
     problem.link(second, first, time=False)
-    assert [end_values(leg)[0].tolist() for leg in (first, second)] == [[0.0], [0.0]]
+    assert [guess_ends(leg)[0].tolist() for leg in (first, second)] == [[0.0], [0.0]]
 
 
 def test_a_coast_without_controls_beside_arcs_of_bangs() -> None:

@@ -28,7 +28,11 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
-from gnc_opt.planning.problem.guess.perturbation import angular_states, is_plain, with_random_guess
+from gnc_opt.planning.problem.guess.perturbation import (
+    find_angular_states,
+    keeps_guess_shape,
+    with_random_guess,
+)
 from gnc_opt.planning.study.multistart import Refining, _Coarse, _task_answer
 from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
@@ -200,13 +204,13 @@ def spiral(final_angle: float | None = None) -> go.Problem:
 
 def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     problem = spiral()
-    np.testing.assert_allclose(angular_states(problem, problem.get_phase()), [0.0, 2 * np.pi])
+    np.testing.assert_allclose(find_angular_states(problem, problem.get_phase()), [0.0, 2 * np.pi])
     guesses = [with_random_guess(problem, 0, k).get_phase().numbers.guess for k in range(1, 60)]
     durations = np.array([guess.time[-1] for guess in guesses if guess.time is not None])
     assert np.min(durations) < 1.5 and np.max(durations) > 60.0  # the guess is 10
     assert 5.0 < np.exp(np.mean(np.log(durations))) < 20.0  # log-uniform about it
     ends = [np.ravel(with_random_guess(problem, 0, k).get_phase().numbers.guess.values["angle"])[-1]
-            for k in range(1, 200) if is_plain(k)]  # fmt: skip
+            for k in range(1, 200) if keeps_guess_shape(k)]  # fmt: skip
     turns = (np.array(ends) - 9.0) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
     assert set(np.round(turns)) == {-1.0, 0.0, 1.0, 2.0, 3.0, 4.0}  # all that the bounds allow

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Samples, restated
+from testing.internals import Samples, reformulate
 from testing.models import dynamics, one_phase
 from testing.second_order import second_order_of
 from testing.wrong_solutions import bang_bang, double_integrator, energy, moved, scaled, with_leg
@@ -457,7 +457,7 @@ def test_an_end_on_or_beside_the_kink_of_its_cost_is_a_minimum(
 def test_samples_in_other_controls_are_those_that_were_stated(cost: str) -> None:
     """What is solved for makes up what was stated, also where nothing pushes."""
     problem, _ = _problem(cost)
-    twin = restated(problem)
+    twin = reformulate(problem)
     u = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 9))
     u[:, 4:6] = 0.0
     t = np.linspace(0.0, 1.0, 9)

@@ -58,7 +58,7 @@ def guess_from_data(
     """
     expect(problem, Problem, "what guess_from_data() got", "write guess_from_data(problem, data)")
     leg = problem.get_phase(phase)
-    labels = [label for variable in leg.guessable.values() for label in variable.labels]
+    labels = [label for variable in leg.guessable_names.values() for label in variable.labels]
     columns: Any = read_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data
     if not hasattr(columns, "keys"):
         raise ArgumentError(
@@ -71,11 +71,11 @@ def guess_from_data(
             f"the data of guess_from_data() has no column '{time}': {did_you_mean(time, known)}"
         )
 
-    def column(name: str) -> Array:
+    def read_column(name: str) -> Array:
         return read_numbers(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
 
-    times, values = column(time), {}
-    for variable in leg.guessable.values():
+    times, values = read_column(time), {}
+    for variable in leg.guessable_names.values():
         given = [label for label in variable.labels if label in known]
         if not given:
             continue
@@ -85,7 +85,7 @@ def guess_from_data(
                 f"the data of guess_from_data() has a column '{given[0]}' and none '{missing[0]}': give all "
                 f"components of '{variable.name}', or none."
             )
-        rows = [column(label) for label in given]
+        rows = [read_column(label) for label in given]
         if any(row.shape != times.shape for row in rows):
             raise ProblemError(
                 f"column '{given[0]}' of the guess and its times differ in length, {rows[0].size} and "

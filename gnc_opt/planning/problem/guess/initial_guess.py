@@ -38,7 +38,7 @@ def phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
     times = guess_times(leg)
     at = times[0] + fractions * (times[1] - times[0])
     model, numbers = leg.model, leg.numbers
-    first, last = end_values(leg)
+    first, last = guess_ends(leg)
     states = first[:, None] + (last - first)[:, None] * fractions
     controls = np.repeat(numbers.controls.middle[:, None], fractions.size, axis=1)
     for vector in leg.vectors:
@@ -47,7 +47,7 @@ def phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
         controls += control_perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         what = f"the guess of '{name}' in {leg.where}"
-        values = sample_guess(value, leg.guessable[name].size, at, fractions, numbers.guess.time, what)
+        values = sample_guess(value, leg.guessable_names[name].size, at, fractions, numbers.guess.time, what)
         if name in model.states:
             states[model.states.slice(name)] = values
         else:
@@ -95,7 +95,7 @@ def control_perturbation(bounds: Interval, fractions: Array) -> Array:
     return np.asarray(amplitude[:, None] * np.cos(phase))
 
 
-def note_known_ends(
+def record_known_ends(
     constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
     """Note in phases the values at which rows of a constraint hold that are affine in one end state alone.
@@ -165,7 +165,7 @@ def guess_times(leg: Phase) -> Array:
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
     initial, final = leg.times()
-    before, after = _linked_in_time(leg)
+    before, after = _find_time_links(leg)
     if before is not None and np.isnan(wanted[0]):
         wanted[0] = guess_times(before)[1]
     t0 = _choose_time(initial, wanted[0], default=0.0)
@@ -173,14 +173,14 @@ def guess_times(leg: Phase) -> Array:
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
     if np.isnan(wanted[1]) and after is not None and not _is_bounded(final):
-        usual = _equal_shares(after, t0) or usual
+        usual = _divide_time_equally(after, t0) or usual
     tf = _choose_time(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
 
 
-def _linked_in_time(leg: Phase) -> tuple[Phase | None, Phase | None]:
+def _find_time_links(leg: Phase) -> tuple[Phase | None, Phase | None]:
     """Return the phases in whose end this one begins, and that begin in its end, by links of times."""
     place = next(k for k, phase in enumerate(leg.siblings) if phase.name == leg.name)
     before = (phase for phase in leg.siblings[:place] if phase.name == leg.follows)
@@ -192,7 +192,7 @@ def _is_bounded(time: Interval) -> bool:
     return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
 
 
-def _equal_shares(leg: Phase | None, start: float) -> float:
+def _divide_time_equally(leg: Phase | None, start: float) -> float:
     """Return each phase's equal share, s, of the time from the previous start to the next specified end."""
     phases = 1
     while leg is not None:
@@ -201,7 +201,7 @@ def _equal_shares(leg: Phase | None, start: float) -> float:
         if own is not None or _is_bounded(final):
             end = float(own[-1]) if own is not None else float(final.middle[0])
             return max(end - start, 0.0) / phases
-        leg = _linked_in_time(leg)[1]
+        leg = _find_time_links(leg)[1]
     return 0.0
 
 
@@ -216,7 +216,7 @@ def _choose_time(interval: Interval, wanted: float, default: float) -> float:
     return float(np.clip(default, lower, upper))
 
 
-def end_values(leg: Phase) -> tuple[Array, Array]:
+def guess_ends(leg: Phase) -> tuple[Array, Array]:
     """Return guessed initial and final states, each (n,).
 
     A state that is open at an end is on a straight line between the known values before and after it in linked phases,
@@ -225,7 +225,7 @@ def end_values(leg: Phase) -> tuple[Array, Array]:
     first, last = np.zeros((2, leg.model.states.size))
     for name in leg.model.states.names:
         rows = leg.model.states.slice(name)
-        first[rows], last[rows] = _guessed_ends(_linked_phases(leg, name), leg)
+        first[rows], last[rows] = _guessed_ends(_find_linked_phases(leg, name), leg)
     return first, last
 
 
@@ -263,7 +263,7 @@ class _Link:
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
-def _linked_phases(leg: Phase, name: str) -> list[_Link]:
+def _find_linked_phases(leg: Phase, name: str) -> list[_Link]:
     """Return the phases that links join to one in a state, in their order."""
     chain = [leg]
     while handed := chain[0].handed_over(name):
@@ -277,7 +277,7 @@ def _guessed_ends(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
     """Return the guessed ends of a state in one phase of a chain."""
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
-        ahead, time = _next_known_value(chain[index:])
+        ahead, time = _find_next_known_value(chain[index:])
         begin = np.where(np.isnan(last), ahead, last + link.jump)
         begin = np.where(np.isnan(begin), link.box.middle, np.clip(begin, link.box.lower, link.box.upper))
         first = np.where(np.isnan(link.start), begin, link.start)
@@ -290,7 +290,7 @@ def _guessed_ends(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
     return first, last
 
 
-def _next_known_value(chain: list[_Link]) -> tuple[Array, Array]:
+def _find_next_known_value(chain: list[_Link]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps up to it, and in what time it comes."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):

@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation.restate import angle_probe
+from gnc_opt.planning.problem.reformulation.restate import build_angle_probe
 
 DURATION_MAX_RATIO = 10.0
 """A guessed duration is multiplied or divided by at most this: two decades, log-uniformly, within its bounds."""
@@ -35,7 +35,7 @@ WAVES = 4
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
-def is_plain(index: int) -> bool:
+def keeps_guess_shape(index: int) -> bool:
     """Whether a start keeps the shape of the problem's own guess: every fourth one."""
     return index % 4 == 2
 
@@ -47,7 +47,7 @@ def with_random_guess(
 
     Free times are drawn over decades, or near ``durations`` (s, by phase) of another solution; free parameters within
     their bounds. Angles with a free end make as many whole turns as the duration allows at the guessed rate, one more
-    or one less. Starts that are not `is_plain` have smooth perturbations of states that leave fixed ends in place, and
+    or one less. Starts without `keeps_guess_shape` have smooth perturbations of states between fixed ends, and
     controls that are bang-bang patterns or smooth waves.
     """
     if index == 0:
@@ -62,32 +62,32 @@ def with_random_guess(
         shift = times[1] - guessed[1]
         start = phase_guess(leg, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
-        states, controls = start.states + _draw_turns(problem, leg, rng, ratio, turned), start.controls
-        if known is not None or not is_plain(index):
+        states, controls = start.states + _draw_angle_turns(problem, leg, rng, ratio, turned), start.controls
+        if known is not None or not keeps_guess_shape(index):
             magnitudes = phase_magnitudes(leg)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
         values = _values_by_name(leg.model.states, states) | _values_by_name(leg.model.controls, controls)
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
-    return _with_random_parameters(twin, rng)
+    return _draw_parameters(twin, rng)
 
 
-def angular_states(problem: Problem, leg: Phase) -> Array:
+def find_angular_states(problem: Problem, leg: Phase) -> Array:
     """Return the period of each state (n_states,): a turn for angles, 0 for others."""
 
     def build() -> Array:
-        probe = angle_probe(problem, leg, of_states=True)
+        probe = build_angle_probe(problem, leg, of_states=True)
         return np.array([probe.find_period(i, PERIODS) for i in range(leg.model.states.size)])
 
     return problem.reuse(("angular states", leg.name), build)
 
 
-def _draw_turns(
+def _draw_angle_turns(
     problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
 ) -> Array:
     """Return turns of angles to add to the states (n_states, n_fractions); ``turned`` carries them between phases."""
-    numbers, periods = leg.numbers, angular_states(problem, leg)
+    numbers, periods = leg.numbers, find_angular_states(problem, leg)
     first, last = (intersect(end, numbers.states) for end in (numbers.initial, numbers.final))
     guess = phase_guess(leg, FRACTIONS[[0, -1]]).states
     added = np.zeros((periods.size, FRACTIONS.size))
@@ -141,7 +141,7 @@ def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Gene
     numbers = leg.numbers
     low, high = max(least, VIGOUR[0]), VIGOUR[1]
     amplitude = magnitudes * low * (high / low) ** rng.uniform()
-    states = line + amplitude[:, None] * _smooth_random_signals(magnitudes.size, rng)
+    states = line + amplitude[:, None] * _draw_smooth_signals(magnitudes.size, rng)
     offsets = amplitude * rng.normal(size=(2, magnitudes.size))
     for end, offset, ramp in (
         (numbers.initial, offsets[0], 1 - FRACTIONS),
@@ -159,21 +159,21 @@ def _draw_controls(
     middle = np.where(bounded[:, None], box.middle[:, None], guess)
     reach = np.where(bounded, 0.5 * (box.upper - box.lower), magnitudes)
     if full or rng.uniform() < 0.5:
-        pattern = np.stack([_random_bangs(rng) for _ in range(reach.size)]) if reach.size else guess
+        pattern = np.stack([_draw_bang_bang_pattern(rng) for _ in range(reach.size)]) if reach.size else guess
     else:
-        pattern = _smooth_random_signals(reach.size, rng)
+        pattern = _draw_smooth_signals(reach.size, rng)
     level = 1.0 if full else rng.uniform(0.3, 1.0)
     return _clip_to_bounds(middle + level * reach[:, None] * pattern, box)
 
 
-def _random_bangs(rng: np.random.Generator) -> Array:
+def _draw_bang_bang_pattern(rng: np.random.Generator) -> Array:
     """Return a pattern of -1 and +1 with a few random switches, at `FRACTIONS`."""
     switches = np.sort(rng.uniform(size=rng.integers(0, 5)))
     sign = rng.choice((-1.0, 1.0))
     return np.asarray(sign * (-1.0) ** np.searchsorted(switches, FRACTIONS))
 
 
-def _smooth_random_signals(size: int, rng: np.random.Generator) -> Array:
+def _draw_smooth_signals(size: int, rng: np.random.Generator) -> Array:
     """Return smooth random signals (size, n_fractions) of order one that vanish at both ends."""
     k = np.arange(1, WAVES + 1)
     return np.asarray((rng.normal(size=(size, WAVES)) / k) @ np.sin(np.pi * np.outer(k, FRACTIONS)))
@@ -183,7 +183,7 @@ def _clip_to_bounds(values: Array, box: Interval) -> Array:
     return np.clip(values, box.lower[:, None], box.upper[:, None])
 
 
-def _with_random_parameters(problem: Problem, rng: np.random.Generator) -> Problem:
+def _draw_parameters(problem: Problem, rng: np.random.Generator) -> Problem:
     """Draw free parameters: within finite bounds, else about their guess."""
     guesses: dict[str, Array] = {}
     for name, box in problem.parameter_bounds.items():

@@ -15,9 +15,9 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.evaluation import make_fast_call
 from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
 from gnc_opt.model.variables import as_expression, as_vector
-from gnc_opt.planning.problem.expressions import function_along
+from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import (
-    end_values,
+    guess_ends,
     guess_times,
     phase_guess,
     set_control_values,
@@ -113,13 +113,13 @@ def guess_from_simulation(
     law = _control_law(problem, leg, controls)
     q = problem.guessed_parameters()
     p, start = leg.model.parameter_values, _initial_state(leg, initial)
-    fast = make_fast_call(function_along(problem, leg, "rates", leg.model.derivative()), p, q)
+    fast = make_fast_call(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
 
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
 
-    stop = None if until is None else _stop_event(problem, leg, until)
-    sizes = magnitude(np.maximum(np.abs(start), np.abs(end_values(leg)[1])))
+    stop = None if until is None else _build_stop_event(problem, leg, until)
+    sizes = magnitude(np.maximum(np.abs(start), np.abs(guess_ends(leg)[1])))
     try:
         flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:
@@ -161,7 +161,7 @@ def _integrate_guess(
 
 
 def _initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
-    start = end_values(leg)[0].copy()
+    start = guess_ends(leg)[0].copy()
     for name, value in read_mapping(given, "initial of guess_from_simulation()", 'write {"q": 1.0}').items():
         rows = leg.model.states.slice(name)
         start[rows] = as_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
@@ -173,7 +173,7 @@ def _control_law(
 ) -> Callable[[float, Array], Array]:
     """Return the controls as a function of t and x, within their bounds."""
     model, box = leg.model, leg.numbers.controls
-    sizes = {name: v.size for name, v in leg.guessable.items() if name not in model.states}
+    sizes = {name: v.size for name, v in leg.guessable_names.items() if name not in model.states}
     timed: dict[str, Callable[[float], Any]] = {}
     expressions: dict[str, Any] = {}
     for name, value in controls.items():
@@ -202,7 +202,7 @@ def _control_law(
     return law
 
 
-def _stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
+def _build_stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
     what = "what guess_from_simulation() flies until"
     function = _compile_expression(problem, leg, as_expression(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.planning.problem.check_functions import not_finite_at_guess
+from gnc_opt.planning.problem.check_functions import find_nonfinite_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import phase_guess
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
@@ -25,16 +25,16 @@ P = TypeVar("P", bound=Statement)
 def with_curved_guess(problem: P) -> P:
     """Return the problem with curved guesses in phases where this makes every function finite; user guesses stay."""
     for name, leg in problem.phases.items():
-        if not_finite_at_guess(problem, leg) is None:
+        if find_nonfinite_at_guess(problem, leg) is None:
             continue
         twin = problem.clone()
-        twin.phases[name].guess(**_curved_states(leg))
-        if not_finite_at_guess(twin, twin.phases[name]) is None:
+        twin.phases[name].guess(**_curve_states(leg))
+        if find_nonfinite_at_guess(twin, twin.phases[name]) is None:
             problem = twin
     return problem
 
 
-def _curved_states(leg: Phase) -> dict[str, Any]:
+def _curve_states(leg: Phase) -> dict[str, Any]:
     """All states that the user does not guess, as functions of time."""
     start, layout, box = phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Each state by another share: r = (a, a) may be singular as well.
@@ -43,8 +43,8 @@ def _curved_states(leg: Phase) -> dict[str, Any]:
     states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])
     times = start.times[0] + FRACTIONS * (start.times[1] - start.times[0])
 
-    def along(rows: Array) -> Callable[[Array], Array]:
+    def interpolate_rows(rows: Array) -> Callable[[Array], Array]:
         return lambda t: np.array([np.interp(t, times, row) for row in rows])
 
     left = [name for name in layout.names if name not in leg.numbers.guess.values]
-    return {name: along(states[layout.slice(name)]) for name in left}
+    return {name: interpolate_rows(states[layout.slice(name)]) for name in left}

@@ -27,7 +27,7 @@ import numpy as np
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import phase_terms
+from gnc_opt.planning.problem.expressions import stack_terms
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.magnitudes import SAMPLES
@@ -59,7 +59,7 @@ class AlgebraicForm:
         return (
             bool(others)
             and bounded
-            and is_affine(phase_terms(leg), ca.vertcat(*(symbols[rows] for rows in others)))
+            and is_affine(stack_terms(leg), ca.vertcat(*(symbols[rows] for rows in others)))
         )
 
     def is_regular(self, leg: Phase) -> bool:
@@ -90,7 +90,7 @@ class AlgebraicForm:
         initial = [leg.initial_state(n) for n in leg.model.states.names if n != self.symbol.variable.name]
         value = ca.substitute(self.residual, own, ca.vertcat(leg.initial_time, *initial, start))
         text = f"{self.symbol.variable.name} is solved for as a state that follows from {self.constraint}"
-        leg.restatement = Restatement.of_limits(leg.model, (text,)).after(leg.restatement)
+        leg.restatement = Restatement.from_limits(leg.model, (text,)).compose_after(leg.restatement)
         problem.constraints[name] = Constraint(name, value, constraint.interval)
 
 
@@ -98,7 +98,7 @@ def with_algebraic_states(problem: P) -> P:
     """Return a problem whose algebraic variables are states; itself if it has none."""
     found = []
     for name, leg in problem.phases.items():
-        forms = problem.reuse(("algebraic", name), lambda leg=leg: list(_algebraic_forms(leg)))  # type: ignore[misc]
+        forms = problem.reuse(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]
         found += [(name, form) for form in forms if form.is_wanted(leg) and form.is_regular(leg)]
     if not found:
         return problem
@@ -111,7 +111,7 @@ def with_algebraic_states(problem: P) -> P:
     return twin
 
 
-def _algebraic_forms(leg: Phase) -> Iterator[AlgebraicForm]:
+def _find_algebraic_forms(leg: Phase) -> Iterator[AlgebraicForm]:
     model = leg.model
     t, x, _, _ = model.arguments()
     rate = model.derivative()

@@ -18,7 +18,7 @@ from gnc_opt.model.expressions import nodes_of, operations_in, replace_in
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import table_uses
+from gnc_opt.planning.problem.expressions import table_calls
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
@@ -37,28 +37,28 @@ class Extremum:
     pieces: Pieces
 
 
-def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
+def find_costed_kinks(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
     ignored, found = _table_pieces(problem, leg), {}
-    wanted = integral_senses(problem, leg)
+    wanted = find_integral_senses(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
-        nodes = outermost_kinks(integrand, ignored, domain) if wanted[name] else []
+        nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
         if nodes:
-            found[name] = list(convex_kinks(integrand, nodes, wanted[name], domain))
+            found[name] = list(find_convex_kinks(integrand, nodes, wanted[name], domain))
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
-def limited_sense(constraint: Constraint, row: int) -> int:
+def read_limit_sense(constraint: Constraint, row: int) -> int:
     """Return 1 for a row with a limit from above alone, -1 from below alone, else 0."""
     below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
     return int(above) - int(below)
 
 
-def convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
+def find_convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
     """Yield those kinks of a scalar that are convex where less of it (sense 1), or more of it (-1), is better."""
     for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
         own = sense * direction
-        found = kink_pieces(node, own, domain) if own else None
+        found = find_kink_pieces(node, own, domain) if own else None
         if found is not None and len(found) > 1 and not _is_rounded(expression, Extremum(node, own, found)):
             yield Extremum(node, own, found)
 
@@ -74,7 +74,7 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
             return False
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
-        slopes, here, *others = draw_values(ca.substitute(column, symbol, meeting_point(gap, symbol)))
+        slopes, here, *others = draw_values(ca.substitute(column, symbol, solve_affine_equation(gap, symbol)))
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
         if np.any(largest & ~np.isfinite(slopes)):
             return True
@@ -83,7 +83,7 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
     return True
 
 
-def integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
+def find_integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals of which less is never worse, -1 for more, 0 for both or neither, by name."""
     domain = Domain.at_ends(problem)
     ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
@@ -99,7 +99,7 @@ def integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
 
 
 def _table_pieces(problem: Statement, leg: Phase) -> frozenset[int]:
-    return frozenset[int]().union(*(use.hashes for use in table_uses(problem, problem.phases[leg.name])))
+    return frozenset[int]().union(*(use.hashes for use in table_calls(problem, problem.phases[leg.name])))
 
 
 KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
@@ -116,7 +116,7 @@ def is_smooth(expression: Any) -> bool:
     return not any(node.op() in KINKED for node in nodes_of(expression))
 
 
-def outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
+def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
     """Return the kinks of a scalar expression that are in no other one, without the nodes of these hashes."""
     found: dict[int, Any] = {}
     seen: set[int] = set()
@@ -134,13 +134,13 @@ def outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domain) ->
     return list(found.values())
 
 
-def kink_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def find_kink_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     """Return smooth expressions of which a node is the largest (sense 1) or the least (-1); None if it is of none."""
-    found = _smooth_pieces(node, sense, domain)
+    found = _find_smooth_pieces(node, sense, domain)
     return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated(found, sense)
 
 
-def _smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     if is_smooth(node):
         return [node]
     extremum = _read_extremum(node, domain)
@@ -150,27 +150,27 @@ def _smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
             return None
         if node.op() == ca.OP_FABS and domain.sign(operands[0]) > 0:
             operands = operands[:1]
-        return _union_pieces([_smooth_pieces(operand, sense, domain) for operand in operands])
+        return _merge_pieces([_find_smooth_pieces(operand, sense, domain) for operand in operands])
     operation = node.op()
     if operation == ca.OP_NEG:
-        return _scaled_pieces(_smooth_pieces(node.dep(0), -sense, domain), -1)
+        return _scale_pieces(_find_smooth_pieces(node.dep(0), -sense, domain), -1)
     if operation == ca.OP_TWICE:
-        return _scaled_pieces(_smooth_pieces(node.dep(0), sense, domain), 2)
+        return _scale_pieces(_find_smooth_pieces(node.dep(0), sense, domain), 2)
     if operation in (ca.OP_ADD, ca.OP_SUB):
         sign = 1 if operation == ca.OP_ADD else -1
         left, right = (
-            _smooth_pieces(node.dep(0), sense, domain),
-            _smooth_pieces(node.dep(1), sign * sense, domain),
+            _find_smooth_pieces(node.dep(0), sense, domain),
+            _find_smooth_pieces(node.dep(1), sign * sense, domain),
         )
         if left is None or right is None or len(left) * len(right) > KINK_MAX_PIECES:
             return None
         return [a + sign * b for a, b in product(left, right)]
     if operation in (ca.OP_MUL, ca.OP_DIV):
-        return _product_pieces(node, sense, domain)
+        return _find_product_pieces(node, sense, domain)
     return None
 
 
-def _product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def _find_product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     """Of a product or quotient of a kink and a smooth factor of known sign."""
     kink, factor = node.dep(0), node.dep(1)
     if node.op() == ca.OP_MUL and not is_smooth(factor):
@@ -178,12 +178,12 @@ def _product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     sign = domain.sign(factor) if is_smooth(factor) else 0
     if sign == 0:
         return None
-    return _scaled_pieces(
-        _smooth_pieces(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
+    return _scale_pieces(
+        _find_smooth_pieces(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
     )
 
 
-def _union_pieces(lists: list[Pieces | None]) -> Pieces | None:
+def _merge_pieces(lists: list[Pieces | None]) -> Pieces | None:
     found: dict[int, Any] = {}
     for one in lists:
         if one is None:
@@ -192,7 +192,7 @@ def _union_pieces(lists: list[Pieces | None]) -> Pieces | None:
     return list(found.values())
 
 
-def _scaled_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
+def _scale_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
@@ -205,10 +205,10 @@ def _read_extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
         return -1, [node.dep(0), node.dep(1)]
-    return _choice_pieces(node, domain) if operation == ca.OP_ADD else None
+    return _find_choice_pieces(node, domain) if operation == ca.OP_ADD else None
 
 
-def _choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
+def _find_choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     """``if_else(a < b, ...)`` that is continuous, and bends where a = b, is the larger or the smaller of its values."""
     first, second = node.dep(0), node.dep(1)
     if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
@@ -223,14 +223,14 @@ def _choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
         if not is_affine(ca.vertcat(gap, rise), symbol):
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
-        left = draw_values(ca.substitute(rise, symbol, meeting_point(gap, symbol)))
+        left = draw_values(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
         sense = domain.sign(across) * domain.sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
     return None
 
 
-def meeting_point(gap: Any, symbol: Any) -> Any:
+def solve_affine_equation(gap: Any, symbol: Any) -> Any:
     """Return where a scalar that is affine in a symbol vanishes."""
     return -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
 
@@ -266,19 +266,19 @@ class EndForm:
     @classmethod
     def of(cls, problem: Statement, domain: Domain) -> EndForm:
         """Restate a problem."""
-        limits = {name: split_limits(c, domain) for name, c in problem.constraints.items()}
+        limits = {name: split_kinked_constraint(c, domain) for name, c in problem.constraints.items()}
         changed = {name: c for name, c in limits.items() if c is not None}
         constraints, instead = {**problem.constraints, **changed}, {}
         parameters: dict[str, tuple[Symbol, float]] = {}
         taken = {*problem.parameters.names, *constraints}
         taken |= {name for leg in problem.phases.values() for name in leg.model.parameters.names}
-        nodes = outermost_kinks(problem.cost, frozenset(), domain)
-        for kink in convex_kinks(problem.cost, nodes, int(problem.sense), domain):
+        nodes = find_outermost_kinks(problem.cost, frozenset(), domain)
+        for kink in find_convex_kinks(problem.cost, nodes, int(problem.sense), domain):
             name = f"epigraph_of_cost_{len(parameters) + 1}"
             while name in taken:
                 name += "_"
             symbol = Symbol(Variable(name, 1, ""))
-            constraints[name], least = epigraph_rows(symbol, kink)
+            constraints[name], least = build_epigraph_rows(symbol, kink)
             parameters[name] = (symbol, least)
             instead[kink.node.element_hash()] = kink.sense * symbol
         texts = (
@@ -303,7 +303,7 @@ class EndForm:
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
         if self.texts:
             leg = next(iter(problem.phases.values()))
-            leg.restatement = Restatement.of_limits(leg.model, self.texts).after(leg.restatement)
+            leg.restatement = Restatement.from_limits(leg.model, self.texts).compose_after(leg.restatement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,11 +317,11 @@ class Kinked:
     def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Kinked:
         """Find them."""
         _, x, u, _ = leg.model.arguments()
-        found = kinks_that_cost(problem, leg, domain)
+        found = find_costed_kinks(problem, leg, domain)
         costs = {
             name: [k for k in own if ca.depends_on(k.node, ca.vertcat(x, u))] for name, own in found.items()
         }
-        limits = {name: split_limits(c, domain) for name, c in leg.paths.items()}
+        limits = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
         return cls(
             {name: own for name, own in costs.items() if own},
             {name: c for name, c in limits.items() if c is not None},
@@ -334,13 +334,13 @@ class Kinked:
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
 
 
-def split_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
+def split_kinked_constraint(constraint: Constraint, domain: Domain) -> Constraint | None:
     """Return a constraint with smooth rows for each row that is the largest or least of them; None if there is none."""
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False
     for i, row in enumerate(split_rows(constraint.expression)):
-        sense = limited_sense(constraint, i)
-        own = kink_pieces(row, sense, domain) if sense and not is_smooth(row) else None
+        sense = read_limit_sense(constraint, i)
+        own = find_kink_pieces(row, sense, domain) if sense and not is_smooth(row) else None
         changed |= own is not None
         kept = [
             e for e in own or [row] if own is None or not _is_constant_within(e, box.lower[i], box.upper[i])
@@ -352,7 +352,7 @@ def split_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
     return Constraint(constraint.name, ca.vertcat(*expressions), Interval(np.array(lower), np.array(upper)))
 
 
-def epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
+def build_epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
     """Return the constraint that keeps a symbol above the pieces of a kink, and the largest constant among them."""
     above = [kink.sense * e for e in kink.pieces]
     rows = [symbol - e for e in above if not e.is_constant()]
@@ -388,7 +388,7 @@ class EpigraphForm(PhaseForm):
                 s = symbols[place] = _epigraph_symbol(old, len(symbols))
                 label = s.variable.name
                 kinks[label] = kink
-                paths[label], least[label] = epigraph_rows(s, kink)
+                paths[label], least[label] = build_epigraph_rows(s, kink)
                 texts.append(f"a kink of integral '{name}' is solved for as {label}, kept beyond its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]

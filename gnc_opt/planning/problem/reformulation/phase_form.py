@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import function_along
+from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.phase import Phase
@@ -32,7 +32,7 @@ def unused_name(model: Model, wanted: str) -> str:
     return wanted
 
 
-def copy_values(model: Model, old: Model) -> Model:
+def copy_parameter_values(model: Model, old: Model) -> Model:
     """Return a model with the values of another one's parameters."""
     layout = old.parameters
     return model.with_parameters(
@@ -51,15 +51,15 @@ class PhaseForm:
 
     def give_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
         """Give a phase this form, and numbers in its controls."""
-        leg.model = copy_values(self.model, leg.model)
+        leg.model = copy_parameter_values(self.model, leg.model)
         leg.numbers = numbers
         leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
-        leg.restatement = self.restatement.after(leg.restatement)
+        leg.restatement = self.restatement.compose_after(leg.restatement)
 
 
 def guess_column(problem: Statement, stated: Phase, column: Any) -> GuessValue:
     """Return the values of a column along the guess of a phase, as a function of time."""
-    function = function_along(problem, stated, "guessed", column)
+    function = build_phase_function(problem, stated, "guessed", column)
     q = problem.guessed_parameters()
 
     def at(t: Any) -> Array:

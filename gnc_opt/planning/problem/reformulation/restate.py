@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.expressions import ROOTS, operations_in
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
-from gnc_opt.planning.problem.expressions import function_along, phase_terms
+from gnc_opt.planning.problem.expressions import build_phase_function, stack_terms
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
@@ -56,7 +56,7 @@ def _without_redundant_numbers(problem: Statement, leg: Phase) -> PhaseNumbers:
     """Return the numbers of a phase without the bounds of whole turns, and those that a length implies."""
     if leg.numbers.arcs is not None:
         return leg.numbers
-    old, box = leg.numbers.controls, _bounds_beyond_length(problem, leg)
+    old, box = leg.numbers.controls, _find_bounds_beyond_length(problem, leg)
     turns = _find_full_turns(problem, leg, box)
     free = turns.free
     lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
@@ -65,7 +65,7 @@ def _without_redundant_numbers(problem: Statement, leg: Phase) -> PhaseNumbers:
     return replace(leg.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
 
 
-def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
+def _find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
     """Return the bounds of controls without those that a vector of given length implies.
 
     Where a component is the length, the gradients of both limits are one, and their multipliers are not unique.
@@ -75,7 +75,7 @@ def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
         square = constraint.interval.upper
         if square.size > 1 or not 0.0 < square[0] == constraint.interval.lower[0]:
             continue
-        squared = partial(_squared_controls, leg, constraint.expression)
+        squared = partial(_find_squared_controls, leg, constraint.expression)
         places = problem.reuse(("vector of length", leg.name, name), squared)
         length = np.sqrt(square[0]) * (1.0 - ROUNDING)
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
@@ -83,7 +83,7 @@ def _bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
     return Interval(lower, upper)
 
 
-def _squared_controls(leg: Phase, expression: Any) -> list[int]:
+def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
     """Return the controls whose sum of squares an expression is; empty if it is no such sum."""
     t, x, u, p = leg.model.arguments()
     if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
@@ -104,9 +104,9 @@ def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
-    if not _TURNING & problem.reuse(("operations", leg.name), lambda: operations_in(phase_terms(leg))):
+    if not _TURNING & problem.reuse(("operations", leg.name), lambda: operations_in(stack_terms(leg))):
         return turns
-    probe = angle_probe(problem, leg)
+    probe = build_angle_probe(problem, leg)
     if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
@@ -117,13 +117,13 @@ def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
     return turns
 
 
-def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
+def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
     """Return a probe of all that varies along a phase, at random times, states, controls and free parameters."""
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
     function = problem.reuse(
-        ("along", leg.name), lambda: function_along(problem, leg, "along", phase_terms(leg))
+        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_terms(leg))
     )
     values = leg.model.parameter_values
     if of_states:
@@ -134,15 +134,15 @@ def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> A
 P = TypeVar("P", bound=Statement)
 
 
-def restated(problem: P) -> P:
+def reformulate(problem: P) -> P:
     """Return the problem in the form in which it is solved, with the same states, costates and cost; maybe itself.
 
     Variations of a problem with other numbers are reformulated as variations of one another.
     """
-    return _without_redundant_bounds(_restate_norms_and_kinks(with_algebraic_states(problem)))
+    return _without_redundant_bounds(_reformulate_norms_and_kinks(with_algebraic_states(problem)))
 
 
-def _restate_norms_and_kinks(problem: P) -> P:
+def _reformulate_norms_and_kinks(problem: P) -> P:
     kinked_ends = has_end_kinks(problem)
     if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem
@@ -153,15 +153,15 @@ def _restate_norms_and_kinks(problem: P) -> P:
         key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes(), *rootless)
         while (form := _find_next_form(problem, leg, key)) is not None:
             key = (*key, *form.names, *form.apply(problem, leg))
-        keys.append((*key, *_restate_kinks(problem, leg, key)))
-    ends = _restate_ends(problem, twin) if kinked_ends else ()
+        keys.append((*key, *_reformulate_kinks(problem, leg, key)))
+    ends = _reformulate_ends(problem, twin) if kinked_ends else ()
     if all(len(key) == 2 for key in keys) and not ends:
         return problem
     twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
     return twin
 
 
-def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
+def _reformulate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
     domain = Domain.at_ends(problem)
     form = problem.reuse(("ends", domain.key), lambda: EndForm.of(problem, domain))
@@ -173,7 +173,7 @@ def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.reuse(("operations", leg.name), lambda: operations_in(phase_terms(leg)))
+    operations = problem.reuse(("operations", leg.name), lambda: operations_in(stack_terms(leg)))
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
@@ -187,7 +187,7 @@ def _find_next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Nor
     return problem.reuse(("form", *key), build)
 
 
-def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
+def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
     """Reformulate the kinks in a phase's costs and limits; return the key that identifies the form."""
     form_key = key
     if not _has_kinks(problem, leg, form_key):
@@ -213,4 +213,4 @@ def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tupl
 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
-    return bool({*KINKED} & problem.reuse(("operations", *key), lambda: operations_in(phase_terms(leg))))
+    return bool({*KINKED} & problem.reuse(("operations", *key), lambda: operations_in(stack_terms(leg))))

@@ -24,12 +24,12 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import Restatement
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
-    kinks_that_cost,
-    meeting_point,
-    split_limits,
+    find_costed_kinks,
+    solve_affine_equation,
+    split_kinked_constraint,
 )
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, unused_name
-from gnc_opt.planning.problem.reformulation.vector_norms import stated_controls
+from gnc_opt.planning.problem.reformulation.vector_norms import index_stated_controls
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
@@ -54,7 +54,7 @@ class Bend:
         for place, u in controls.items():
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
-                corners, sign = draw_values(meeting_point(gap, u))[0], kink.sense * domain.sign(slope)
+                corners, sign = draw_values(solve_affine_equation(gap, u))[0], kink.sense * domain.sign(slope)
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
                     base, factor = (first, slope) if sign > 0 else (second, -slope)
@@ -69,8 +69,8 @@ BoundsByHand: TypeAlias = dict[str, Interval]
 def find_stated_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
     """Return the bounds of controls that path constraints with kinks amount to, and nothing else."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
-    controls = {place: symbols[place] for place in stated_controls(leg).values()}
-    smooth = {name: split_limits(c, domain) for name, c in leg.paths.items()}
+    controls = {place: symbols[place] for place in index_stated_controls(leg).values()}
+    smooth = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
     found = {
         name: _read_bounds(c, controls, free(len(symbols))) for name, c in smooth.items() if c is not None
     }
@@ -85,7 +85,7 @@ def apply_stated_bounds(leg: Phase, found: BoundsByHand) -> None:
     leg.numbers = replace(leg.numbers, controls=box)
     leg.paths = {name: c for name, c in leg.paths.items() if name not in found}
     texts = tuple(f"'{name}' is solved for as bounds of controls" for name in found)
-    leg.restatement = Restatement.of_limits(leg.model, texts).after(leg.restatement)
+    leg.restatement = Restatement.from_limits(leg.model, texts).compose_after(leg.restatement)
 
 
 def _read_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
@@ -113,10 +113,10 @@ class Bends:
     def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
         """Find those of controls all of whose components bend a cost, at one corner each."""
         layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
-        controls = {i: symbols[i] for i in stated_controls(leg).values()}
+        controls = {i: symbols[i] for i in index_stated_controls(leg).values()}
         bends = {
             name: [bend for kink in kinks if (bend := Bend.of(kink, controls, domain)) is not None]
-            for name, kinks in kinks_that_cost(problem, leg, domain).items()
+            for name, kinks in find_costed_kinks(problem, leg, domain).items()
         }
         corners: dict[int, float] = {}
         for v in layout.variables:
@@ -154,7 +154,7 @@ class SplitForm(PhaseForm):
             plus, minus = (
                 Symbol(replace(v, name=unused_name(old, f"{v.name}_{what}"))) for what in ("plus", "minus")
             )
-            split = SplitControl(v, (plus.variable.name, minus.variable.name), _corners_at(bends, places))
+            split = SplitControl(v, (plus.variable.name, minus.variable.name), _find_corners(bends, places))
             splits.append(split)
             controls += [plus, minus]
             values += split.decompose_symbol(symbol)
@@ -165,7 +165,7 @@ class SplitForm(PhaseForm):
                     plus[i] - minus[i] + corner if corner else plus[i] - minus[i]
                 )
 
-        def straight(name: str, expression: Any) -> Any:
+        def remove_kinks(name: str, expression: Any) -> Any:
             known = {
                 b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in bends.at.get(name, ())
             }
@@ -183,7 +183,7 @@ class SplitForm(PhaseForm):
                 name: c if name in lengths else replace(c, expression=replace_in(c.expression, instead))
                 for name, c in leg.paths.items()
             },
-            {name: (symbol, straight(name, e)) for name, (symbol, e) in leg.integrands.items()},
+            {name: (symbol, remove_kinks(name, e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(
                 old, stated, replace_in(stated, instead), ca.vertcat(*values), tuple(map(_split_text, splits))
             ),
@@ -207,7 +207,7 @@ class SplitForm(PhaseForm):
         self.give_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
-def _corners_at(bends: Bends, places: range) -> tuple[float, ...]:
+def _find_corners(bends: Bends, places: range) -> tuple[float, ...]:
     corners = tuple(bends.corners[i] for i in places)
     return corners if any(corners) else ()
 

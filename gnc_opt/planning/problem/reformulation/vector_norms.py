@@ -19,8 +19,8 @@ from gnc_opt.model.expressions import ROOTS, NormNodes, nodes_of, rebuild
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import phase_terms
-from gnc_opt.planning.problem.interval import Interval, by_name, stack_all, stack_ranges
+from gnc_opt.planning.problem.expressions import stack_terms
+from gnc_opt.planning.problem.interval import Interval, by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
@@ -43,7 +43,7 @@ def find_norm_vector(leg: Phase) -> Names | None:
     )
 
 
-def stated_controls(leg: Phase) -> dict[int, int]:
+def index_stated_controls(leg: Phase) -> dict[int, int]:
     """Return the places of the control components that are no parts of composed ones, by the hash of their symbols."""
     model = leg.model
     parts = {part for composed in model.composed_controls.values() for part in composed.parts}
@@ -54,8 +54,8 @@ def stated_controls(leg: Phase) -> dict[int, int]:
 
 def _root_vectors(leg: Phase) -> Iterator[Names]:
     """Yield vectors, whole controls, of which a root is the norm: there it has no derivative at zero."""
-    stated, controls = stated_controls(leg), leg.model.controls
-    for node in nodes_of(phase_terms(leg)):
+    stated, controls = index_stated_controls(leg), leg.model.controls
+    for node in nodes_of(stack_terms(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
             names = tuple(v.name for v in controls.variables if places & _control_places(controls, v.name))
@@ -69,8 +69,8 @@ def _root_vectors(leg: Phase) -> Iterator[Names]:
 def _limiting_controls(leg: Phase) -> Iterator[tuple[Names, str, str]]:
     """Yield vectors with the control >= 0 and the path constraint that limit their norms: ``T.T @ T <= d**2``."""
     layout, box = leg.model.controls, by_name(leg.numbers.controls, leg.model.controls)
-    stated = set(stated_controls(leg))
-    for label, row, limits in _path_rows(leg):
+    stated = set(index_stated_controls(leg))
+    for label, row, limits in _split_path_rows(leg):
         own = {s.element_hash() for s in ca.symvar(row)}
         symbols = {name: leg.model.symbol(name) for name in layout.names}
         names = tuple(n for n, s in symbols.items() if own & {e.element_hash() for e in ca.vertsplit(s)})
@@ -94,7 +94,7 @@ def _is_largest_size(expression: Any, size: Any, control: Any, limits: Interval)
     return bool(at_limit and (beyond > limits.upper[0] or beyond < limits.lower[0]))
 
 
-def _path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
+def _split_path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
     lengths = {v.length for v in leg.vectors}
     for name, c in leg.paths.items():
@@ -109,7 +109,7 @@ def _control_places(layout: Layout, name: str) -> set[int]:
 _SIZES = (0.7, 1.3, 2.1)
 
 
-def norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
+def read_norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
     """Return the range of a norm that limits of a linear or quadratic expression of it alone amount to, else None."""
     if any(s.element_hash() != size.element_hash() for s in ca.symvar(expression)):
         return None
@@ -143,7 +143,7 @@ def _remove_root(row: Any, limits: Interval) -> Any | None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
     of_size = rebuild(row, lambda node: size if node.element_hash() == place else None)
-    found = norm_limits(of_size, size, limits)
+    found = read_norm_limits(of_size, size, limits)
     if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _root_vanishes(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
@@ -183,7 +183,7 @@ class NormForm(PhaseForm):
         """Restate a phase in the norm of some of its controls."""
         old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
-        norms = NormNodes.of(ca.vertcat(phase_terms(leg), *outputs), vector)
+        norms = NormNodes.of(ca.vertcat(stack_terms(leg), *outputs), vector)
         found = _NormLimits.of(leg, names, norms)
         name, magnitude, direction = _new_symbols(old, names)
         if found.control is not None:
@@ -197,7 +197,7 @@ class NormForm(PhaseForm):
 
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
-        paths, on_sphere = _restate_paths(found.kept, express, magnitude)
+        paths, on_sphere = _reformulate_paths(found.kept, express, magnitude)
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if found.control is None else magnitude
         for v in old.controls.variables:
@@ -246,7 +246,7 @@ class NormForm(PhaseForm):
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
         boxes, layout = by_name(stated.numbers.controls, stated.model.controls), stated.model.controls
         box, labels = (
-            stack_all(boxes[n] for n in self.names),
+            stack_intervals(boxes[n] for n in self.names),
             [k for n in self.names for k in layout[n].labels],
         )
         magnitude, rows = self.model.symbol(self.control.magnitude), {}
@@ -311,8 +311,8 @@ class _NormLimits:
     def of(cls, leg: Phase, names: Names, norms: NormNodes) -> _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
-        for label, row, limits in _path_rows(leg):
-            own = norm_limits(norms.replace_norms(row, size, {}), size, limits)
+        for label, row, limits in _split_path_rows(leg):
+            own = read_norm_limits(norms.replace_norms(row, size, {}), size, limits)
             if own is None:
                 kept.append(Constraint(label, row, limits))
             else:
@@ -336,7 +336,7 @@ def _removed_limits_text(labels: list[str]) -> str:
     return f", whose magnitude {' and '.join(map(repr, labels))} limit{'s' * (len(labels) == 1)}"
 
 
-def _restate_paths(
+def _reformulate_paths(
     rows: list[Constraint], express: Callable[[Any], Any], magnitude: Symbol
 ) -> tuple[dict[str, Constraint], bool]:
     """Return constraints of magnitude and direction, and whether one of them requires the norm to be the magnitude."""
@@ -346,7 +346,7 @@ def _restate_paths(
         expression = _drop_cone_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
             on_sphere |= not _allows_shorter(expression, magnitude, row.interval)
-            expression = _without_square(expression, row.interval, magnitude)
+            expression = _remove_square(expression, row.interval, magnitude)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
 
@@ -359,7 +359,7 @@ def _drop_cone_magnitude(expression: Any, limits: Interval, magnitude: Any) -> A
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
-def _without_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
+def _remove_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
     r"""Return a limit proportional to the square of the magnitude as one proportional to the magnitude.
 
     :math:`r^2 \le c^2` is :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit, hence the same multiplier;

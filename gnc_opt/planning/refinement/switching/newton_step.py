@@ -17,7 +17,7 @@ from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import end_derivatives
-from gnc_opt.planning.problem.functions import end_values
+from gnc_opt.planning.problem.functions import build_end_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
@@ -229,5 +229,5 @@ def _evaluate_end_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) 
     nothing = np.zeros(problem.constraint_interval().lower.size)
     times = (flow.initial[[clock]], flow.final[[clock]])
     arguments = (start, final, *times, flow.final[n:clock], s.functions.p, s.functions.q, nothing)
-    *constraints, cost = evaluate_columns(end_values(problem), 1, *arguments)[:, 0]
+    *constraints, cost = evaluate_columns(build_end_value_function(problem), 1, *arguments)[:, 0]
     return float(cost), np.array(constraints)
