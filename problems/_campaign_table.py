@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from gnc_opt.simulation import Campaign
@@ -30,14 +29,6 @@ def parser(prog: str, description: str) -> argparse.ArgumentParser:
 def kept_in(folder: Path | None, law: str) -> Path | None:
     """Return where the finished runs of a law are kept, if anywhere."""
     return None if folder is None else folder / law.replace(", ", "-").replace("/", "-").replace(" ", "_")
-
-
-def wide_console(width: int) -> Console:
-    """Return a console of so many columns at least where the output is no terminal."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = max(console.width, width)
-    return console
 
 
 def table(

@@ -103,7 +103,7 @@ def run(
         0; 1 if there is no solution, the reference is missed, or the verdict fails for no known reason.
     """
     options = _parser(build).parse_args(arguments)
-    console = _console()
+    console = wide_console()
     try:
         solution = go.solve(build(), tol=tol)
     except go.SolveError as error:
@@ -122,6 +122,15 @@ def run(
         _say(console, f"report: {paths[0]}")
     unexplained = [condition for condition in verdict.failed if condition.name not in known]
     return 0 if reference.agrees(solution.objective) and not unexplained else 1
+
+
+def example_main(build: Callable[[], go.Problem], reference: Reference, **options: Any) -> Callable[..., int]:
+    """Return the ``main`` of a problem file: `run` of its problem; ``options`` are those of `run`."""
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        return run(build, reference, arguments, **options)
+
+    return main
 
 
 def comparison(objective: float, reference: Reference) -> str:
@@ -162,10 +171,11 @@ def _say(console: Console, text: str) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
-def _console() -> Console:
+def wide_console(width: int = _WIDTH) -> Console:
+    """Return a console of at least so many columns if the output is no terminal."""
     console = Console(highlight=False)
     if not console.is_terminal:
-        console.width = max(console.width, _WIDTH)
+        console.width = max(console.width, width)
     return console
 
 

@@ -20,13 +20,11 @@ gives 8.6 m/s for a bird of 8.5 kg with 3.4 m span.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASS, AREA, GRAVITY, DENSITY = 8.5, 0.65, 9.81, 1.225
 """kg, m^2, m/s^2, kg/m^3."""
@@ -86,10 +84,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(8.565601, "independent Radau collocation, three meshes agree", 1.7e-5, "m/s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.albatross --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -17,14 +17,13 @@ Source: the example ``balanced_field`` of the Dymos documentation, with the rate
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 POUND, POUND_FORCE, FOOT = 0.45359237, 4.4482216152605, 0.3048
 """kg, N, m."""
@@ -123,10 +122,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(2196.6958, "independent Radau collocation, two meshes agree", 4.4e-3, "m")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.balanced_field --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -22,14 +22,12 @@ Estimation Using Nonlinear Programming, SIAM 2010, section 6.2, whose own smooth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.model.interpolation import Method
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MACH = np.array([0.0, 0.4, 0.8, 0.9, 1.0, 1.2, 1.4, 1.6, 1.8])
 LIFT_SLOPE = np.array([3.44, 3.44, 3.44, 3.58, 4.44, 3.44, 3.01, 2.86, 2.44])
@@ -138,10 +136,7 @@ def build(method: Method = "bspline") -> go.Problem:
 REFERENCE = Reference(319.877591, "Gauss and Radau points on 120 segments agree to 1e-6 s", 1e-5, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, verify; see ``python -m problems.aircraft.climb --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -13,13 +13,11 @@ Source: L. E. Dubins, On curves of minimal length with a constraint on average c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 SPEED, RADIUS = 0.2, 1.5
 """km/s, km."""
@@ -59,10 +57,7 @@ def right_straight_left() -> float:
 REFERENCE = Reference(right_straight_left(), "closed form: right turn, straight line, left turn", 3e-5, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.dubins_path --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -17,13 +17,12 @@ Source: Bulirsch, Nerz, Pesch and von Stryk, 1993; Betts, Practical Methods for 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASS, AREA, DENSITY, GRAVITY = 100.0, 14.0, 1.13, 9.80665
 """kg, m^2, kg/m^3, m/s^2."""
@@ -78,10 +77,7 @@ def updraft(x: Any) -> Any:
 REFERENCE = Reference(1248.031024, "independent collocation, two meshes agree", 1e-5, "m")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.aircraft.hang_glider --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

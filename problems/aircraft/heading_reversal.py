@@ -19,13 +19,11 @@ plane, J. Guidance 17 (1994) 389-398, and related turns, with own numbers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASS, AREA, GRAVITY = 12000.0, 28.0, 9.81
 """kg, m^2, m/s^2."""
@@ -77,10 +75,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(18.6593858, "independent Radau collocation, two meshes agree", 1.8e-5, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.heading_reversal --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

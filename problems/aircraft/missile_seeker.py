@@ -17,13 +17,11 @@ considering the seeker's field-of-view limits, Proc. IMechE G 227 (2013) 1347-13
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 SPEED, TARGET_SPEED, GRAVITY = 0.3, 0.02, 9.81e-3
 """km/s, km/s, km/s^2."""
@@ -69,10 +67,7 @@ def build(field_of_view: float = FIELD_OF_VIEW) -> go.Problem:
 REFERENCE = Reference(136.02461, "independent Radau collocation, converges to it", 0.00014, "g^2 s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.missile_seeker --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

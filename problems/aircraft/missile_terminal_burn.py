@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASS, GRAVITY, AREA = 1005.0, 9.81, 0.3376
 """kg, m/s^2, m^2."""
@@ -96,10 +96,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(40.911939, "independent Radau collocation, two meshes agree", 8e-5, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.missile_terminal_burn --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

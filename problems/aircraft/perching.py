@@ -18,13 +18,12 @@ Conference 2009; the model is simplified: forces of the velocity of the centre o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASS, INERTIA, GRAVITY, DENSITY = 0.08, 0.0015, 9.81, 1.225
 """kg, kg m^2, m/s^2, kg/m^3."""
@@ -80,10 +79,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(3.1302187, "independent Radau collocation, converges to it", 4e-6, "m^2/s^2")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.perching --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -14,13 +14,11 @@ Source: own statement; the manoeuvre of D. F. Rogers, The possible "impossible" 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASS, AREA, GRAVITY, DENSITY = 1100.0, 16.2, 9.81, 1.225
 """kg, m^2, m/s^2, kg/m^3."""
@@ -74,10 +72,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(165.28537, "independent Radau collocation, converges to it", 0.00017, "m")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.turn_back --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

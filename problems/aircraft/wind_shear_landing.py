@@ -24,14 +24,13 @@ J. T. Betts, Practical Methods for Optimal Control, 2010, example 6.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY = 32.172
 """ft/s^2."""
@@ -130,10 +129,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(502.21577, "independent Radau collocation, finest mesh 300 x 4", 2.5e-3, "ft")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.aircraft.wind_shear_landing --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -16,13 +16,11 @@ methods for RLVs, AIAA 2001-4619).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, EARTH_RADIUS, G0 = 3.986004418e14, 6378.137e3, 9.80665
 """m^3/s^2, m, m/s^2."""
@@ -87,10 +85,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(599.1893974, "independent Radau collocation, two meshes agree", 0.0006, "kg")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.ascent.air_launch --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -20,7 +20,6 @@ Source: Benson, PhD thesis, MIT, 2004; Betts, Practical Methods for Optimal Cont
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +29,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.spacecraft.vectors import cross
-from problems._example import Array, Reference, run
+from problems._example import Array, Reference, example_main
 
 MU = 3.986012e14
 """m^3/s^2."""
@@ -191,10 +190,7 @@ VIEW = View("r", force="direction", keep_out={"Earth": ((0.0, 0.0, 0.0), RADIUS)
 """What a report shows moving."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.ascent.delta3 --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -18,14 +18,13 @@ feet and slugs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Reference, run
+from problems._example import Array, Reference, example_main
 
 FOOT = 0.3048
 """m."""
@@ -88,10 +87,7 @@ REFERENCE = Reference(
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.ascent.goddard --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -16,12 +16,10 @@ Source: H. Seywald and E. M. Cliff, Goddard problem in presence of a dynamic pre
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MAX_THRUST, FLOW = 3.5, 2.0
 """Largest thrust T and mass flow b per thrust."""
@@ -55,10 +53,7 @@ def build(max_speed: float = MAX_SPEED) -> go.Problem:
 REFERENCE = Reference(1.0125763, "independent Radau collocation converges to it; 1.012576 published", 1e-6)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.ascent.goddard_speed_limit --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

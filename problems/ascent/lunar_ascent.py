@@ -16,13 +16,11 @@ planning for lunar module descent and ascent, NASA TN D-6846, 1972).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS, G0 = 4.9048695e12, 1737.4e3, 9.80665
 """m^3/s^2, m, m/s^2."""
@@ -70,10 +68,7 @@ def build(thrust: float = THRUST) -> go.Problem:
 REFERENCE = Reference(419.63436085, "independent Radau collocation, two meshes agree", 1e-5, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.ascent.lunar_ascent --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

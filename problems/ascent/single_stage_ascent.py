@@ -15,13 +15,11 @@ Control with Aerospace Applications, Springer 2014, section 4.6.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 THRUST, ISP, GRAVITY = 2.1e6, 265.2, 9.80665
 """N, s, m/s^2."""
@@ -64,10 +62,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(143.580538, "independent Radau collocation, three meshes agree", 1e-4, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.ascent.single_stage_ascent --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -20,14 +20,13 @@ stages.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 G0, EARTH_RADIUS, MU = 9.80665, 6371e3, 3.986004418e14
 """m/s^2, m, m^3/s^2."""
@@ -97,10 +96,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(271.325, "independent Radau collocation, 80 x 4 and 600 x 4 points", 3.3e-3, "kg")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.ascent.two_stage_ascent --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

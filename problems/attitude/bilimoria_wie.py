@@ -20,14 +20,12 @@ Dynamics 16 (3), 1993 (3.2430).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.spacecraft import quaternion_rate
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 EIGENAXIS_TIME = 2 * np.sqrt(np.pi)
 """Of the turn about one axis only, s."""
@@ -67,10 +65,7 @@ VIEW = View(attitude="q")
 """What a report shows moving: it turns in place."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.attitude.bilimoria_wie --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

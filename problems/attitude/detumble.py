@@ -14,13 +14,11 @@ systems, IEEE Trans. Automatic Control 8 (1963) 196-202.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 INERTIA = np.array([1200.0, 900.0, 600.0])
 """kg m^2."""
@@ -59,10 +57,7 @@ REFERENCE = Reference(
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.attitude.detumble --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -14,13 +14,11 @@ Source: J. Ben-Asher, J. A. Burns and E. M. Cliff, Time-optimal slewing of flexi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 
 def build(distance: float = 1.0) -> go.Problem:
@@ -63,10 +61,7 @@ def least_time(distance: float = 1.0) -> float:
 REFERENCE = Reference(least_time(), "closed form: symmetric switches; 4.2182 published", 2e-6)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.attitude.floating_oscillator --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -14,7 +14,6 @@ Source: own statement; the dipole as in J. R. Wertz (editor), Spacecraft Attitud
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -22,7 +21,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from problems._example import Array, Reference, run
+from problems._example import Array, Reference, example_main
 
 ORBIT_RATE, INCLINATION = 1.0e-3, np.radians(60.0)
 """rad/s, rad."""
@@ -83,10 +82,7 @@ def _cross(vector: Any) -> Array:
 REFERENCE = Reference(least_energy(), "Gramian of the transition matrix, integrated", 0.05, "A^2 m^4 s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.attitude.magnetic_unloading --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

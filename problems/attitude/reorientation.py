@@ -16,14 +16,12 @@ Source: Betts, Practical Methods for Optimal Control and Estimation Using Nonlin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 INERTIA = np.array([5621.0, 4547.0, 2364.0])
 """kg m^2."""
@@ -81,10 +79,7 @@ VIEW = View(attitude=("q[3]", "q[0]", "q[1]", "q[2]"))
 """What a report shows moving: it turns in place; the scalar part is the last one."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.attitude.reorientation --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

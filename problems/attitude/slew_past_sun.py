@@ -16,14 +16,13 @@ Source: own statement.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 INERTIA = np.array([120.0, 150.0, 90.0])
 """kg m^2."""
@@ -76,10 +75,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(2.270513, "independent Radau collocation, three meshes agree", 4e-6, "N^2 m^2 s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.attitude.slew_past_sun --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -17,14 +17,13 @@ Rice University, 2003; Betts, 2010, section 6.7 (3.586751e6 for twice the cost).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 INERTIA = np.array(
     [
@@ -79,10 +78,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(1793441.1, "independent: Radau points on 200 segments", 0.5, "ft^2 lbf^2 s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.attitude.station_momentum --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,13 +15,11 @@ attitude constraints via convex potentials, IEEE Trans. Aerospace and Electronic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 INERTIA = np.array([35.0, 28.0, 42.0])
 """kg m^2."""
@@ -65,10 +63,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(0.09843442, "independent Radau collocation, converges to it", 1e-07, "N^2 m^2 s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.attitude.two_cone_slew --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -9,7 +9,8 @@ from rich.console import Console
 
 from gnc_opt.analysis import consistency
 from gnc_opt.simulation import Campaign
-from problems._campaign_table import kept_in, parser, table, wide_console, write
+from problems._campaign_table import kept_in, parser, table, write
+from problems._example import wide_console
 from problems.attitude_control.control import LAWS, LIMITS, campaign, estimator
 from problems.attitude_control.model import slew
 

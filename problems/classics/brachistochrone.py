@@ -25,7 +25,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 GRAVITY = 9.8
 """m/s^2."""
@@ -98,10 +98,7 @@ def _least_time() -> float:
 REFERENCE = Reference(_least_time(), "closed form: cycloid", 1e-9, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the cycloid, verify; see ``python -m problems.classics.brachistochrone --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -19,12 +19,10 @@ Source: Bryson and Ho, Applied Optimal Control, 1975, page 120.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 LIMIT = 1 / 9
 """l, m."""
@@ -69,10 +67,7 @@ def closed_form(t: Array) -> Extremal:
 REFERENCE = Reference(4 / (9 * LIMIT), "closed form: 4 / (9 l)", 1e-10, "m^2/s^3")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.classics.bryson_denham --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,14 +15,13 @@ Source: the two-phase cannonball of the Dymos documentation (3183.25 m, of anoth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY, IRON, DRAG_COEFFICIENT = 9.80665, 7870.0, 0.5
 """m/s^2, kg/m^3, -."""
@@ -79,10 +78,7 @@ REFERENCE = Reference(
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.classics.cannonball --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

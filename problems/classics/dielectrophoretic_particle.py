@@ -13,10 +13,8 @@ Trans. Automatic Control 51 (2006) 1100-1114; the problem of the same name of Op
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 
 def build() -> go.Problem:
@@ -38,10 +36,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(7.8113113, "independent Radau collocation, two meshes agree", 7e-6)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.classics.dielectrophoretic_particle --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,13 +15,11 @@ Optimal bang-bang control of a mechanical double oscillator using averaging meth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 FIRST_MASS, SECOND_MASS, FIRST_SPRING, SECOND_SPRING, DAMPER = 100.0, 2.0, 100.0, 3.0, 0.5
 """kg, kg, N/m, N/m, N s/m."""
@@ -49,10 +47,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(0.000911035, "independent Radau collocation, two meshes agree", 2e-9)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.classics.double_oscillator --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -20,10 +20,8 @@ profiles, Computers and Chemical Engineering 13 (1989) 49-62, who give 87.69; th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 FEED = 500.0
 """Substrate in the feed, g/l."""
@@ -61,10 +59,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(88.0, "independent Radau collocation, meshes differ by 0.2", 0.2, "g")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.classics.fermentor --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

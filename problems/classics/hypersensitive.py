@@ -19,12 +19,10 @@ problems, Optimal Control Applications and Methods 21, 2000.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 DURATION = 10_000.0
 """s."""
@@ -82,10 +80,7 @@ def _cost() -> float:
 REFERENCE = Reference(_cost(), "closed form up to exp(-10000)", 1e-8)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.classics.hypersensitive --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

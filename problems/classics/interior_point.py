@@ -15,12 +15,10 @@ Source: problem "interior point" of the PSOPT manual (0.920531).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 FIRST, WAYPOINT, LAST = 1.0, 0.9, 0.75
 """x at 0, `PASSAGE` and 1 s."""
@@ -76,10 +74,7 @@ REFERENCE = Reference(
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.classics.interior_point --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

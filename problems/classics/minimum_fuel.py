@@ -16,12 +16,10 @@ lam_v = lam_x (T / 2 - t).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 DURATION = 3.0
 """T, s; at least 2."""
@@ -72,10 +70,7 @@ def closed_form(t: Array) -> Extremal:
 REFERENCE = Reference(float(2 * SWITCH), "closed form: 3 - sqrt(5)", 1e-9, "m/s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.classics.minimum_fuel --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -13,13 +13,11 @@ the Dymos documentation, which gives 102.479.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 SWINGS = 2.25
 """Of the guess."""
@@ -49,10 +47,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(102.3675, "independent Radau collocation, finest mesh 500 x 4", 2e-4, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.classics.mountain_car --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

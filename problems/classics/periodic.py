@@ -14,13 +14,11 @@ Closed form: x = (sin t - cos t) / 3, u = -sin(t) / 3, lam = sin(t) / 3; J = pi 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 
 def build() -> go.Problem:
@@ -50,10 +48,7 @@ def closed_form(t: Array) -> Extremal:
 REFERENCE = Reference(np.pi / 6, "closed form: pi / 6", 1e-8)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.classics.periodic --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

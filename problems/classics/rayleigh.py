@@ -16,10 +16,8 @@ boundary value methods, in Groetschel et al., Online Optimization of Large Scale
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 
 def build(limit: float = 0.0) -> go.Problem:
@@ -47,10 +45,7 @@ def build(limit: float = 0.0) -> go.Problem:
 REFERENCE = Reference(44.8044449, "independent Radau collocation, two meshes; Betts 2010: 44.8044433", 1e-6)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.classics.rayleigh --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -16,12 +16,10 @@ first arc, is 0 on the limit, and rises to +1 on the last.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 LIMIT = 0.5
 """v_max, m/s; below 1 it matters."""
@@ -73,10 +71,7 @@ def closed_form(t: Array) -> Extremal:
 REFERENCE = Reference(LEAST_TIME, "closed form: 1/v_max + v_max", 1e-7, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.classics.speed_limit --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

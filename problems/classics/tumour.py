@@ -16,12 +16,10 @@ Optimal Control Applications and Methods 29, 2008; Betts, 2010, example 4.11 (75
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 XI, B, D, G, MU = 0.084, 5.85, 0.00873, 0.15, 0.02
 """Per day; D per day and mm^2, G per dose."""
@@ -66,10 +64,7 @@ VARIANTS = {"dose as a state": ({"as_state": True}, REFERENCE)}
 """Other data, with their references."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.classics.tumour --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

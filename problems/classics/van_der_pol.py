@@ -17,10 +17,8 @@ Theory and Applications 144, 2010 (0.757618).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import gnc_opt as go
-from problems._example import Array, Reference, run
+from problems._example import Array, Reference, example_main
 
 SWITCH_TIMES = (1.3667400311, 2.4608743843)
 """By shooting with the feedback law, s: y(4) = 0, and lam_y = 0 at the first switch."""
@@ -57,10 +55,7 @@ def singular_control(x: Array, y: Array) -> Array:
 REFERENCE = Reference(0.7576179287, "independent, switch times optimised", 1e-9)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.classics.van_der_pol --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import fsolve
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 START = (3.66, -1.86)
 """x and y, m."""
@@ -110,10 +110,7 @@ def _least_time() -> float:
 REFERENCE = Reference(_least_time(), "closed form: tan(theta) grows linearly", 1e-8, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.classics.zermelo --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -19,13 +19,11 @@ multiple-pass aeroassisted orbital transfer, Optimal Control Applications and Me
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS = 3.986e14, 6378.145e3
 """m^3/s^2, m."""
@@ -100,10 +98,7 @@ def build(turn: float = TURN) -> go.Problem:
 REFERENCE = Reference(6953.2154, "independent Radau collocation, two meshes agree", 0.01, "m/s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.entry.aeroassisted_plane_change --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

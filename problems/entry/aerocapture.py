@@ -16,13 +16,11 @@ aerocapture guidance, J. Guidance, Control, and Dynamics 38 (2015) 553-565.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS = 4.282829e13, 3396.2e3
 """m^3/s^2, m."""
@@ -75,10 +73,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(113.95016, "independent Radau collocation, converges to it", 0.0002, "m/s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.entry.aerocapture --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

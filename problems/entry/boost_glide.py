@@ -15,13 +15,11 @@ Source: own statement; vehicle as in `problems.entry.no_fly_zones`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS = 3.986004418e14, 6371e3
 """m^3/s^2, m."""
@@ -75,10 +73,7 @@ def build(max_heating: float = MAX_HEATING) -> go.Problem:
 REFERENCE = Reference(1.508502, "independent Radau collocation, two meshes", 3e-06, "rad")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.entry.boost_glide --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

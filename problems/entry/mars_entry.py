@@ -22,13 +22,11 @@ design and postflight performance for 2011 Mars Science Laboratory mission, J. S
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS = 4.282829e13, 3396e3
 """m^3/s^2, m."""
@@ -92,10 +90,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(13659.2484, "independent Radau collocation, two meshes agree", 0.02, "m")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.entry.mars_entry --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -19,13 +19,11 @@ zone constraints, J. Guidance, Control, and Dynamics 32 (2009) 551-572, with own
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS = 3.986004418e14, 6371e3
 """m^3/s^2, m."""
@@ -85,10 +83,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(1084.74, "independent Radau collocation, limits tightened step by step", 0.03, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.entry.no_fly_zones --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

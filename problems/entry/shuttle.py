@@ -21,14 +21,13 @@ feet and slugs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 FOOT = 0.3048
 """m."""
@@ -103,10 +102,7 @@ def aerodynamic_accelerations(h: Any, v: Any, alpha: Any) -> tuple[Any, Any]:
 REFERENCE = Reference(0.5958760762936, "independent collocation, two meshes agree", 1e-8, "rad")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.entry.shuttle --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

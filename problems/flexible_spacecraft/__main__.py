@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.spacecraft import quaternion_angle
-from problems._example import run
+from problems._example import example_main
 from problems.flexible_spacecraft.control import loop, mean_disturbance, tvlqr
 from problems.flexible_spacecraft.model import BODY, initial_state
 from problems.flexible_spacecraft.optimal import REFERENCE, build, solved
@@ -29,10 +27,7 @@ def tracked(solution: go.Solution) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, verify, track; return 1 if the reference is missed or the verdict fails."""
-    return run(build, REFERENCE, arguments, closed_loop=tracked)
-
+main = example_main(build, REFERENCE, closed_loop=tracked)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.simulation import ClosedLoop, Saturation
-from problems._example import run
+from problems._example import example_main
 from problems.formation_flying.control import delta_v, follow_plan
 from problems.formation_flying.model import PERIOD, START, build_model
 from problems.formation_flying.optimal import LIMIT, REFERENCE, RESERVE, build, plan
@@ -31,10 +29,7 @@ def tracked(solution: go.Solution) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, verify, track; return 1 if the reference is missed or the verdict fails."""
-    return run(build, REFERENCE, arguments, closed_loop=tracked)
-
+main = example_main(build, REFERENCE, closed_loop=tracked)
 
 if __name__ == "__main__":
     raise SystemExit(main())

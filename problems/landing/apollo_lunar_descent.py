@@ -16,12 +16,10 @@ descent and ascent, NASA TN D-6846, 1972.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS, G0 = 4.9048695e12, 1737.4e3, 9.80665
 """m^3/s^2, m, m/s^2."""
@@ -67,10 +65,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(8470.1912, "independent Radau collocation, converges to it", 0.008, "kg")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.landing.apollo_lunar_descent --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -17,14 +17,13 @@ asteroid landing via convex optimization, J. Guidance 40 (2017) 628-641.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, RADIUS, C20, C22 = 4.463e5, 8000.0, -0.0524, 0.0825
 """m^3/s^2, m, -, -: of the size of Eros."""
@@ -69,10 +68,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(997.37037, "independent Radau collocation, converges to it", 0.001, "kg")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.landing.asteroid_landing --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,13 +15,11 @@ Source: own statement with numbers of the size of a Starship test vehicle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY, EXHAUST_SPEED = 9.81, 330.0 * 9.80665
 """m/s^2, m/s."""
@@ -68,10 +66,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(114332.19, "independent Radau collocation, converges to it", 0.1, "kg")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.landing.belly_flop --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,14 +15,13 @@ rockets, The Bridge 46 (2016) 15-20).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY, G0, ISP = 9.81, 9.80665, 282.0
 """m/s^2, m/s^2, s."""
@@ -72,10 +71,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(26583.286, "independent Radau collocation, converges to it", 0.026, "kg")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.landing.booster_landing --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -18,14 +18,12 @@ the best time on the slope saves 1.4 kg.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 START = {"r": [1500.0, 0.0, 2000.0], "v": [-75.0, 0.0, 100.0], "mass": 1905.0}
 GRAVITY = 3.7114
@@ -86,10 +84,7 @@ VIEW = View(("r[1]", "r[2]", "r[0]"), force=("T[1]", "T[2]", "T[0]"))
 """What a report shows moving: east, north and up."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.landing.mars_landing --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -18,12 +18,10 @@ Control 9 (4), 1964.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Array, Extremal, Reference, run
+from problems._example import Array, Extremal, Reference, example_main
 
 GRAVITY = 1.5
 """m/s^2."""
@@ -80,10 +78,7 @@ def closed_form(t: Array) -> Extremal:
 REFERENCE = Reference(float(2 * np.sqrt(17)), "closed form: 2 sqrt(17)", 1e-8, "m/s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, verify; see ``python -m problems.landing.moon_landing --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

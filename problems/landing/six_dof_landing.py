@@ -20,14 +20,13 @@ AIAA 2018-0617; the numbers of the model ``rocket_landing_3d`` of the repository
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -95,10 +94,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(27581.2575, "independent Radau collocation, three meshes extrapolated", 0.03, "kg")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.landing.six_dof_landing --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

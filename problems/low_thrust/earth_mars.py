@@ -17,14 +17,12 @@ low-thrust trajectories, J. Guidance, Control, and Dynamics 39 (11), 2016 (603.9
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU = 132712440018.0
 """Of the Sun, km^3/s^2."""
@@ -84,10 +82,7 @@ VIEW = View("r", force="T")
 """What a report shows moving."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.low_thrust.earth_mars --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

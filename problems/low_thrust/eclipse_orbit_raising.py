@@ -19,12 +19,10 @@ Source: own statement.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 ACCELERATION = 0.015
 """In units of gravity at the surface."""
@@ -63,10 +61,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(13.782865, "independent Radau collocation, two meshes agree", 2.8e-5)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.low_thrust.eclipse_orbit_raising --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

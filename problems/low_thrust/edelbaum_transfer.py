@@ -16,13 +16,11 @@ Source: T. N. Edelbaum, Propulsion requirements for controllable satellites, ARS
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, EARTH_RADIUS = 398600.4418, 6378.137
 """km^3/s^2, km."""
@@ -64,10 +62,7 @@ def velocity_change(turn: float = TURN) -> float:
 REFERENCE = Reference(velocity_change(), "closed form of Edelbaum", 1e-6, "km/s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.low_thrust.edelbaum_transfer --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

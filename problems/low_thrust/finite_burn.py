@@ -17,13 +17,11 @@ Optimal finite-thrust spacecraft trajectories using collocation and nonlinear pr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 EXHAUST_SPEED, FIRST_ACCELERATION, TARGET_RADIUS = 1.5, 0.1, 3.0
 ANGLES = {"first_burn": np.radians(30.0), "coast": None, "second_burn": np.radians(90.0)}
@@ -73,10 +71,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(0.39948783, "independent Radau collocation, two meshes agree; 0.3995 published", 8e-7)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.low_thrust.finite_burn --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -16,13 +16,11 @@ elements, Celestial Mechanics 36 (1985) 409-419.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 J2, ACCELERATION, REVOLUTIONS = 1.08263e-3, 8e-4, 12
 """-, in units of gravity at the surface, -."""
@@ -82,10 +80,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(70.4386675, "independent Radau collocation, two meshes agree", 7e-5)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.low_thrust.j2_orbit_raising --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

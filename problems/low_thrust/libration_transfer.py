@@ -16,12 +16,10 @@ Source: own statement; equations as in V. Szebehely, Theory of Orbits, Academic 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU = 0.0121505856
 """Mass of the Moon over that of both."""
@@ -72,10 +70,7 @@ def build(duration: float = DURATION) -> go.Problem:
 REFERENCE = Reference(0.01358875, "independent Radau collocation from nearby", 2e-8)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.low_thrust.libration_transfer --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -23,14 +23,13 @@ J. T. Betts, Practical Methods for Optimal Control and Estimation Using Nonlinea
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU = 1.407645794e16
 """Of the Earth, ft^3/s^2."""
@@ -152,10 +151,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(0.2201791266, "Betts 2010, section 6.3", 1e-8, "lb")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the publication, verify; see ``python -m problems.low_thrust.low_thrust_transfer --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -17,12 +17,10 @@ Source: Moyer and Pinkham, 1964; Bryson and Ho, Applied Optimal Control, 1975, s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 ACCELERATION, MASS_RATE = 0.1405, 0.0749
 """Thrust and mass flow, per initial mass."""
@@ -61,10 +59,7 @@ def build(duration: float = 3.32) -> go.Problem:
 REFERENCE = Reference(1.525277700649, "independent collocation, two meshes agree", 1e-9, "AU")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.low_thrust.orbit_raising --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,12 +15,10 @@ a solar sail, Cosmic Research 2 (1964) 41-44; C. R. McInnes, Solar Sailing, Spri
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 ACCELERATION = 1e-3
 """Characteristic acceleration at 1 AU, m/s^2."""
@@ -68,10 +66,7 @@ def build(acceleration: float = ACCELERATION) -> go.Problem:
 REFERENCE = Reference(407.709105, "independent Radau collocation, best of several meshes", 4e-4, "days")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.low_thrust.solar_sail_mars --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

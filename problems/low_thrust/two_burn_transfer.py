@@ -24,14 +24,13 @@ section 6.2; the example ``twoburn`` of PSOPT; 0.2367248 lb published.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MU, GRAVITY, EARTH_RADIUS = 1.407645794e16, 32.174, 20925662.73
 """ft^3/s^2, ft/s^2, ft."""
@@ -158,10 +157,7 @@ REFERENCE = Reference(
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.low_thrust.two_burn_transfer --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

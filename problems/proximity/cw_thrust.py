@@ -15,13 +15,11 @@ States: ``r`` (m), ``v`` (m/s) relative to the target, in radial, along-track an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 RATE = 0.00113
 """Of the orbit, rad/s."""
@@ -65,10 +63,7 @@ VIEW = View("r", force="a", bodies={"target": (0.0, 0.0, 0.0)})
 """What a report shows moving."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.proximity.cw_thrust --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,13 +15,11 @@ rendezvous, J. Aerospace Sciences 27 (1960) 653-658.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MEAN_MOTION, MAX_ACCELERATION = 0.0011, 0.01
 """rad/s, m/s^2."""
@@ -59,10 +57,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(292.5503, "independent Radau collocation, finest mesh 500 x 3", 6e-4, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.proximity.docking_corridor --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,7 +15,6 @@ Source: J. Tschauner and P. Hempel, Rendezvous zu einem in elliptischer Bahn uml
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -23,7 +22,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from problems._example import Array, Reference, run
+from problems._example import Array, Reference, example_main
 
 ECCENTRICITY = 0.7
 FIRST, LAST = 0.0, 3 * np.pi / 2
@@ -81,10 +80,7 @@ def build(eccentricity: float = ECCENTRICITY) -> go.Problem:
 REFERENCE = Reference(least_energy(), "Gramian of the transition matrix, integrated", 1e-3, "m^2")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.proximity.elliptic_rendezvous --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

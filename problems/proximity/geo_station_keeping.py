@@ -18,13 +18,11 @@ Source: own statement; equations as in E. M. Soop, Handbook of Geostationary Orb
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 PULL = 0.0017
 """Drift acceleration by the Earth's ellipticity, degrees/day^2."""
@@ -76,10 +74,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(0.073575, "independent Radau collocation, 980 x 3 points", 4.4e-7, "m/s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.proximity.geo_station_keeping --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

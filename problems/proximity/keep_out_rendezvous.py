@@ -14,13 +14,11 @@ Source: own statement; the keep-out sphere of 200 m is that of the International
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MEAN_MOTION, RADIUS, DURATION = 0.00113, 200.0, 2400.0
 """rad/s, m, s."""
@@ -59,10 +57,7 @@ def build(radius: float = RADIUS) -> go.Problem:
 REFERENCE = Reference(815.7547078, "independent Radau collocation, two meshes agree", 0.0008, "mm^2/s^3")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.proximity.keep_out_rendezvous --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,13 +15,11 @@ controlled spacecraft and a tumbling object, J. Guidance 34 (2011) 1239-1252.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MAX_ACCELERATION, PORT, SPIN, PHASE = 0.05, 2.0, float(np.radians(3.0)), 2.0
 """m/s^2, m, rad/s, rad."""
@@ -53,10 +51,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(33.947949, "independent Radau collocation, converges to it", 5e-05, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.proximity.tumbling_target --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

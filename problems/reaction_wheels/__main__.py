@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.simulation import ConstantDisturbance, Saturation
-from problems._example import run
+from problems._example import example_main
 from problems.reaction_wheels.control import CONTROL_STEP, design_tracker, peak_speed
 from problems.reaction_wheels.model import DURATION, INERTIA, REST, wheel_model
 from problems.reaction_wheels.optimal import REFERENCE, build, published_peak_torque
@@ -37,10 +35,7 @@ def tracked(solution: go.Solution) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, verify, track; return 1 if the reference is missed or the verdict fails."""
-    return run(build, REFERENCE, arguments, closed_loop=tracked)
-
+main = example_main(build, REFERENCE, closed_loop=tracked)
 
 if __name__ == "__main__":
     raise SystemExit(main())

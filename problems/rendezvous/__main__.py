@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
-from problems._example import run
+from problems._example import example_main
 from problems.rendezvous.model import build, chaser_model
 from problems.rendezvous.optimal import REFERENCE
 
@@ -24,10 +22,7 @@ def flown(solution: go.Solution) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, verify, fly; return 1 if the reference is missed or the verdict fails."""
-    return run(build, REFERENCE[1, "printed"]["exact"], arguments, closed_loop=flown)
-
+main = example_main(build, REFERENCE[1, "printed"]["exact"], closed_loop=flown)
 
 if __name__ == "__main__":
     raise SystemExit(main())

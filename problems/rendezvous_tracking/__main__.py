@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from gnc_opt.simulation import Campaign
 from gnc_opt.simulation.campaign_text import campaign_dict
 from problems._campaign_table import kept_in
+from problems._example import wide_console
 from problems.rendezvous import CASES
 from problems.rendezvous_tracking.control import MPC_RUNS, SETTLING, SHOWN, Conditions, Tracking, plan
 from problems.rendezvous_tracking.guidance import Filtered, Guided, Measured
@@ -81,9 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0; 1 if a controller with feedback misses its pass rate.
     """
     options = _parser().parse_args(arguments)
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = max(console.width, _WIDTH)
+    console = wide_console(_WIDTH)
     conditions = Conditions()
     tracking = Tracking(plan(options.case, conditions.share), conditions)
     console.print(

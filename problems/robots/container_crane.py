@@ -16,10 +16,8 @@ and K. H. Wong, A Unified Computational Approach to Optimal Control Problems, Lo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 DURATION, C4, C5, PENALTY = 9.0, 17.2656, 27.0756, 0.01
 """s, constants of the swing, weight of the controls."""
@@ -47,10 +45,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(0.03751946, "independent Radau collocation; 0.0375195 published", 5e-8)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.robots.container_crane --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

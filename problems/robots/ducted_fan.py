@@ -15,13 +15,11 @@ Optimal Control Applications and Methods 30 (2009) 537-561; the problem ``ducted
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASS, WEIGHT, INERTIA, ARM = 2.2, 4.0, 0.05, 0.2
 """kg, N (less than m g: the stand carries the rest), kg m^2, m."""
@@ -61,10 +59,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(1909.3007, "independent Radau collocation, two meshes agree", 2e-3)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.robots.ducted_fan --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -16,13 +16,11 @@ control, Autonomous Robots 33, 2012.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -84,10 +82,7 @@ VIEW = View("p")
 """What a report shows moving."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.robots.quadrotor --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,13 +15,11 @@ Autonomous Robots 33 (2012) 69-88; model and limits from there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -55,10 +53,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(0.9124434, "independent Radau collocation, converges to it", 1e-6, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.robots.quadrotor_flip --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -16,13 +16,11 @@ Source: the problem ``quadrotor`` of OptimalControlProblems.jl, from A. Sathya a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -59,10 +57,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(1.4921412, "independent Radau collocation, finest mesh 700 x 3", 1.5e-6, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.robots.quadrotor_time_optimal --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -18,13 +18,11 @@ Source: Dolan, More and Munson, Benchmarking optimization software with COPS 3.0
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 LENGTH = 5.0
 """L."""
@@ -81,10 +79,7 @@ def build(turn: float = 2 * np.pi / 3) -> go.Problem:
 REFERENCE = Reference(9.1409117459, "independent, switch times optimised", 1e-8, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.robots.robot_arm --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -18,13 +18,12 @@ bidirectional approach, IEEE Trans. Robotics and Automation 7 (1991) 500-514.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 MASSES, INERTIAS = (40.0, 4.0, 3.0), (6.667, 0.333, 0.25)
 """Of base, first and second link; kg, kg m^2."""
@@ -75,10 +74,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(11.97351, "independent Radau collocation, finest mesh 400 x 3", 1.2e-5, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.robots.space_robot --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

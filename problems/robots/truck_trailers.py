@@ -20,13 +20,11 @@ Source: the problem ``truck_trailer`` of OptimalControlProblems.jl, from arXiv 2
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 WHEELBASE, FIRST_TRAILER, SECOND_TRAILER = 0.4, 1.1, 0.8
 """L_0, L_1, L_2, m."""
@@ -72,10 +70,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(46.8719, "independent Radau collocation, 140 x 4 points", 1e-3, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, check; see ``python -m problems.robots.truck_trailers --help``."""
-    return run(build, REFERENCE, arguments, tol=1e-6)
-
+main = example_main(build, REFERENCE, tol=1e-6)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -11,12 +11,10 @@ meets no switch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 import gnc_opt as go
-from problems._example import Reference, run
+from problems._example import Reference, example_main
 
 
 def build() -> go.Problem:
@@ -44,10 +42,7 @@ def build() -> go.Problem:
 REFERENCE = Reference(2.9822799425, "independent: three switch times and the end by shooting", 1e-9, "s")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, verify; see ``python -m problems.robots.two_link_arm --help``."""
-    return run(build, REFERENCE, arguments)
-
+main = example_main(build, REFERENCE)
 
 if __name__ == "__main__":
     raise SystemExit(main())

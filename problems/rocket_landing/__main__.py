@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.simulation import Campaign
-from problems._campaign_table import kept_in, parser, table, wide_console, write
+from problems._campaign_table import kept_in, parser, table, write
+from problems._example import wide_console
 from problems.rocket_landing.control import CONTROLLERS, LIMITS, Landing
 from problems.rocket_landing.model import PLANNED, START
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import gnc_opt as go
 from gnc_opt.simulation import Saturation
-from problems._example import run
+from problems._example import example_main
 from problems.tethered_formation.control import STEP, design_tracker, held
 from problems.tethered_formation.model import DURATION, MAX_RATE, first_state, tether_model
 from problems.tethered_formation.optimal import REFERENCE, build, optimum
@@ -33,10 +31,7 @@ def tracked(solution: go.Solution) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, verify, track; return 1 if the reference is missed or the verdict fails."""
-    return run(build, REFERENCE, arguments, closed_loop=tracked)
-
+main = example_main(build, REFERENCE, closed_loop=tracked)
 
 if __name__ == "__main__":
     raise SystemExit(main())

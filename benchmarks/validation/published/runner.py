@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.validation.published.comparison import Claim, Row, compare, known, numbers, summary
+from problems._example import wide_console
 
 SYSTEMS = {
     "rendezvous": "Time-optimal rendezvous",
@@ -90,9 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in options.systems:
         if name not in SYSTEMS:
             parser.error(f"there is no system {name}: choose among {', '.join(SYSTEMS)}")
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = max(console.width, _WIDTH)
+    console = wide_console(_WIDTH)
     found = {}
     for name in options.systems or SYSTEMS:
         begin = time.process_time()

@@ -32,6 +32,7 @@ from rich.table import Table
 
 from benchmarks.validation.problem_set.reader import read_documents
 from benchmarks.validation.verdict.cases import Case, Outcome, cases, check_case
+from problems._example import wide_console
 
 COLUMNS = (
     "planted",
@@ -109,9 +110,7 @@ INCONCLUSIVE_LIMIT = 3
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see the module's text."""
     options = _parser().parse_args(arguments)
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = max(console.width, _WIDTH)
+    console = wide_console(_WIDTH)
     documents = [] if options.file is None else read_documents(options.file)
     chosen = [c for c in cases(documents, options.seed) if _is_chosen(c, options)]
     outcomes = _kept(options.json) if options.resume and options.json else []

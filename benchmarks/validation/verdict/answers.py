@@ -38,22 +38,39 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Pair:
-    """A right answer and a wrong one.
+class Case:
+    """A solution to check.
 
     Attributes
     ----------
-    name, why : str
-        Why the wrong one is wrong.
-    off : float
-        What it loses, relative to the cost, or a relative distance.
+    kind, name : str
+    check : callable
+        () -> Verdict.
+    why : str
+        Why it is wrong; empty if it is correct.
+    off : float or callable
+        What a wrong one loses, relative to the cost (infinite if there is no least cost), or a relative distance.
     first_order : bool
-        Whether the first order tells.
-    make : callable
-        (unit of the states, factor of the cost, whether wrong) -> Answer.
-    kind : str
-        Of the wrong one.
+        Whether a wrong one violates necessary conditions of first order. If only sufficient ones fail, a verdict that
+        claims no more than the former is inconclusive, not a wrong pass.
     """
+
+    kind: str
+    name: str
+    check: Callable[[], go.Verdict]
+    why: str = ""
+    off: float | Callable[[], float] = 0.0
+    first_order: bool = True
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the solution is planted as a wrong one."""
+        return bool(self.why)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A correct answer and a wrong one: ``make(unit of the states, factor of the cost, whether wrong)``; see `Case`."""
 
     name: str
     why: str

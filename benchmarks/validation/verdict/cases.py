@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache, partial
 from typing import Any, Literal
 
 import gnc_opt as go
@@ -18,37 +19,22 @@ from benchmarks.validation.verdict import (
     state_constraints,
     unconstrained,
 )
-from benchmarks.validation.verdict.answers import SCALES, Pair
+from benchmarks.validation.verdict.answers import SCALES, Case, Pair
 from benchmarks.validation.verdict.correct_answers import NotRight, right
 from benchmarks.validation.verdict.non_minimal_extremals import extremals
-from benchmarks.validation.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
+from benchmarks.validation.verdict.statements import (
+    FAMILY,
+    Frame,
+    Statement,
+    Trajectory,
+    build,
+    frames,
+    in_frame,
+)
 from benchmarks.validation.verdict.thresholds import members
-from benchmarks.validation.verdict.wrong_answers import LEAST, Planted, changes, forged, off_by
+from benchmarks.validation.verdict.wrong_answers import LEAST, changes, forged, off_by
 
 Result = Literal["failed", "passed", "inconclusive", "not planted", "not found", "crash"]
-
-
-@dataclass(frozen=True)
-class Case:
-    """One answer to check.
-
-    Attributes
-    ----------
-    kind, name, why : str
-    wrong : bool
-    first_order : bool
-        Of a wrong one: whether necessary conditions of the first order fail. Where only sufficient ones do, a
-        verdict that claims no more than the former is inconclusive, not a wrong pass.
-    check : callable
-        () -> (Verdict, by how much the answer is wrong).
-    """
-
-    kind: str
-    name: str
-    why: str
-    wrong: bool
-    first_order: bool
-    check: Callable[[], tuple[go.Verdict, float]]
 
 
 @dataclass(frozen=True)
@@ -92,57 +78,51 @@ class Outcome:
         return asdict(self) | {"word": self.word}
 
 
-def closed_form_pairs() -> Iterator[Pair]:
-    """Yield a right answer and a wrong one of every closed form."""
-    for module in (
-        unconstrained,
-        bounded_controls,
-        end_and_integral_constraints,
-        multi_phase,
-        state_constraints,
-        parameters_and_control_sets,
-        degenerate,
-    ):
-        yield from module.PAIRS
+MODULES = (
+    unconstrained,
+    bounded_controls,
+    end_and_integral_constraints,
+    multi_phase,
+    state_constraints,
+    parameters_and_control_sets,
+    degenerate,
+)
+"""Those with pairs."""
 
 
 def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
-    """Yield every case."""
+    """Yield every case; ``documents`` is a problem set, possibly empty."""
     for s in FAMILY:
         for k, planted in enumerate(changes(s)):
-            framed = frames(s, seed)
+            framed, wrong = frames(s, seed), cache(planted.make)
             for frame in (framed[0], framed[1 + k % (len(framed) - 1)]):
                 name = f"{s.name}, {frame.name}: {planted.why}"
-                yield Case(planted.kind, name, planted.why, True, True, _sampled(s, planted, frame))
-    for e in extremals():
-        yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.check(), e.off))
-    for f in forged():
-        yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.check(), f.off))
-    for pair in closed_form_pairs():
+                yield Case(
+                    planted.kind, name, partial(_check_samples, s, wrong, frame), planted.why,
+                    partial(_distance, s, wrong),
+                )  # fmt: skip
+    yield from extremals()
+    yield from forged()
+    for pair in (pair for module in MODULES for pair in module.PAIRS):
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
-            yield Case(pair.kind, name, pair.why, True, pair.first_order, _paired(pair, scale, True))
-            yield Case("right: closed forms", name, "", False, True, _paired(pair, scale, False))
-    for m in members():
-        kind = "beyond a threshold" if m.wrong else "right: before a threshold"
-        yield Case(
-            kind, m.name, m.why, m.wrong, m.first_order, lambda m=m: (m.check(), 1.0 if m.wrong else 0.0)
-        )
-    for r in right(documents, seed):
-        yield Case(f"right: {r.kind}", r.name, "", False, True, lambda r=r: (r.check(), 0.0))
+            wrong_one, right_one = (partial(_check_pair, pair, *scale, wrong) for wrong in (True, False))
+            yield Case(pair.kind, name, wrong_one, pair.why, pair.off, pair.first_order)
+            yield Case("right: closed forms", name, right_one)
+    yield from members()
+    yield from right(documents, seed)
 
 
-def _sampled(s: Statement, planted: Planted, frame: Frame) -> Callable[[], tuple[go.Verdict, float]]:
-    def check() -> tuple[go.Verdict, float]:
-        wrong = planted.make()
-        off = off_by(s, wrong)
-        return go.verify_trajectory(build(s, frame), *in_frame(s, wrong, frame)), off
-
-    return check
+def _check_samples(s: Statement, wrong: Callable[[], Trajectory], frame: Frame) -> go.Verdict:
+    return go.verify_trajectory(build(s, frame), *in_frame(s, wrong(), frame))
 
 
-def _paired(pair: Pair, scale: tuple[float, float], wrong: bool) -> Callable[[], tuple[go.Verdict, float]]:
-    return lambda: (pair.make(*scale, wrong).check(), pair.off if wrong else 0.0)
+def _distance(s: Statement, wrong: Callable[[], Trajectory]) -> float:
+    return off_by(s, wrong())
+
+
+def _check_pair(pair: Pair, unit: float, cost: float, wrong: bool) -> go.Verdict:
+    return pair.make(unit, cost, wrong).check()
 
 
 def check_case(case: Case) -> Outcome:
@@ -157,7 +137,8 @@ def check_case(case: Case) -> Outcome:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            verdict, off = case.check()
+            verdict = case.check()
+            off = case.off() if callable(case.off) else case.off
     except NotRight as error:
         return outcome("not found", None, (str(error),))
     except go.SolveError as error:

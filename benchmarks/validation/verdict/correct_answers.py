@@ -3,36 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
 
 import gnc_opt as go
 from benchmarks.validation.problem_set.reader import build_problem
+from benchmarks.validation.verdict.answers import Case, Rates, one_phase, phase_of
 from benchmarks.validation.verdict.non_minimal_extremals import (
     double_well,
     great_circle,
     one_switch,
     repelled,
 )
-from benchmarks.validation.verdict.statements import FAMILY, build, frames, in_frame, solved, trajectory
+from benchmarks.validation.verdict.statements import (
+    FAMILY,
+    Frame,
+    Statement,
+    build,
+    frames,
+    in_frame,
+    solved,
+    trajectory,
+)
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.problem_file import example
 from problems import rendezvous
 
 FILES = (
-    *(
-        "bilimoria_wie",
-        "brachistochrone",
-        "bryson_denham",
-        "delta3",
-        "goddard",
-        "hang_glider",
-        "hypersensitive",
-    ),
-    *("interior_point", "minimum_fuel", "moon_landing", "orbit_raising", "periodic", "robot_arm", "shuttle"),
-    *("speed_limit", "van_der_pol", "zermelo"),
+    *("bilimoria_wie", "brachistochrone", "bryson_denham", "delta3", "goddard", "hang_glider"),
+    *("hypersensitive", "interior_point", "minimum_fuel", "moon_landing", "orbit_raising", "periodic"),
+    *("robot_arm", "shuttle", "speed_limit", "van_der_pol", "zermelo"),
 )
 """Of `problems`, with a reference each."""
 
@@ -44,52 +46,41 @@ class NotRight(Exception):
     """The solver did not find the known answer, so that there is nothing right to check."""
 
 
-@dataclass(frozen=True)
-class Right:
-    """A right answer and its verdict, with its class and name."""
-
-    kind: str
-    name: str
-    check: Callable[[], go.Verdict]
-
-
-def right(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Right]:
-    """Yield all right answers; ``documents`` is a set of `benchmarks.validation.problem_set.reader`, possibly empty."""
+def right(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
+    """Yield the correct answers; ``documents`` is a set of `benchmarks.validation.problem_set.reader`, or empty."""
     for s in FAMILY:
-        yield Right("refined", s.name, lambda s=s: go.verify(solved(s)))
+        yield Case("right: refined", s.name, lambda s=s: go.verify(solved(s)))
         for frame in frames(s, seed):
-            yield Right(
-                "samples", f"{s.name}, {frame.name}",
-                lambda s=s, f=frame: go.verify_trajectory(build(s, f), *in_frame(s, trajectory(solved(s)), f)),
-            )  # fmt: skip
-    yield from _near_misses()
+            yield Case("right: samples", f"{s.name}, {frame.name}", partial(_check_samples, s, frame))
+    for name, make in _near_misses().items():
+        yield Case("right: near misses", name, lambda m=make: _solved(m()))
     for file in FILES:
-        yield Right("problem files", file, lambda f=file: _of_file(f))
-    yield Right("problem files", "rendezvous, case 3", _rendezvous)
+        yield Case("right: problem files", file, partial(_of_file, file))
+    yield Case("right: problem files", "rendezvous, case 3", _rendezvous)
     for document in documents:
         if isinstance(document.get("reference"), (int, float)) and not document.get("expect"):
-            yield Right("problem set", str(document["name"]), lambda d=document: _of_set(d))
+            yield Case("right: problem set", str(document["name"]), partial(_of_set, document))
 
 
-def _near_misses() -> Iterator[Right]:
+def _near_misses() -> dict[str, Callable[[], go.Problem]]:
     """Minima beside the extremals that are none, and limits in unusual places."""
-    for arc in (1.0, 2.5, 3.0):
-        yield Right("near misses", f"great circle, {arc} rad", lambda a=arc: _solved(great_circle(a)))
-    for last in (1.0, 2.5, 3.0):
-        yield Right("near misses", f"u^2 - x^2 over {last} s", lambda t=last: _solved(repelled(t, 0.3)))
-    yield Right("near misses", "in a double well before pi / k", lambda: _solved(double_well(1.0, 2.5)))
-    for bend in (0.2, 0.5, 0.8):
-        yield Right("near misses", f"one switch, bend {bend}", lambda b=bend: _solved(one_switch(b)))
-    for name, make in (
-        ("final time on its bound", _farthest),
-        ("start in a range", _start_anywhere),
-        ("two equal carts", _two_carts),
-        ("convex beyond a wall: |a| >= 1", _wall),
-        ("strictly convex but weak", _weak),
-        ("time-switched dynamics", _switched),
-        ("friction at rest", _friction),
-    ):
-        yield Right("near misses", name, lambda m=make: _solved(m()))
+    return {
+        **{f"great circle, {arc} rad": partial(great_circle, arc) for arc in (1.0, 2.5, 3.0)},
+        **{f"u^2 - x^2 over {last} s": partial(repelled, last, 0.3) for last in (1.0, 2.5, 3.0)},
+        "in a double well before pi / k": partial(double_well, 1.0, 2.5),
+        **{f"one switch, bend {bend}": partial(one_switch, bend) for bend in (0.2, 0.5, 0.8)},
+        "final time on its bound": _farthest,
+        "start in a range": _start_anywhere,
+        "two equal carts": _two_carts,
+        "convex beyond a wall: |a| >= 1": _wall,
+        "strictly convex but weak": _weak,
+        "time-switched dynamics": _switched,
+        "friction at rest": _friction,
+    }
+
+
+def _check_samples(s: Statement, frame: Frame) -> go.Verdict:
+    return go.verify_trajectory(build(s, frame), *in_frame(s, trajectory(solved(s)), frame))
 
 
 def _solved(problem: go.Problem) -> go.Verdict:
@@ -137,12 +128,7 @@ def _of_set(document: Mapping[str, Any]) -> go.Verdict:
 def _cart(
     start: Mapping[str, Any], end: Mapping[str, Any], time: Any, bound: float = 1.0
 ) -> tuple[go.Problem, go.Phase]:
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, time)
+    problem, leg, _, _ = one_phase("cart", "q v", "a", lambda q, v, a: [v, a], (0.0, time))
     leg.initial(**start)
     leg.final(**end)
     leg.bounds(a=(-bound, bound))
@@ -199,14 +185,10 @@ def _weak() -> go.Problem:
 def _switched() -> go.Problem:
     """Thrust that halves at 0.5 s, in two phases."""
     problem = go.Problem("switched")
-    legs = []
-    for name, gain, start, end in (("full", 1.0, 0.0, 0.5), ("half", 0.5, 0.5, 1.0)):
-        model = go.Model(name)
-        q, v, a = model.state("q"), model.state("v"), model.control("a")
-        model.ode({q: v, v: gain * a})
-        leg = problem.phase(name, model)
-        leg.time(start, end)
-        legs.append(leg)
+    legs = [
+        phase_of(problem, name, "q v", "a", lambda q, v, a, gain=gain: [v, gain * a], time)[0]
+        for name, gain, time in (("full", 1.0, (0.0, 0.5)), ("half", 0.5, (0.5, 1.0)))
+    ]
     legs[0].initial(q=0.0, v=0.0)
     legs[1].final(q=1.0, v=0.0)
     problem.link(legs[0], legs[1])
@@ -216,12 +198,8 @@ def _switched() -> go.Problem:
 
 def _friction() -> go.Problem:
     """Coulomb friction, from rest to rest: v never changes its sign."""
-    model = go.Model("sled")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - 0.2 * ca.sign(v)})
-    problem = go.Problem("friction")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    rates: Rates = lambda q, v, a: [v, a - 0.2 * ca.sign(v)]  # noqa: E731
+    problem, leg, _, _ = one_phase("friction", "q v", "a", rates, (0.0, (0.1, 10.0)))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0), v=(0.0, None))

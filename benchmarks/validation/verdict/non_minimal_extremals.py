@@ -1,50 +1,23 @@
-"""Extremals that are no minima, and answers that go past a limit, as default calls or given arrays yield them."""
+"""Cases that are no minima, and answers that go past a limit, as default calls or given arrays yield them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import one_phase
+from benchmarks.validation.verdict.answers import Case, one_phase
 from benchmarks.validation.verdict.statements import Array
 
-UNBOUNDED = float("inf")
 
-
-@dataclass(frozen=True)
-class Extremal:
-    """A wrong answer.
-
-    Attributes
-    ----------
-    kind, name, why : str
-    off : float
-        What is lost at least, relative to the cost (UNBOUNDED where there is no least cost), or a distance.
-    check : callable
-        () -> Verdict.
-    first_order : bool
-        Whether the first order tells (a limit that is crossed, a shallower well of H); else only sufficient
-        conditions do.
-    """
-
-    kind: str
-    name: str
-    why: str
-    off: float
-    check: Callable[[], go.Verdict]
-    first_order: bool = False
-
-
-def extremals() -> Iterator[Extremal]:
-    """Yield all of them."""
+def extremals() -> Iterator[Case]:
+    """Yield all of them; ``off`` is what is lost at least."""
     yield from _conjugate_points()
-    yield from _double_wells()
-    yield from _catenaries()
     yield from _switch_maxima()
     yield from _narrow_wells()
     yield from _singular_maxima()
@@ -55,35 +28,38 @@ def _default(problem: go.Problem, tol: float | None = None) -> go.Verdict:
     return go.verify(go.solve(problem, tol=tol))
 
 
+def _second_order(kind: str, name: str, why: str, off: float, check: Callable[..., Any], *given: Any) -> Case:
+    """Return an extremal of which only sufficient conditions fail."""
+    return Case(kind, name, partial(check, *given), why, off, first_order=False)
+
+
 # --- conjugate points --------------------------------------------------------------------------------------
 
 
-def _conjugate_points() -> Iterator[Extremal]:
+def _conjugate_points() -> Iterator[Case]:
+    case = partial(_second_order, "conjugate point")
     for degrees in (190, 225, 270, 320, 350):
         arc = np.radians(degrees)
-        yield Extremal(
-            "conjugate point", f"great circle, {degrees} degrees", "over a pole it is never more than 180 degrees",
-            1 - (np.pi / arc) ** 2, lambda a=arc: _default(great_circle(a)),
-        )  # fmt: skip
-        yield Extremal(
-            "conjugate point", f"great circle, {degrees} degrees, as samples",
-            "over a pole it is never more than 180 degrees", 1 - (np.pi / arc) ** 2, lambda a=arc: _equator(a),
-        )  # fmt: skip
+        name, why = f"great circle, {degrees} degrees", "over a pole it is never more than 180 degrees"
+        yield case(name, why, 1 - (np.pi / arc) ** 2, lambda a=arc: _default(great_circle(a)))
+        yield case(f"{name}, as samples", why, 1 - (np.pi / arc) ** 2, _equator, arc)
     for last, end in ((3.3, 0.0), (4.0, 0.2), (5.0, 0.5), (6.0, -0.3), (7.0, 0.3)):
-        yield Extremal(
-            "conjugate point", f"u^2 - x^2 over {last} s to {end}", "beyond pi there is no least cost",
-            UNBOUNDED, lambda t=last, e=end: _swung(t, e),
-        )  # fmt: skip
+        name = f"u^2 - x^2 over {last} s to {end}"
+        yield case(name, "beyond pi there is no least cost", np.inf, _swung, last, end)
     for depth in (0.7, 0.8, 0.9):
-        yield Extremal(
-            "conjugate point", f"straight through a disc {100 * depth:.0f} % slower", "round it is faster",
-            _saved_round_the_disc(depth), lambda d=depth: _straight_through(d),
-        )  # fmt: skip
+        name, saved = f"straight through a disc {100 * depth:.0f} % slower", _saved_round_the_disc(depth)
+        yield case(name, "round it is faster", saved, _straight_through, depth)
     for last in (3.3, 4.0, 5.0):
-        yield Extremal(
-            "conjugate point", f"two oscillators over {last} s", "beyond pi the first one has no least cost",
-            UNBOUNDED, lambda t=last: _two_oscillators(t),
-        )  # fmt: skip
+        why = "beyond pi the first one has no least cost"
+        yield case(f"two oscillators over {last} s", why, np.inf, _two_oscillators, last)
+    for stiffness, last in ((2.0, 2.0), (1.0, 4.0), (3.0, 1.5), (4.0, 2.5)):
+        name = f"on the ridge of a double well, {stiffness} for {last} s"
+        saved = -_well_cost(stiffness, last, 0.3 * np.sqrt(stiffness))
+        yield case(name, "down and back costs less", saved, _on_the_ridge, stiffness, last)
+    for width in (0.6, 0.8, 1.0):
+        deep, shallow = _hanging(width, 0.02, 0.25), _hanging(width, 0.5, 1.0)
+        name, saved = f"deep catenary, {width} wide", 1 - _area(shallow, width) / _area(deep, width)
+        yield case(name, "the shallow one has less area", saved, _catenary, width, deep)
 
 
 def great_circle(arc: float) -> go.Problem:
@@ -139,13 +115,12 @@ def _two_oscillators(last: float) -> go.Verdict:
 
 def slow_disc(depth: float) -> go.Problem:
     """Least time from (-1, 0) to (1, 0) through a disc at the origin where speed is lost."""
-    model = go.Model("slow disc")
-    x, y, h = model.state("x"), model.state("y"), model.control("h")
-    speed = 1 - depth * ca.exp(-4 * (x**2 + y**2))
-    model.ode({x: speed * ca.cos(h), y: speed * ca.sin(h)})
-    problem = go.Problem("slow disc")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 20.0))
+
+    def rates(x: Any, y: Any, h: Any) -> list[Any]:
+        speed = 1 - depth * ca.exp(-4 * (x**2 + y**2))
+        return [speed * ca.cos(h), speed * ca.sin(h)]
+
+    problem, leg, _, _ = one_phase("slow disc", "x y", "h", rates, (0.0, (0.1, 20.0)))
     leg.initial(x=-1.0, y=0.0)
     leg.final(x=1.0, y=0.0)
     leg.bounds(h=(-1.5, 1.5))
@@ -175,15 +150,6 @@ def _straight_through(depth: float) -> go.Verdict:
     return go.verify_trajectory(slow_disc(depth), t, [x, 0 * x], 0 * x)
 
 
-def _double_wells() -> Iterator[Extremal]:
-    for stiffness, last in ((2.0, 2.0), (1.0, 4.0), (3.0, 1.5), (4.0, 2.5)):
-        bump = _well_cost(stiffness, last, 0.3 * np.sqrt(stiffness))
-        yield Extremal(
-            "conjugate point", f"on the ridge of a double well, {stiffness} for {last} s", "down and back costs less",
-            -bump, lambda k=stiffness, t=last: _on_the_ridge(k, t),
-        )  # fmt: skip
-
-
 def double_well(stiffness: float, last: float) -> go.Problem:
     """min of the integral of u^2 / 2 - (k x)^2 / 2 + x^4 / 4 from 0 to 0: x = 0 is no minimum beyond pi / k."""
     problem, leg, (x,), (u,) = one_phase("double well", "x", "u", lambda x, u: [u], (0.0, last))
@@ -205,16 +171,6 @@ def _well_cost(k: float, last: float, height: float) -> float:
         x, u = h * np.sin(np.pi * t / last), h * np.pi / last * np.cos(np.pi * t / last)
         best = min(best, float(np.trapezoid(0.5 * u**2 - 0.5 * (k * x) ** 2 + 0.25 * x**4, t)))
     return best
-
-
-def _catenaries() -> Iterator[Extremal]:
-    for width in (0.6, 0.8, 1.0):
-        deep, shallow = _hanging(width, 0.02, 0.25), _hanging(width, 0.5, 1.0)
-        saved = 1 - _area(shallow, width) / _area(deep, width)
-        yield Extremal(
-            "conjugate point", f"deep catenary, {width} wide", "the shallow one has less area", saved,
-            lambda w=width, c=deep: _catenary(w, c),
-        )  # fmt: skip
 
 
 def _hanging(width: float, least: float, most: float) -> float:
@@ -241,25 +197,20 @@ def _catenary(width: float, c: float) -> go.Verdict:
 # --- maxima and saddles of switch times --------------------------------------------------------------------
 
 
-def _switch_maxima() -> Iterator[Extremal]:
+def _switch_maxima() -> Iterator[Case]:
+    case = partial(_second_order, "switch times")
     for bend in (1.2, 1.5, 2.5):
         for what, more in (
             ("alone", None), ("with an idle constraint", "constraint"), ("with an idle end bound", "bound"),
         ):  # fmt: skip
-            yield Extremal(
-                "switch times", f"one switch, bend {bend}, {what}", "the cost has a maximum over the switch time",
-                _bent_by(bend), lambda b=bend, m=more: _one_switch(b, m),
-            )  # fmt: skip
+            name, why = f"one switch, bend {bend}, {what}", "the cost has a maximum over the switch time"
+            yield case(name, why, _bent_by(bend), _one_switch, bend, more)
     for weight in (0.5, 2.0):
-        yield Extremal(
-            "switch times", f"a parameter at a maximum, weight {weight}", "any other value costs less",
-            weight * 0.25, lambda w=weight: _one_switch(0.5, "parameter", w),
-        )  # fmt: skip
+        name = f"a parameter at a maximum, weight {weight}"
+        yield case(name, "any other value costs less", weight * 0.25, _one_switch, 0.5, "parameter", weight)
     for kappa in (1.5, 2.0, 3.0):
-        yield Extremal(
-            "switch times", f"two switches at once, kappa {kappa}", "one earlier and the other later costs less",
-            _split_pair(kappa), lambda k=kappa: _pair(k),
-        )  # fmt: skip
+        name, why = f"two switches at once, kappa {kappa}", "one earlier and the other later costs less"
+        yield case(name, why, _split_pair(kappa), _pair, kappa)
 
 
 def one_switch(bend: float, more: str | None = None, weight: float = 1.0) -> go.Problem:
@@ -323,7 +274,7 @@ def _pair(kappa: float) -> go.Verdict:
 # --- wells of H --------------------------------------------------------------------------------------------
 
 
-def _narrow_wells() -> Iterator[Extremal]:
+def _narrow_wells() -> Iterator[Case]:
     t = np.linspace(0.0, 1.0, 21)
     for center, width in (
         (0.73, 0.05),
@@ -338,10 +289,9 @@ def _narrow_wells() -> Iterator[Extremal]:
         leg.initial(x=0.0)
         leg.bounds(u=(-1.0, 1.0))
         problem.minimize(leg.integral(1 + (u + 0.5) ** 2 - 3 * ca.exp(-(((u - center) / width) ** 2))))
-        yield Extremal(
-            "well of H", f"{width} wide at {center}", "u in the narrow well costs less than u = -0.5",
-            3 - (center + 0.5) ** 2, lambda p=problem: go.verify_trajectory(p, t, -0.5 * t, 0 * t - 0.5), True,
-        )  # fmt: skip
+        name, why = f"{width} wide at {center}", "u in the narrow well costs less than u = -0.5"
+        check = partial(go.verify_trajectory, problem, t, -0.5 * t, 0 * t - 0.5)
+        yield Case("well of H", name, check, why, 3 - (center + 0.5) ** 2)
     for stiffness in (1e2, 1e4, 1e6):
         problem, leg, _, (u, w) = one_phase(
             "coupled wells", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, 1.0)
@@ -351,17 +301,16 @@ def _narrow_wells() -> Iterator[Extremal]:
         d = u - w
         problem.minimize(leg.integral(1 + stiffness * (u + w) ** 2 + (d**2 - 1) ** 2 + 0.2 * d))
         high = float(np.max(np.roots([4.0, 0.0, -4.0, 0.2]).real))
-        yield Extremal(
-            "well of H", f"coupled actuators, stiffness {stiffness:g}", "the other valley of u - w is deeper",
-            0.39, lambda p=problem, h=high: go.verify_trajectory(
-                p, t, [t * h / 2, -t * h / 2], [0 * t + h / 2, 0 * t - h / 2]), True,
-        )  # fmt: skip
+        name, why = f"coupled actuators, stiffness {stiffness:g}", "the other valley of u - w is deeper"
+        x, u = [t * high / 2, -t * high / 2], [0 * t + high / 2, 0 * t - high / 2]
+        yield Case("well of H", name, partial(go.verify_trajectory, problem, t, x, u), why, 0.39)
 
 
 # --- singular maxima ---------------------------------------------------------------------------------------
 
 
-def _singular_maxima() -> Iterator[Extremal]:
+def _singular_maxima() -> Iterator[Case]:
+    case = partial(_second_order, "singular arc")
     t = np.linspace(0.0, 2.0, 41)
     for weight in (0.1, 1.0, 10.0):
         problem, leg, (x,), _ = one_phase("singular maximum", "x", "u", lambda x, u: [u], (0.0, 2.0))
@@ -369,10 +318,8 @@ def _singular_maxima() -> Iterator[Extremal]:
         leg.final(x=0.0)
         leg.bounds(u=(-1.0, 1.0))
         problem.minimize(leg.integral(1 - weight * x**2))
-        yield Extremal(
-            "singular arc", f"x = 0 with -{weight} x^2", "Kelley's condition has the wrong sign",
-            weight / 6, lambda p=problem: go.verify_trajectory(p, t, 0 * t, 0 * t),
-        )  # fmt: skip
+        name, why = f"x = 0 with -{weight} x^2", "Kelley's condition has the wrong sign"
+        yield case(name, why, weight / 6, go.verify_trajectory, problem, t, 0 * t, 0 * t)
     for skew in (0.5, 2.0):
         problem, leg, (x, y, _), _ = one_phase(
             "Goh", "x y z", "u w", lambda x, y, z, u, w: [u, w, x * w - y * u], (0.0, 2.0)
@@ -381,37 +328,35 @@ def _singular_maxima() -> Iterator[Extremal]:
         leg.final(x=0.0, y=0.0)
         leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
         problem.minimize(leg.integral(1 + x**2 + y**2) + skew * 20 * leg.final_state("z"))
-        yield Extremal(
-            "singular arc", f"at rest though turning gains, {skew}", "Goh's condition fails: a small loop lowers z",
-            skew * 0.05, lambda p=problem: go.verify_trajectory(p, t, np.zeros((3, 41)), np.zeros((2, 41))),
-        )  # fmt: skip
+        name, why = f"at rest though turning gains, {skew}", "Goh's condition fails: a small loop lowers z"
+        rest = np.zeros((3, 41)), np.zeros((2, 41))
+        yield case(name, why, skew * 0.05, go.verify_trajectory, problem, t, *rest)
     for power in (1.0, 3.0):
         problem, leg, _, (u,) = one_phase("abnormal", "x", "u", lambda x, u: [u**2], (0.0, 1.0))
         leg.initial(x=0.0)
         leg.final(x=0.0)
         problem.minimize(leg.integral((u - power) ** 2))
-        yield Extremal(
-            "abnormal", f"x' = u^2 back to 0, u = {power:g} wanted", "no finite multiplier explains it",
-            1.0, lambda p=problem: go.verify_trajectory(p, np.linspace(0, 1, 21), np.zeros(21), np.zeros(21)),
-        )  # fmt: skip
+        name, why = f"x' = u^2 back to 0, u = {power:g} wanted", "no finite multiplier explains it"
+        samples = np.linspace(0, 1, 21), np.zeros(21), np.zeros(21)
+        yield _second_order("abnormal", name, why, 1.0, go.verify_trajectory, problem, *samples)
 
 
 # --- limits crossed between samples ------------------------------------------------------------------------
 
 
-def _keep_outs() -> Iterator[Extremal]:
+def _keep_outs() -> Iterator[Case]:
+    why = "it goes through what it must keep out of"
     for radius, way, unit in ((10.0, 5000.0, 1.0), (1.0, 1000.0, 1.0), (10.0, 5000.0, 1e3), (50.0, 2e4, 1.0)):
-        yield Extremal(
-            "keep-out crossed", f"through the middle of {radius:g} m on {2 * way:g} m, unit {unit:g} m",
-            "it goes through what it must keep out of", 1.0,
-            lambda r=radius, w=way, u=unit: _default(fly_by(r / u, w / u)), True,
-        )  # fmt: skip
+        name = f"through the middle of {radius:g} m on {2 * way:g} m, unit {unit:g} m"
+        check = partial(_fly_by, radius / unit, way / unit)
+        yield Case("keep-out crossed", name, check, why, 1.0)
     for radius, way in ((10.0, 5000.0), (2.0, 3000.0)):
-        yield Extremal(
-            "keep-out crossed", f"through {radius:g} m on {2 * way:g} m, distance stated as a root",
-            "it goes through what it must keep out of", 1.0,
-            lambda r=radius, w=way: _default(fly_by(r, w, root=True)), True,
-        )  # fmt: skip
+        name = f"through {radius:g} m on {2 * way:g} m, distance stated as a root"
+        yield Case("keep-out crossed", name, partial(_fly_by, radius, way, root=True), why, 1.0)
+
+
+def _fly_by(radius: float, way: float, *, root: bool = False) -> go.Verdict:
+    return _default(fly_by(radius, way, root=root))
 
 
 def fly_by(radius: float, way: float, *, root: bool = False) -> go.Problem:

@@ -3,92 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import one_phase
+from benchmarks.validation.verdict.answers import Case, one_phase
 from benchmarks.validation.verdict.statements import Array
 
 Wall = Callable[[Any], Any]
 
 
-@dataclass(frozen=True)
-class Member:
-    """One of a family.
-
-    Attributes
-    ----------
-    name, why : str
-        Why it is no minimum, if it is none.
-    wrong, first_order : bool
-        Whether it is none, and whether the first order tells.
-    check : callable
-        () -> Verdict.
-    """
-
-    name: str
-    why: str
-    wrong: bool
-    first_order: bool
-    check: Callable[[], go.Verdict]
-
-
-def members() -> Iterator[Member]:
-    """Yield all of them."""
-    yield from _of(
-        "same area below, times", _area, (3.5, 5.0, 6.1), (6.4, 7.0, 9.5), "a wave of two halves costs less"
-    )
-    yield from _of(
-        "round a torus, rad", _torus, (1.0, 1.7), (1.9, 2.5, 3.1), "the outer equator is no shortest path"
-    )
-    yield from _of("charge in a field, s", _charge, (3.0, 6.0), (6.6, 9.0), "beyond 2 pi a loop costs less")
-    yield from _of("clamped column, load", _column, (20.0, 38.0), (41.0, 60.0), "it buckles at 4 pi^2")
-    yield from _of(
-        "end that bends, by", _end, (-3.0, 0.5, 0.95), (1.05, 2.0, 10.0), "away from 0 it costs less"
-    )
-    yield from _of("free time, bend", _time, (-5.0, 0.3, 0.48), (0.52, 1.0, 5.0), "any other time costs less")
-    yield from _of("three switches at once", _switches, (-0.2, -0.4, -0.48), (-0.52, -0.6, -2.0), "a saddle")
-    yield from _of(
-        "totally singular, times", _singular, (0.8, 1.5), (1.7, 2.5), "beyond pi / 2 swinging costs less"
-    )
-    yield from _of("axis of an ellipsoid", _ellipsoid, (0,), (1, 2), "a shorter axis is nearer")
+def members() -> Iterator[Case]:
+    """Yield the members of all families, on either side of their thresholds."""
+    for name, check, below, beyond, why in (
+        (
+            "same area below, times",
+            _area,
+            (3.5, 5.0, 6.1),
+            (6.4, 7.0, 9.5),
+            "a wave of two halves costs less",
+        ),
+        ("round a torus, rad", _torus, (1.0, 1.7), (1.9, 2.5, 3.1), "the outer equator is no shortest path"),
+        ("charge in a field, s", _charge, (3.0, 6.0), (6.6, 9.0), "beyond 2 pi a loop costs less"),
+        ("clamped column, load", _column, (20.0, 38.0), (41.0, 60.0), "it buckles at 4 pi^2"),
+        ("end that bends, by", _end, (-3.0, 0.5, 0.95), (1.05, 2.0, 10.0), "away from 0 it costs less"),
+        ("free time, bend", _time, (-5.0, 0.3, 0.48), (0.52, 1.0, 5.0), "any other time costs less"),
+        ("three switches at once", _switches, (-0.2, -0.4, -0.48), (-0.52, -0.6, -2.0), "a saddle"),
+        ("totally singular, times", _singular, (0.8, 1.5), (1.7, 2.5), "beyond pi / 2 swinging costs less"),
+        ("axis of an ellipsoid", _ellipsoid, (0,), (1, 2), "a shorter axis is nearer"),
+    ):
+        for value in (*below, *beyond):
+            text = why if value in beyond else ""
+            yield _member(f"{name} {value}", text, partial(check, value), first_order=False)
     for limit, height, wrong in (
         *((h, h, False) for h in (0.1, 0.15, 0.18, 0.22)), (0.12, 0.1, True), (0.21, 0.2, True), (0.3, 0.3, True),
         (0.099, 0.1, True), (0.199, 0.2, True),
     ):  # fmt: skip
-        why = "it is beyond the limit, or the limit does not push"
-        yield Member(
-            f"ceiling {limit}, flown {height}", why, wrong, True, lambda c=limit, h=height: _ceiling(c, h)
-        )
+        why = "it is beyond the limit, or the limit does not push" if wrong else ""
+        yield _member(f"ceiling {limit}, flown {height}", why, partial(_ceiling, limit, height))
     for word, lengths, wrong in (
         ("RSL", (1.2, 1.5, 0.9), False), ("RLR", (1.0, 4.0, 0.8), False), ("LRL", (0.5, 5.0, 1.2), False),
         ("RLR", (1.0, 2.0, 0.8), True), ("LRL", (0.5, 3.0, 0.5), True), ("LSLS", (0.5, 2.0, 0.3, 1.0), True),
         ("LRLR", (0.5, 4.0, 4.0, 0.5), True),
     ):  # fmt: skip
-        why = "no shortest path of bounded curvature has this word with these lengths"
-        yield Member(
-            f"{word} {lengths}", why, wrong, len(word) < 4, lambda w=word, n=lengths: _bounded_curvature(w, n)
-        )
+        why = "no shortest path of bounded curvature has this word with these lengths" if wrong else ""
+        check = partial(_bounded_curvature, word, lengths)
+        yield _member(f"{word} {lengths}", why, check, first_order=len(word) < 4)
     for name, wall in _walls().items():
-        yield Member(
-            f"narrow {name}",
-            "it goes through the wall between samples",
-            True,
-            True,
-            lambda w=wall: _narrow(w, 0.5187),
-        )
-        yield Member(f"narrow {name}, beside the way", "", False, True, lambda w=wall: _narrow(w, 1.1))
+        why = "it goes through the wall between samples"
+        yield _member(f"narrow {name}", why, partial(_narrow, wall, 0.5187))
+        yield _member(f"narrow {name}, beside the way", "", partial(_narrow, wall, 1.1))
 
 
-def _of(
-    name: str, check: Callable[[Any], go.Verdict], right: tuple[Any, ...], wrong: tuple[Any, ...], why: str
-) -> Iterator[Member]:
-    for value in (*right, *wrong):
-        yield Member(f"{name} {value}", why, value in wrong, False, lambda v=value: check(v))
+def _member(name: str, why: str, check: Callable[[], go.Verdict], *, first_order: bool = True) -> Case:
+    kind = "beyond a threshold" if why else "right: before a threshold"
+    return Case(kind, name, check, why, 1.0 if why else 0.0, first_order)
 
 
 # --- smooth ------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import json
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
+from benchmarks.validation.verdict.answers import Case
 from benchmarks.validation.verdict.statements import (
     FAMILY,
     Array,
@@ -194,36 +196,16 @@ def _bent(s: Statement) -> Trajectory:
 Edit = Callable[[dict[str, Any], dict[str, Any]], None]
 
 
-@dataclass(frozen=True)
-class Forged:
-    """A file that is not what its problem's answer is.
-
-    Attributes
-    ----------
-    name, why : str
-    off : float
-        By which share numbers are changed.
-    check : callable
-        () -> Verdict.
-    """
-
-    name: str
-    why: str
-    off: float
-    check: Callable[[], go.Verdict]
-
-
-def forged() -> Iterator[Forged]:
-    """Yield all of them: every statement's answer with costates, states or controls changed, and other problems'."""
+def forged() -> Iterator[Case]:
+    """Yield every statement's answer with costates, states or controls changed, and those of other problems."""
     for s in FAMILY:
         for what, why, off, edit in _edits():
-            yield Forged(f"{s.name}: {what}", why, off, lambda s=s, e=edit: _checked(s, s, e))
+            yield Case("forged file", f"{s.name}: {what}", partial(_checked, s, s, edit), why, off)
         for name, value in s.numbers.items():
             other = replace(s, numbers={**s.numbers, name: 1.05 * value})
             why = f"the answer for {name} 5 % larger, under this problem's fingerprint"
-            yield Forged(
-                f"{s.name}: {name} of another problem", why, 0.05, lambda a=s, b=other: _checked(a, b, _same)
-            )
+            check = partial(_checked, s, other, _same)
+            yield Case("forged file", f"{s.name}: {name} of another problem", check, why, 0.05)
 
 
 def _checked(s: Statement, answered: Statement, edit: Edit) -> go.Verdict:
