@@ -122,18 +122,41 @@ def one_phase(
     return problem, *phase_of(problem, "leg", states, controls, rates, time)
 
 
-def line(unit: float, time: Any = (0.0, 1.0)) -> tuple[go.Problem, go.Phase, Any, Any]:
-    """A point on a line that starts at 0, and its speed, both in units."""
-    problem = go.Problem("line")
-    leg, (x,), (u,) = phase_of(problem, "leg", "x", "u", lambda x, u: [u], time)
-    leg.initial(x=0.0)
+def integrator(
+    unit: float, time: Any = (0.0, 1.0), start: Any = 0.0, end: Any = None
+) -> tuple[go.Problem, go.Phase, Any, Any]:
+    """A point on a line, and its speed; the ends are in units, numbers or pairs of bounds, None if they are free."""
+    problem, leg, (x,), (u,) = one_phase("line", "x", "u", lambda x, u: [u], time)
+    _set_ends(leg, unit, {"x": start}, {"x": end})
+    return problem, leg, x, u
+
+
+def line(
+    unit: float, time: Any = (0.0, 1.0), start: Any = 0.0, end: Any = None
+) -> tuple[go.Problem, go.Phase, Any, Any]:
+    """`integrator` with place and speed in units."""
+    problem, leg, x, u = integrator(unit, time, start, end)
     return problem, leg, x / unit, u / unit
 
 
-def free_line(unit: float, time: float, *names: str) -> tuple[go.Problem, go.Phase, list[Any]]:
-    problem = go.Problem("moved")
-    leg, (x,), (u,) = phase_of(problem, "leg", "x", "u", lambda x, u: [u], (0.0, time))
-    return problem, leg, [x / unit, u / unit]
+def cart(
+    unit: float, time: Any, start: Any = (0.0, 0.0), end: Any = (None, None)
+) -> tuple[go.Problem, go.Phase, tuple[Any, Any], Any]:
+    """A point on a line, its speed, and its acceleration; place and speed at the ends are in units, as of `line`."""
+    problem, leg, (q, v), (a,) = one_phase("cart", "q v", "a", lambda q, v, a: [v, a], time)
+    _set_ends(leg, unit, dict(zip("qv", start, strict=True)), dict(zip("qv", end, strict=True)))
+    return problem, leg, (q, v), a
+
+
+def _set_ends(leg: go.Phase, unit: float, start: dict[str, Any], end: dict[str, Any]) -> None:
+    for fix, values in ((leg.initial, start), (leg.final, end)):
+        fix(**{name: _scaled(unit, value) for name, value in values.items() if value is not None})
+
+
+def _scaled(unit: float, value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(None if bound is None else unit * bound for bound in value)
+    return unit * value
 
 
 def plane(

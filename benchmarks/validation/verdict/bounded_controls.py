@@ -16,7 +16,7 @@ from benchmarks.validation.verdict.answers import (
     Rates,
     T,
     arcs,
-    free_line,
+    cart,
     line,
     one_phase,
     phase_of,
@@ -29,8 +29,9 @@ PAIRS = Pairs()
 @PAIRS.add("bang, coast, bang", "it pushes longer and with less, which costs more", 0.01)
 def _coast(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 3 s with the least fuel."""
-    problem = go.Problem("bang, coast, bang")
-    leg, _, (p, m) = phase_of(problem, "leg", "q v", "p m", lambda q, v, p, m: [v, p - m], (0.0, 3.0))
+    problem, leg, _, (p, m) = one_phase(
+        "bang, coast, bang", "q v", "p m", lambda q, v, p, m: [v, p - m], (0.0, 3.0)
+    )
     leg.initial(q=0.0, v=0.0)
     leg.final(q=unit, v=0.0)
     leg.bounds(p=(0.0, unit), m=(0.0, unit))
@@ -48,9 +49,8 @@ def _coast(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("turnpike", "it swings about the stock that grows most", 0.02)
 def _turnpike(unit: float, cost: float, wrong: bool) -> Answer:
     """Harvest u of a stock x' = x (1 - x) - u from a half to a half: kept there, it grows most."""
-    problem = go.Problem("turnpike")
     rates = lambda x, u: [x * (1.0 - x / unit) - u]  # noqa: E731
-    leg, _, (u,) = phase_of(problem, "leg", "x", "u", rates, (0.0, 4.0))
+    problem, leg, _, (u,) = one_phase("turnpike", "x", "u", rates, (0.0, 4.0))
     leg.initial(x=0.5 * unit)
     leg.final(x=0.5 * unit)
     leg.bounds(u=(0.0, unit))
@@ -94,8 +94,7 @@ def _spending(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("largest final speed", "it brakes in the middle", 0.1)
 def _largest(unit: float, cost: float, wrong: bool) -> Answer:
     """The largest speed after 2 s with a push of at most 1."""
-    problem, leg, _, _ = one_phase("largest final speed", "q v", "a", lambda q, v, a: [v, a], (0.0, 2.0))
-    leg.initial(q=0.0, v=0.0)
+    problem, leg, _, _ = cart(unit, (0.0, 2.0))
     leg.bounds(a=(-unit, unit))
     problem.maximize(cost * leg.final_state("v") / unit)
     t, arc = arcs(0.9, 0.2, 0.9)
@@ -114,8 +113,7 @@ def _largest(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("limit that is just reached", "it keeps off a limit that does not push", 0.01, kind="at a limit")
 def _just_reached(unit: float, cost: float, wrong: bool) -> Answer:
     """u^2 - 2 x(1) is least for u = 1, which is the limit."""
-    problem, leg, (_, u) = free_line(unit, 1.0)
-    leg.initial(x=0.0)
+    problem, leg, _, u = line(unit)
     leg.bounds(u=(-unit, unit))
     problem.minimize(cost * (leg.integral(u**2) - 2.0 * leg.final_state("x") / unit))
     t, push = np.linspace(0.0, 1.0, 11), 0.9 if wrong else 1.0
@@ -181,8 +179,9 @@ def _oscillator(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("drained tank", "its valve is not open", 0.1)
 def _tank(unit: float, cost: float, wrong: bool) -> Answer:
-    problem = go.Problem("tank")
-    leg, _, _ = phase_of(problem, "leg", "x", "u", lambda x, u: [-u * ca.sqrt(x * unit)], (0.0, (0.1, 50.0)))
+    problem, leg, _, _ = one_phase(
+        "tank", "x", "u", lambda x, u: [-u * ca.sqrt(x * unit)], (0.0, (0.1, 50.0))
+    )
     leg.initial(x=unit)
     leg.final(x=0.01 * unit)
     leg.bounds(u=(0.0, 1.0))
@@ -194,8 +193,7 @@ def _tank(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("only one way", "it goes at full speed and waits", 0.1)
 def _only_way(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, x, u = line(unit, (0.0, 1.2 if wrong else 1.0))
-    leg.final(x=unit)
+    problem, leg, x, u = line(unit, (0.0, 1.2 if wrong else 1.0), end=1.0)
     leg.bounds(u=(-unit, unit))
     problem.minimize(cost * leg.integral(u**2 + 0.3 * x))
     if wrong:
@@ -321,9 +319,8 @@ def _newtons_body(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("dwelling where it is fastest", "it dwells beside it", 0.01)
 def _dwelling(unit: float, cost: float, wrong: bool) -> Answer:
     """y' = 1 / (1 + x^2) from x = 1 to x = 1 over 5: along x = 0."""
-    problem = go.Problem("dwelling")
     rates: Rates = lambda x, y, u: [u, unit / (1 + (x / unit) ** 2)]  # noqa: E731
-    leg, _, _ = phase_of(problem, "leg", "x y", "u", rates, (0.0, (0.1, 20.0)))
+    problem, leg, _, _ = one_phase("dwelling", "x y", "u", rates, (0.0, (0.1, 20.0)))
     leg.initial(x=unit, y=0.0)
     leg.final(x=unit, y=5.0 * unit)
     leg.bounds(u=(-unit, unit))

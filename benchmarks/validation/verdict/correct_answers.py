@@ -10,7 +10,7 @@ import casadi as ca
 
 import gnc_opt as go
 from benchmarks.validation.problem_set.reader import build_problem
-from benchmarks.validation.verdict.answers import Case, Rates, one_phase, phase_of
+from benchmarks.validation.verdict.answers import Case, Rates, cart, one_phase, phase_of
 from benchmarks.validation.verdict.non_minimal_extremals import (
     double_well,
     great_circle,
@@ -125,26 +125,18 @@ def _of_set(document: Mapping[str, Any]) -> go.Verdict:
 # --- limits in unusual places ------------------------------------------------------------------------------
 
 
-def _cart(
-    start: Mapping[str, Any], end: Mapping[str, Any], time: Any, bound: float = 1.0
-) -> tuple[go.Problem, go.Phase]:
-    problem, leg, _, _ = one_phase("cart", "q v", "a", lambda q, v, a: [v, a], (0.0, time))
-    leg.initial(**start)
-    leg.final(**end)
-    leg.bounds(a=(-bound, bound))
-    return problem, leg
-
-
 def _farthest() -> go.Problem:
     """As far as possible in 2 s at most: 1 m."""
-    problem, leg = _cart({"q": 0.0, "v": 0.0}, {"v": 0.0}, (0.1, 2.0))
+    problem, leg, _, _ = cart(1.0, (0.0, (0.1, 2.0)), end=(None, 0.0))
+    leg.bounds(a=(-1.0, 1.0))
     problem.maximize(leg.final_state("q"))
     return problem
 
 
 def _start_anywhere() -> go.Problem:
     """From rest anywhere between 0.5 m and 1 m: sqrt(2) s from the nearer end."""
-    problem, leg = _cart({"q": (0.5, 1.0), "v": 0.0}, {"q": 0.0, "v": 0.0}, (0.1, 10.0))
+    problem, leg, _, _ = cart(1.0, (0.0, (0.1, 10.0)), start=((0.5, 1.0), 0.0), end=(0.0, 0.0))
+    leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     return problem
 
@@ -167,8 +159,8 @@ def _two_carts() -> go.Problem:
 
 def _wall() -> go.Problem:
     """Least square of a, kept at 1 or more: a = 1 throughout."""
-    problem, leg = _cart({"q": 0.0, "v": 0.0}, {"q": (0.0, None)}, 1.0, 3.0)
-    a = leg.model.symbol("a")
+    problem, leg, _, a = cart(1.0, (0.0, 1.0), end=((0.0, None), None))
+    leg.bounds(a=(-3.0, 3.0))
     leg.path("wall", a**2, lower=1.0)
     leg.guess([0.0, 1.0], a=1.5)
     problem.minimize(leg.integral(a**2) - 0.1 * leg.final_state("v"))
@@ -177,8 +169,9 @@ def _wall() -> go.Problem:
 
 def _weak() -> go.Problem:
     """A small square of the control beside a large constant."""
-    problem, leg = _cart({"q": 0.0, "v": 0.0}, {"q": 1.0, "v": 0.0}, 1.0, 20.0)
-    problem.minimize(leg.integral(1e3 + 0.5 * leg.model.symbol("a") ** 2))
+    problem, leg, _, a = cart(1.0, (0.0, 1.0), end=(1.0, 0.0))
+    leg.bounds(a=(-20.0, 20.0))
+    problem.minimize(leg.integral(1e3 + 0.5 * a**2))
     return problem
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from benchmarks.validation.verdict.answers import Answer, Pairs, arcs, free_line, one_phase
+from benchmarks.validation.verdict.answers import Answer, Pairs, arcs, cart, line, one_phase
 
 PAIRS = Pairs("where something vanishes")
 
@@ -13,8 +13,7 @@ PAIRS = Pairs("where something vanishes")
 @PAIRS.add("perfect tracking", "it drifts off what it follows", 0.001)
 def _tracking(unit: float, cost: float, wrong: bool) -> Answer:
     """Follows sin t, which it can."""
-    problem, leg, (x, _) = free_line(unit, 3.0)
-    leg.initial(x=0.0)
+    problem, leg, x, _ = line(unit, (0.0, 3.0))
     leg.bounds(u=(-2.0 * unit, 2.0 * unit))
     problem.minimize(cost * (7.0 + leg.integral((x - ca.sin(leg.model.time)) ** 2)))
     t, drift = np.linspace(0.0, 3.0, 81), 1e-3 if wrong else 0.0
@@ -36,8 +35,7 @@ def _stiff(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("bang to a free end", "it turns round before the end", 0.01)
 def _last_bang(unit: float, cost: float, wrong: bool) -> Answer:
     """As far back as possible on average: full push to the end, where costates vanish."""
-    problem, leg, (q, _), _ = one_phase("back", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=0.0, v=0.0)
+    problem, leg, (q, _), _ = cart(unit, (0.0, 1.0))
     leg.bounds(a=(-unit, unit))
     problem.minimize(cost * leg.integral(q) / unit)
     t, part = arcs(0.7, 0.3)
@@ -49,8 +47,7 @@ def _last_bang(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("price that touches zero", "it pushes the wrong way while the price is low", 0.001)
 def _touching(unit: float, cost: float, wrong: bool) -> Answer:
     """Pushes earn (t - 1)^2: full push backwards, at 1 s for nothing."""
-    problem, leg, (_, u) = free_line(unit, 2.0)
-    leg.initial(x=0.0)
+    problem, leg, _, u = line(unit, (0.0, 2.0))
     leg.bounds(u=(-unit, unit))
     problem.minimize(cost * leg.integral((leg.model.time - 1.0) ** 2 * u))
     t, part = arcs(0.8, 0.4, 0.8)
@@ -91,7 +88,7 @@ def _meridian(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("parameter and end", "together they are a saddle", 1.0, first_order=False)
 def _parameter_and_end(unit: float, cost: float, wrong: bool) -> Answer:
     """Beside u = 1 and k = 0: s^2 + k^2 + c k s of an end off by s and a parameter k is definite for c < 2."""
-    problem, leg, (_, u) = free_line(unit, 1.0)
+    problem, leg, _, u = line(unit, start=None)
     k = problem.parameter("k", lower=-5.0, upper=5.0, guess=0.0)
     leg.initial(x=0.0)
     off, coupling = leg.final_state("x") / unit - 1.0, 2.5 if wrong else 1.5
@@ -103,7 +100,7 @@ def _parameter_and_end(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("rest with a given mean", "swinging costs less than nothing", np.inf, first_order=False)
 def _swing(unit: float, cost: float, wrong: bool) -> Answer:
     """u^2 - c x^2 in a period of 2 pi with a mean of zero: a minimum at rest for c < 1."""
-    problem, leg, (x, u) = free_line(unit, 2.0 * np.pi)
+    problem, leg, x, u = line(unit, (0.0, 2.0 * np.pi), start=None)
     problem.link(leg, leg, time=False)
     problem.constrain("mean", leg.integral(x), equals=0.0)
     bend = 1.5 if wrong else 0.9
@@ -115,8 +112,7 @@ def _swing(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("end that two states share", "the end bends more than the effort", np.inf, first_order=False)
 def _shared_end(unit: float, cost: float, wrong: bool) -> Answer:
     """The effort to place and speed at 1 s is (12, -6; -6, 4): definite less 0.3 and 0.5, not less 2 and 0.8."""
-    problem, leg, _, (a,) = one_phase("shared end", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=0.0, v=0.0)
+    problem, leg, _, a = cart(unit, (0.0, 1.0))
     place, speed = (leg.final_state(name) / unit for name in ("q", "v"))
     less = (2.0, 0.8) if wrong else (0.3, 0.5)
     problem.minimize(cost * (leg.integral((a / unit) ** 2) - less[0] * place**2 - less[1] * speed**2))
@@ -146,8 +142,7 @@ def _peak(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("budget of effort", "it pushes unevenly", 0.001)
 def _effort(unit: float, cost: float, wrong: bool) -> Answer:
     """As far as possible in 2 s where u^2 adds up to 1: evenly."""
-    problem, leg, (_, u) = free_line(unit, 2.0)
-    leg.initial(x=0.0)
+    problem, leg, _, u = line(unit, (0.0, 2.0))
     problem.constrain("budget", leg.integral(u**2), upper=1.0)
     problem.maximize(cost * leg.final_state("x") / unit)
     t, tilt = np.linspace(0.0, 2.0, 41), 0.1 if wrong else 0.0
@@ -159,7 +154,7 @@ def _effort(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("followed wave", "it follows with another height", 0.01)
 def _wave(unit: float, cost: float, wrong: bool) -> Answer:
     """(x - cos t)^2 + u^2 in a period: half of the wave."""
-    problem, leg, (x, u) = free_line(unit, 2.0 * np.pi)
+    problem, leg, x, u = line(unit, (0.0, 2.0 * np.pi), start=None)
     problem.link(leg, leg, time=False)
     problem.minimize(cost * leg.integral((x - ca.cos(leg.model.time)) ** 2 + u**2))
     t, height = np.linspace(0.0, 2.0 * np.pi, 121), 0.45 if wrong else 0.5
@@ -185,8 +180,7 @@ def _clock(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("singular arc that moves", "it stays beside the arc", 0.01)
 def _moving_arc(unit: float, cost: float, wrong: bool) -> Answer:
     """(x - 0.3 t)^2 from 1 with |u| <= 1: down to 0.3 t at 1 / 1.3, then along it."""
-    problem, leg, (x, _) = free_line(unit, 3.0)
-    leg.initial(x=unit)
+    problem, leg, x, _ = line(unit, (0.0, 3.0), start=1.0)
     leg.bounds(u=(-unit, unit))
     problem.minimize(cost * leg.integral((x - 0.3 * leg.model.time) ** 2))
     reached = 0.7 if wrong else 1.0 / 1.3
@@ -198,9 +192,7 @@ def _moving_arc(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("kink that is crossed", "it takes no notice of the kink", 0.01)
 def _kink(unit: float, cost: float, wrong: bool) -> Answer:
     """u^2 + |x - 1/2| from 0 to 1: x'' = -1/2 below 1/2, then 1/2."""
-    problem, leg, (x, u) = free_line(unit, 1.0)
-    leg.initial(x=0.0)
-    leg.final(x=unit)
+    problem, leg, x, u = line(unit, end=1.0)
     problem.minimize(cost * leg.integral(u**2 + ca.fabs(x - 0.5)))
     t, part = arcs(0.5, 0.5)
     left = np.where(part == 0, t, 1.0 - t)

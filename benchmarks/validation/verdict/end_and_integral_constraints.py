@@ -48,8 +48,7 @@ def _budget(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("Dido", "the rope hangs on the wrong side", 2.0)
 def _dido(unit: float, cost: float, wrong: bool) -> Answer:
     """The largest area below a rope of given length: an arc of a circle."""
-    problem, leg, y, u = line(unit)
-    leg.final(x=0.0)
+    problem, leg, y, u = line(unit, end=0.0)
     radius = 0.6
     problem.constrain("length", leg.integral(ca.sqrt(1 + u**2)), upper=2 * radius * np.arcsin(0.5 / radius))
     problem.minimize(-cost * leg.integral(y))
@@ -60,8 +59,7 @@ def _dido(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("given area", "a sine of the same area costs more", 0.01)
 def _area(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, x, u = line(unit)
-    leg.final(x=0.0)
+    problem, leg, x, u = line(unit, end=0.0)
     problem.constrain("area", leg.integral(x), lower=1.0)
     problem.minimize(cost * leg.integral(u**2))
     if wrong:
@@ -155,8 +153,7 @@ def _vertex(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("integral that says what the end says", "it pushes unevenly", 0.05)
 def _redundant(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _x, u = line(unit)
-    leg.final(x=unit)
+    problem, leg, _x, u = line(unit, end=1.0)
     problem.constrain("mean", leg.integral(u), equals=1.0)
     problem.minimize(cost * leg.integral(u**2))
     bend = 0.3 if wrong else 0.0
@@ -181,8 +178,7 @@ def _delay(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("sine of a given square", "a whole sine is a saddle", 3.0, first_order=False)
 def _sine(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, x, u = line(unit)
-    leg.final(x=0.0)
+    problem, leg, x, u = line(unit, end=0.0)
     problem.constrain("square", leg.integral(x**2), equals=1.0)
     problem.minimize(cost * leg.integral(u**2))
     k, size = 2 * np.pi if wrong else np.pi, np.sqrt(2) * unit

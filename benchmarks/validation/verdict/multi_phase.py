@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,24 @@ import gnc_opt as go
 from benchmarks.validation.verdict.answers import ONE, Answer, Pairs, Rates, T, phase_of
 from benchmarks.validation.verdict.statements import Array
 
+Kind: TypeAlias = tuple[str, str, Rates]
+"""States, controls, rates."""
+
 PAIRS = Pairs()
+_LINE: Kind = ("x", "u", lambda x, u: [u])
+_CART: Kind = ("q v", "a", lambda q, v, a: [v, a])
+
+
+def _moves(
+    unit: float, *, kind: Kind = _LINE, prices: tuple[float, ...] = (1.0, 1.0), **times: Any
+) -> tuple[go.Problem, list[go.Phase], Any]:
+    """Return phases of a system, by their times, and the integral of the squared control in units, times prices."""
+    problem, legs, effort = go.Problem("phases"), [], 0.0
+    for (name, time), price in zip(times.items(), prices, strict=True):
+        leg, _, (u,) = phase_of(problem, name, *kind, time)
+        legs.append(leg)
+        effort = effort + price * leg.integral((u / unit) ** 2)
+    return problem, legs, effort
 
 
 @PAIRS.add(
@@ -67,11 +84,7 @@ def _refraction(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("loss of speed between phases", "something else nearby costs less", 0.1)
 def _loss_of_speed(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest in 1 s; half-way in time the speed is halved."""
-    problem, legs, effort = go.Problem("loss of speed"), [], 0.0
-    for name, time in (("before", (0.0, 0.5)), ("after", (0.5, 1.0))):
-        leg, _, (a,) = phase_of(problem, name, "q v", "a", lambda q, v, a: [v, a], time)
-        legs.append(leg)
-        effort = effort + leg.integral((a / unit) ** 2)
+    problem, legs, effort = _moves(unit, before=(0.0, 0.5), after=(0.5, 1.0), kind=_CART)
     (q, v), (later, slower) = (
         [end(n) for n in ("q", "v")] for end in (legs[0].final_state, legs[1].initial_state)
     )
@@ -138,12 +151,7 @@ def _waypoint(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("floor at a link", "it passes the link above the floor", 0.05, kind="at a limit")
 def _floor_at_link(unit: float, cost: float, wrong: bool) -> Answer:
     """Up to 1 at a link and down again: the floor 2 t - 1 is met there only."""
-    problem, legs, effort = go.Problem("floor at a link"), [], 0.0
-    for name, time in (("up", (0.0, 1.0)), ("down", (1.0, 2.0))):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], time)
-        legs.append(leg)
-        effort = effort + leg.integral((u / unit) ** 2)
-    up, down = legs
+    problem, (up, down), effort = _moves(unit, up=(0.0, 1.0), down=(1.0, 2.0))
     up.initial(x=0.0)
     down.final(x=0.0)
     up.path("floor", up.model.symbol("x") / unit - 2.0 * up.model.time, lower=-1.0)
@@ -236,12 +244,9 @@ def _must_last(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("kick at a free time", "the kick comes too early", 0.1)
 def _kick(unit: float, cost: float, wrong: bool) -> Answer:
     """A speed of 1 is given for nothing at a time of choice: a is constant at best."""
-    problem, legs, effort = go.Problem("kick"), [], 0.0
-    for name, time in (("before", (0.0, (0.01, 0.99))), ("after", ((0.01, 0.99), 1.0))):
-        leg, _, (a,) = phase_of(problem, name, "q v", "a", lambda q, v, a: [v, a], time)
-        legs.append(leg)
-        effort = effort + leg.integral((a / unit) ** 2)
-    one, two = legs
+    problem, (one, two), effort = _moves(
+        unit, before=(0.0, (0.01, 0.99)), after=((0.01, 0.99), 1.0), kind=_CART
+    )
     one.initial(q=0.0, v=0.0)
     two.final(q=0.75 * unit, v=1.5 * unit)
     problem.constrain("time", two.initial_time - one.final_time, equals=0.0)
@@ -261,11 +266,7 @@ def _kick(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("junction with a price on its time", "the price is largest there", 0.5, first_order=False)
 def _priced_junction(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, legs, effort = go.Problem("priced junction"), [], 0.0
-    for name, time in (("before", (0.0, (0.1, 0.9))), ("after", ((0.1, 0.9), 1.0))):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], time)
-        legs.append(leg)
-        effort = effort + leg.integral((u / unit) ** 2)
+    problem, legs, effort = _moves(unit, before=(0.0, (0.1, 0.9)), after=((0.1, 0.9), 1.0))
     legs[0].initial(x=0.0)
     legs[1].final(x=unit)
     problem.link(*legs)
@@ -277,11 +278,7 @@ def _priced_junction(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("dearer after a free junction", "the junction is half-way in time", 0.05)
 def _dearer(unit: float, cost: float, wrong: bool) -> Answer:
     """Half of the way before a free junction, the other half four times as dear: a third of the time."""
-    problem, legs, effort = go.Problem("dearer"), [], 0.0
-    for name, price, time in (("before", 1.0, (0.0, (0.1, 0.9))), ("after", 4.0, ((0.1, 0.9), 1.0))):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], time)
-        legs.append(leg)
-        effort = effort + price * leg.integral((u / unit) ** 2)
+    problem, legs, effort = _moves(unit, before=(0.0, (0.1, 0.9)), after=((0.1, 0.9), 1.0), prices=(1.0, 4.0))
     legs[0].initial(x=0.0)
     legs[0].final(x=0.5 * unit)
     legs[1].final(x=unit)
@@ -296,11 +293,7 @@ def _dearer(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("jump of limited size", "it does without the jump", 0.2)
 def _limited_jump(unit: float, cost: float, wrong: bool) -> Answer:
     """To 1 in 1 s, 0.2 of it by a jump half-way that costs nothing."""
-    problem, legs, effort = go.Problem("limited jump"), [], 0.0
-    for name, time in (("before", (0.0, 0.5)), ("after", (0.5, 1.0))):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], time)
-        legs.append(leg)
-        effort = effort + leg.integral((u / unit) ** 2)
+    problem, legs, effort = _moves(unit, before=(0.0, 0.5), after=(0.5, 1.0))
     legs[0].initial(x=0.0)
     legs[1].final(x=unit)
     jump = (legs[1].initial_state("x") - legs[0].final_state("x")) / unit
@@ -315,11 +308,7 @@ def _limited_jump(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("two vehicles meet", "they meet half-way though one is dearer", 0.1)
 def _meeting(unit: float, cost: float, wrong: bool) -> Answer:
     """From 0 and from 1 in 1 s to the same place, one four times as dear: it does a fifth of the way."""
-    problem, legs, effort = go.Problem("meeting"), [], 0.0
-    for name, price in (("cheap", 1.0), ("dear", 4.0)):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], (0.0, 1.0))
-        legs.append(leg)
-        effort = effort + price * leg.integral((u / unit) ** 2)
+    problem, legs, effort = _moves(unit, cheap=(0.0, 1.0), dear=(0.0, 1.0), prices=(1.0, 4.0))
     legs[0].initial(x=0.0)
     legs[1].initial(x=unit)
     problem.constrain("met", (legs[0].final_state("x") - legs[1].final_state("x")) / unit, equals=0.0)
@@ -333,13 +322,10 @@ def _meeting(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("time shared by two phases", "both take the same time", 0.1)
 def _shared_time(unit: float, cost: float, wrong: bool) -> Answer:
     """Ways of 1 and 2, each by a vehicle of its own, for 2 s in all: as fast as each other."""
-    problem, legs, effort = go.Problem("shared time"), [], 0.0
-    for name, way in (("near", 1.0), ("far", 2.0)):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], (0.0, (0.1, 3.0)))
+    problem, legs, effort = _moves(unit, near=(0.0, (0.1, 3.0)), far=(0.0, (0.1, 3.0)))
+    for leg, way in zip(legs, (1.0, 2.0), strict=True):
         leg.initial(x=0.0)
         leg.final(x=way * unit)
-        legs.append(leg)
-        effort = effort + leg.integral((u / unit) ** 2)
     problem.constrain("time", legs[0].duration + legs[1].duration, upper=2.0)
     problem.minimize(cost * effort)
     first = 1.0 if wrong else 2 / 3
@@ -386,11 +372,7 @@ def _lens(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("link that doubles", "costates go on without a jump", 0.1)
 def _doubling_link(unit: float, cost: float, wrong: bool) -> Answer:
     """To c in 1 s, from 2 c to 1 in 1 s: c^2 + (1 - 2 c)^2."""
-    problem, legs, effort = go.Problem("doubling link"), [], 0.0
-    for name, time in (("before", (0.0, 1.0)), ("after", (1.0, 2.0))):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], time)
-        legs.append(leg)
-        effort = effort + leg.integral((u / unit) ** 2)
+    problem, legs, effort = _moves(unit, before=(0.0, 1.0), after=(1.0, 2.0))
     legs[0].initial(x=0.0)
     legs[1].final(x=unit)
     doubled = (legs[1].initial_state("x") - 2 * legs[0].final_state("x")) / unit
@@ -406,21 +388,12 @@ def _doubling_link(unit: float, cost: float, wrong: bool) -> Answer:
     )
 
 
-def _two_lines(unit: float, *times: tuple) -> tuple:
-    problem, legs, effort = go.Problem("two"), [], 0.0
-    for name, time in zip(("one", "two"), times, strict=True):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], time)
-        legs.append(leg)
-        effort = effort + leg.integral((u / unit) ** 2)
-    return problem, *legs, effort
-
-
 @PAIRS.add(
     "square of the place between phases", "a place where the effort is largest", 0.5, first_order=False
 )
 def _square_between(unit: float, cost: float, wrong: bool) -> Answer:
     """From 0.1 to m in 1 s, from m^2 to 4 in another."""
-    problem, one, two, effort = _two_lines(unit, (0.0, 1.0), (1.0, 2.0))
+    problem, (one, two), effort = _moves(unit, one=(0.0, 1.0), two=(1.0, 2.0))
     one.initial(x=0.1 * unit)
     two.final(x=4.0 * unit)
     problem.constrain(
@@ -436,7 +409,7 @@ def _square_between(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("place and time of a link", "together they are a saddle", 0.1, first_order=False)
 def _place_and_time(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, one, two, effort = _two_lines(unit, (0.0, (0.1, 1.9)), ((0.1, 1.9), 2.0))
+    problem, (one, two), effort = _moves(unit, one=(0.0, (0.1, 1.9)), two=((0.1, 1.9), 2.0))
     one.initial(x=0.0)
     two.final(x=unit)
     problem.link(one, two)

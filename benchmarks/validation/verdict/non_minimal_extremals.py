@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import Case, one_phase
+from benchmarks.validation.verdict.answers import Case, integrator, one_phase
 from benchmarks.validation.verdict.statements import Array
 
 
@@ -75,9 +75,7 @@ def great_circle(arc: float) -> go.Problem:
 
 def repelled(last: float, end: float) -> go.Problem:
     """min of the integral of (u^2 - x^2) / 2: a minimum up to pi."""
-    problem, leg, (x,), (u,) = one_phase("repelled", "x", "u", lambda x, u: [u], (0.0, last))
-    leg.initial(x=0.2)
-    leg.final(x=end)
+    problem, leg, x, u = integrator(1.0, (0.0, last), start=0.2, end=end)
     problem.minimize(leg.integral(0.5 * (u**2 - x**2)))
     return problem
 
@@ -152,9 +150,7 @@ def _straight_through(depth: float) -> go.Verdict:
 
 def double_well(stiffness: float, last: float) -> go.Problem:
     """min of the integral of u^2 / 2 - (k x)^2 / 2 + x^4 / 4 from 0 to 0: x = 0 is no minimum beyond pi / k."""
-    problem, leg, (x,), (u,) = one_phase("double well", "x", "u", lambda x, u: [u], (0.0, last))
-    leg.initial(x=0.0)
-    leg.final(x=0.0)
+    problem, leg, x, u = integrator(1.0, (0.0, last), end=0.0)
     problem.minimize(leg.integral(0.5 * u**2 - 0.5 * (stiffness * x) ** 2 + 0.25 * x**4))
     return problem
 

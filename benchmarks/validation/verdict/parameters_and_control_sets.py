@@ -157,8 +157,7 @@ def _bought_ceiling(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("control set of two pieces", "the two pieces come in the wrong order", 0.05)
 def _two_pieces(unit: float, cost: float, wrong: bool) -> Answer:
     """|u| >= 1 to 1/2 in 1 s, as low as possible on the way: first down, then up."""
-    problem, leg, x, u = line(unit)
-    leg.final(x=0.5 * unit)
+    problem, leg, x, u = line(unit, end=0.5)
     leg.bounds(u=(-2 * unit, 2 * unit))
     leg.path("pieces", u**2, lower=1.0)
     problem.minimize(cost * leg.integral(u**2 + 0.1 * x))
@@ -241,8 +240,7 @@ def _idle_prices(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("law as a path, its gain is free", "the gain is 10 % off", 0.01)
 def _law(unit: float, cost: float, wrong: bool) -> Answer:
     """u = -p x for 2 s: (1 + p^2) (1 - e^(-4 p)) / (2 p)."""
-    problem, leg, x, u = line(unit, (0.0, 2.0))
-    leg.initial(x=unit)
+    problem, leg, x, u = line(unit, (0.0, 2.0), start=1.0)
     p = problem.parameter("p", lower=0.01, upper=9.0, guess=1.0)
     leg.path("law", u + p * x, equals=0.0)
     problem.minimize(cost * leg.integral(x**2 + u**2))
@@ -259,8 +257,7 @@ def _law(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("two parameters", "together they are a saddle", np.inf, first_order=False)
 def _two_parameters(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _x, u = line(unit)
-    leg.final(x=unit)
+    problem, leg, _x, u = line(unit, end=1.0)
     p, r = (problem.parameter(name, lower=-9.0, upper=9.0, guess=0.3) for name in ("p", "r"))
     price = (p - 1) ** 2 / 2 + r**2 + (3.5 if wrong else 1.0) * (p - 1) * r
     problem.minimize(cost * (leg.integral((u - p) ** 2) + price))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import scipy
@@ -16,7 +14,7 @@ from benchmarks.validation.verdict.answers import (
     Rates,
     T,
     arcs,
-    free_line,
+    cart,
     line,
     one_phase,
     phase_of,
@@ -38,15 +36,6 @@ def _mixed(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, unit * (1 - np.exp(-share * t)), unit * share * np.exp(-share * t))
 
 
-def _cart(time: Any, unit: float, **bounds: Any) -> tuple[go.Problem, go.Phase, Any]:
-    """From rest to rest over one unit; the force is in units."""
-    problem, leg, _, (a,) = one_phase("cart", "q v", "a", lambda q, v, a: [v, a], (0.0, time))
-    leg.initial(q=0.0, v=0.0)
-    leg.final(q=unit, v=0.0)
-    leg.bounds(**bounds)
-    return problem, leg, a / unit
-
-
 def _trapezium(top: float, push: float) -> tuple[Array, Array, Array, Array]:
     """Times, way, speed and force from rest to rest over 1, at a speed ``top``, reached and left by ``push``."""
     rise = top / push
@@ -60,8 +49,9 @@ def _trapezium(top: float, push: float) -> tuple[Array, Array, Array, Array]:
 @PAIRS.add("speed limit", "it rides on a limit that it need not reach", 0.05)
 def _speed_limit(unit: float, cost: float, wrong: bool) -> Answer:
     """The least effort in 1 s; without a limit the speed reaches 1.5."""
-    problem, leg, a = _cart(1.0, unit, v=(None, (1.6 if wrong else 1.3) * unit))
-    problem.minimize(cost * leg.integral(a**2))
+    problem, leg, _, a = cart(unit, (0.0, 1.0), end=(1.0, 0.0))
+    leg.bounds(v=(None, (1.6 if wrong else 1.3) * unit))
+    problem.minimize(cost * leg.integral((a / unit) ** 2))
     if wrong:
         t, way, speed, force = _trapezium(1.6, 1.6 / 0.375)
     else:
@@ -75,7 +65,8 @@ def _speed_limit(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("least time below a speed limit", "it stays below the limit", 0.05)
 def _fast(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _ = _cart((0.1, 9.0), unit, a=(-8.0 * unit, 8.0 * unit), v=(None, 1.3 * unit))
+    problem, leg, _, _ = cart(unit, (0.0, (0.1, 9.0)), end=(1.0, 0.0))
+    leg.bounds(a=(-8.0 * unit, 8.0 * unit), v=(None, 1.3 * unit))
     problem.minimize(cost * leg.final_time)
     t, way, speed, force = _trapezium(1.2 if wrong else 1.3, 8.0)
     return Answer(problem, t, [unit * way, unit * speed], unit * force)
@@ -84,9 +75,7 @@ def _fast(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("height limit, order 2", "it keeps below a limit that is higher", 0.5)
 def _height_limit(unit: float, cost: float, wrong: bool) -> Answer:
     """Thrown up, and back in 1 s with the least effort, below a ceiling (Bryson, Denham & Dreyfus 1963)."""
-    problem, leg, _, (a,) = one_phase("ceiling", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=0.0, v=unit)
-    leg.final(q=0.0, v=-unit)
+    problem, leg, _, a = cart(unit, (0.0, 1.0), start=(0.0, 1.0), end=(0.0, -1.0))
     leg.bounds(q=(None, (0.2 if wrong else 0.1) * unit))
     problem.minimize(cost * leg.integral((a / unit) ** 2))
     t, arc = arcs(0.3, 0.4, 0.3)
@@ -98,9 +87,8 @@ def _height_limit(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("thin keep-out", "it goes through a disc between two samples", 1.0)
 def _keep_out(unit: float, cost: float, wrong: bool) -> Answer:
     """Straight past a disc or through it; its diameter is a hundredth of the distance between samples."""
-    problem = go.Problem("keep-out")
     rates: Rates = lambda x, y, h: [unit * ca.cos(h), unit * ca.sin(h)]  # noqa: E731
-    leg, (x, y), _ = phase_of(problem, "leg", "x y", "h", rates, (0.0, (0.1, 9.0)))
+    problem, leg, (x, y), _ = one_phase("keep-out", "x y", "h", rates, (0.0, (0.1, 9.0)))
     leg.initial(x=-unit, y=0.0)
     leg.final(x=unit, y=0.0)
     beside = 0.0 if wrong else 3e-3
@@ -113,11 +101,11 @@ def _keep_out(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("limit that dips", "it crosses a limit that is low for an instant", 0.1)
 def _dip(unit: float, cost: float, wrong: bool) -> Answer:
     """The limit dips by 0.5 for a thousandth of the time; the speed there is 0.87 or 1.46."""
-    problem, leg, a = _cart(1.0, unit)
+    problem, leg, (_, v), a = cart(unit, (0.0, 1.0), end=(1.0, 0.0))
     when = 0.4137 if wrong else 0.1763
     low = 0.5 * ca.exp(-(((leg.model.time - when) / 1e-3) ** 2))
-    leg.path("speed", leg.model.symbol("v") / unit + low, upper=1.8)
-    problem.minimize(cost * leg.integral(a**2))
+    leg.path("speed", v / unit + low, upper=1.8)
+    problem.minimize(cost * leg.integral((a / unit) ** 2))
     t = np.linspace(0.0, 1.0, 41)
     return Answer(problem, t, [unit * (3 * t**2 - 2 * t**3), unit * (6 * t - 6 * t**2)], unit * (6 - 12 * t))
 
@@ -125,8 +113,7 @@ def _dip(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("moving floor at a free end", "it ends above the floor", 0.01, kind="at a limit")
 def _floor_at_end(unit: float, cost: float, wrong: bool) -> Answer:
     """From 1 with a price of 3 on the end: it would fall by 3, and the floor has sunk to 0 at the end."""
-    problem, leg, (x, u) = free_line(unit, 1.0)
-    leg.initial(x=unit)
+    problem, leg, x, u = line(unit, start=1.0)
     leg.path("floor", x + 0.2 * leg.model.time, lower=0.2)
     problem.minimize(cost * (leg.integral(u**2 / 2) + 3.0 * leg.final_state("x") / unit))
     t, way = np.linspace(0.0, 1.0, 21), 0.98 if wrong else 1.0
@@ -136,8 +123,7 @@ def _floor_at_end(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("moving floor at a free start", "it starts above the floor", 0.01, kind="at a limit")
 def _floor_at_start(unit: float, cost: float, wrong: bool) -> Answer:
     """To 1 with a price of 3 on the start: it would begin at -2, and the floor rises from 0."""
-    problem, leg, (x, u) = free_line(unit, 1.0)
-    leg.final(x=unit)
+    problem, leg, x, u = line(unit, start=None, end=1.0)
     leg.path("floor", x - 0.2 * leg.model.time, lower=0.0)
     problem.minimize(cost * (leg.integral(u**2 / 2) + 3.0 * leg.initial_state("x") / unit))
     t, way = np.linspace(0.0, 1.0, 21), 0.98 if wrong else 1.0
@@ -164,9 +150,7 @@ def _throw(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("limit at a given end", "it ends beyond the limit", 0.1, kind="at a limit")
 def _given_end(unit: float, cost: float, wrong: bool) -> Answer:
     """To 1 in 1 s, where a limit is 1, or 0.9."""
-    problem, leg, (x, u) = free_line(unit, 1.0)
-    leg.initial(x=0.0)
-    leg.final(x=unit)
+    problem, leg, x, u = line(unit, end=1.0)
     leg.path("ceiling", x, upper=0.9 if wrong else 1.0)
     problem.minimize(cost * leg.integral(u**2))
     t = np.linspace(0.0, 1.0, 21)
@@ -176,9 +160,7 @@ def _given_end(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("string over a hill", "it follows the hill for too long", 0.005, kind="at a limit")
 def _string(unit: float, cost: float, wrong: bool) -> Answer:
     """A taut string over the hill 1/2 - 4 (t - 1/2)^2: its tangents from (0, 0) and (1, 0) touch at sqrt(1/8)."""
-    problem, leg, (x, u) = free_line(unit, 1.0)
-    leg.initial(x=0.0)
-    leg.final(x=0.0)
+    problem, leg, x, u = line(unit, end=0.0)
     leg.path("hill", x + 4.0 * (leg.model.time - 0.5) ** 2, lower=0.5)
     problem.minimize(cost * leg.integral(u**2))
     touch = 0.33 if wrong else np.sqrt(0.125)
@@ -216,8 +198,7 @@ def _disc(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("share of what is left", "it uses 99 % of the limit", 0.01, kind="at a limit")
 def _share(unit: float, cost: float, wrong: bool) -> Answer:
     """As far as possible where u + x <= 1: x = 1 - exp(-t)."""
-    problem, leg, (x, u) = free_line(unit, 2.0)
-    leg.initial(x=0.0)
+    problem, leg, x, u = line(unit, (0.0, 2.0))
     leg.bounds(u=(0.0, 5.0 * unit))
     leg.path("limit", u + x, upper=1.0)
     problem.maximize(cost * leg.final_state("x") / unit)
@@ -228,8 +209,7 @@ def _share(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("circle of state and control", "it uses 99 % of the limit", 0.01, kind="at a limit")
 def _circle(unit: float, cost: float, wrong: bool) -> Answer:
     """As far as possible where u^2 + x^2 <= 1: x = sin t."""
-    problem, leg, (x, u) = free_line(unit, 1.0)
-    leg.initial(x=0.0)
+    problem, leg, x, u = line(unit)
     leg.path("limit", u**2 + x**2, upper=1.0)
     problem.maximize(cost * leg.final_state("x") / unit)
     t, used = np.linspace(0.0, 1.0, 41), 0.99 if wrong else 1.0
@@ -305,8 +285,9 @@ def _third_order(unit: float, cost: float, wrong: bool) -> Answer:
     a = c0 * t + c1 * t**2 / 2 + c2 * t**3 / 3 + e * late**3 / 3
     v = 1 + c0 * t**2 / 2 + c1 * t**3 / 6 + c2 * t**4 / 12 + e * late**4 / 12
     x = t + c0 * t**3 / 6 + c1 * t**4 / 24 + c2 * t**5 / 60 + e * late**5 / 60
-    problem = go.Problem("third order")
-    leg, _, (push,) = phase_of(problem, "leg", "x v a", "u", lambda x, v, a, u: [v, a, u], (0.0, 1.0))
+    problem, leg, _, (push,) = one_phase(
+        "third order", "x v a", "u", lambda x, v, a, u: [v, a, u], (0.0, 1.0)
+    )
     leg.initial(x=0.0, v=unit, a=0.0)
     leg.final(x=0.0, v=-unit, a=0.0)
     leg.bounds(x=(None, unit * height))
@@ -317,8 +298,7 @@ def _third_order(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("limit with a kink in place", "it uses 97 % of the limit", 0.02)
 def _kinked_place(unit: float, cost: float, wrong: bool) -> Answer:
     """From 0 to 1 with u <= 1 - |x - 1/2| in the least time: 2 log 2."""
-    problem, leg, x, u = line(unit, (0.0, (0.1, 9.0)))
-    leg.final(x=unit)
+    problem, leg, x, u = line(unit, (0.0, (0.1, 9.0)), end=1.0)
     leg.path("limit", u + ca.fabs(x - 0.5), upper=1.0)
     problem.minimize(cost * leg.final_time)
     share = 0.97 if wrong else 1.0
@@ -402,9 +382,8 @@ def _in_turn(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("round a sphere as a path", "the long way round", 1.0, first_order=False)
 def _sphere(unit: float, cost: float, wrong: bool) -> Answer:
-    problem = go.Problem("sphere")
     rates: Rates = lambda x, y, z, u, v, w: [u, v, w]  # noqa: E731
-    leg, (x, y, z), (u, v, w) = phase_of(problem, "leg", "x y z", "u v w", rates, (0.0, 1.0))
+    problem, leg, (x, y, z), (u, v, w) = one_phase("sphere", "x y z", "u v w", rates, (0.0, 1.0))
     turn = (1.5 if wrong else 0.8) * np.pi
     leg.initial(x=unit, y=0.0, z=0.0)
     leg.final(x=unit * float(np.cos(turn)), y=unit * float(np.sin(turn)), z=0.0)

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import Case, one_phase
+from benchmarks.validation.verdict.answers import Case, cart, integrator, one_phase
 from benchmarks.validation.verdict.statements import Array
 
 Wall = Callable[[Any], Any]
@@ -68,9 +68,7 @@ def _member(name: str, why: str, check: Callable[[], go.Verdict], *, first_order
 
 def _area(k: float) -> go.Verdict:
     """u^2 - k^2 x^2 over 1 s from 0 to 0 with an area of 1: a minimum up to 2 pi, not pi (a wave keeps the area)."""
-    problem, leg, (x,), (u,) = one_phase("family", "x", "u", lambda x, u: [u], (0.0, 1.0))
-    leg.initial(x=0.0)
-    leg.final(x=0.0)
+    problem, leg, x, u = integrator(1.0, (0.0, 1.0), end=0.0)
     problem.constrain("area", leg.integral(x), equals=1.0)
     problem.minimize(leg.integral(u**2 - (k * x) ** 2))
     t = np.linspace(0.0, 1.0, 61)
@@ -103,9 +101,7 @@ def _charge(last: float) -> go.Verdict:
 
 def _column(load: float) -> go.Verdict:
     """a^2 - load v^2 over 1, clamped at both ends, one of them displaced by 0.3: q is a sine, a line and a constant."""
-    problem, leg, (_, v), (a,) = one_phase("family", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=0.0, v=0.0)
-    leg.final(q=0.3, v=0.0)
+    problem, leg, (_, v), a = cart(1.0, (0.0, 1.0), end=(0.3, 0.0))
     problem.minimize(leg.integral(a**2 - load * v**2))
     t, k = np.linspace(0.0, 1.0, 81), np.sqrt(load)
     ends = [[np.cos(k) - 1, np.sin(k) - k], [-np.sin(k), np.cos(k) - 1]]
@@ -118,8 +114,7 @@ def _column(load: float) -> go.Verdict:
 
 def _end(bend: float) -> go.Verdict:
     """u^2 / 2 over 1 s, and an end that is best at 1 but for its curvature."""
-    problem, leg, _, (u,) = one_phase("family", "x", "u", lambda x, u: [u], (0.0, 1.0))
-    leg.initial(x=0.0)
+    problem, leg, _, u = integrator(1.0, (0.0, 1.0))
     end = leg.final_state("x")
     problem.minimize(leg.integral(u**2 / 2) - end - bend / 2 * (end - 1) ** 2)
     t = np.linspace(0.0, 1.0, 21)
@@ -128,9 +123,7 @@ def _end(bend: float) -> go.Verdict:
 
 def _time(bend: float) -> go.Verdict:
     """1 / (2 T) + T / 2 - bend (T - 1)^2 is stationary at T = 1, where its curvature is 1 - 2 bend."""
-    problem, leg, _, (u,) = one_phase("family", "x", "u", lambda x, u: [u], (0.0, (0.2, 5.0)))
-    leg.initial(x=0.0)
-    leg.final(x=1.0)
+    problem, leg, _, u = integrator(1.0, (0.0, (0.2, 5.0)), end=1.0)
     last = leg.final_time
     problem.minimize(leg.integral(u**2 / 2) + last / 2 - bend * (last - 1) ** 2)
     t = np.linspace(0.0, 1.0, 21)
@@ -208,9 +201,7 @@ def _bounded_curvature(word: str, lengths: tuple[float, ...]) -> go.Verdict:
 
 def _ceiling(limit: float, height: float) -> go.Verdict:
     """Thrown up and back in 1 s below a ceiling, as a path constraint: an arc up to 1/6, a touch up to 1/4."""
-    problem, leg, (q, _), (a,) = one_phase("family", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=0.0, v=1.0)
-    leg.final(q=0.0, v=-1.0)
+    problem, leg, (q, _), a = cart(1.0, (0.0, 1.0), start=(0.0, 1.0), end=(0.0, -1.0))
     leg.path("ceiling", q, upper=limit)
     problem.minimize(leg.integral(a**2))
     rise = min(3 * height, 0.5)
@@ -236,9 +227,7 @@ def _walls() -> dict[str, Wall]:
 
 def _narrow(wall: Wall, at: float) -> go.Verdict:
     """Rest to rest over 1 m in 1 s, and a wall somewhere."""
-    problem, leg, (q, _), (a,) = one_phase("family", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=0.0, v=0.0)
-    leg.final(q=1.0, v=0.0)
+    problem, leg, (q, _), a = cart(1.0, (0.0, 1.0), end=(1.0, 0.0))
     leg.path("wall", wall(q - at), lower=float(ca.DM(wall(ca.DM(1e-4)))))
     problem.minimize(leg.integral(a**2))
     t = np.linspace(0.0, 1.0, 41)

@@ -14,7 +14,8 @@ from benchmarks.validation.verdict.answers import (
     Rates,
     T,
     arcs,
-    free_line,
+    cart,
+    integrator,
     line,
     one_phase,
     phase_of,
@@ -26,8 +27,7 @@ PAIRS = Pairs()
 @PAIRS.add("free time", "the cost is largest over the time", 0.5, first_order=False)
 def _free_time(unit: float, cost: float, wrong: bool) -> Answer:
     """1 / T + T + bend (T - 1)^2 is stationary at T = 1."""
-    problem, leg, _, u = line(unit, (0.0, (0.2, 3.0)))
-    leg.final(x=unit)
+    problem, leg, _, u = line(unit, (0.0, (0.2, 3.0)), end=1.0)
     last = leg.final_time
     problem.minimize(cost * (leg.integral(u**2) + last + (-3.0 if wrong else 1.0) * (last - 1) ** 2))
     t = np.linspace(0.0, 1.0, 21)
@@ -36,9 +36,7 @@ def _free_time(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("free end", "it ends at rest, which nothing asks for", 3.0)
 def _free_end(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _, (a,) = one_phase("free end", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=0.0, v=0.0)
-    leg.final(q=unit)
+    problem, leg, _, a = cart(unit, (0.0, 1.0), end=(1.0, None))
     problem.minimize(cost * leg.integral((a / unit) ** 2))
     t = np.linspace(0.0, 1.0, 31)
     if wrong:
@@ -53,9 +51,8 @@ def _free_end(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("strong current", "it swims upstream", 1.0)
 def _current(unit: float, cost: float, wrong: bool) -> Answer:
     """To (3, 0) in a current of 2, along or against it."""
-    problem = go.Problem("current")
     rates: Rates = lambda x, y, h: [unit * (ca.cos(h) + 2), unit * ca.sin(h)]  # noqa: E731
-    leg, _, _ = phase_of(problem, "leg", "x y", "h", rates, (0.0, (0.1, 9.0)))
+    problem, leg, _, _ = one_phase("current", "x y", "h", rates, (0.0, (0.1, 9.0)))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=3 * unit, y=0.0)
     problem.minimize(cost * leg.final_time)
@@ -77,8 +74,7 @@ def _periodic(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("cross terms", "right without the product of state and control in the cost", 0.05)
 def _cross_terms(unit: float, cost: float, wrong: bool) -> Answer:
     """x^2 + u^2 + x u with a free end: lambda' = -2 x - u, u = -(lambda + x) / 2."""
-    problem, leg, x, u = line(unit, (0.0, 1.5))
-    leg.initial(x=unit)
+    problem, leg, x, u = line(unit, (0.0, 1.5), start=1.0)
     problem.minimize(cost * leg.integral(x**2 + u**2 + x * u))
     cross = 0.0 if wrong else 1.0
     matrix = np.array([[-cross / 2, -0.5], [cross**2 / 2 - 2, cross / 2]])
@@ -92,9 +88,7 @@ def _cross_terms(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("soap film", "the deep catenary has more area", 0.1, first_order=False)
 def _soap_film(unit: float, cost: float, wrong: bool) -> Answer:
     """y = c cosh(t / c) between rings of radius 1, 0.8 apart: two values of c."""
-    problem, leg, y, u = line(unit, (0.0, 0.8))
-    leg.initial(x=unit)
-    leg.final(x=unit)
+    problem, leg, y, u = line(unit, (0.0, 0.8), start=1.0, end=1.0)
     problem.minimize(cost * leg.integral(y * ca.sqrt(1 + u**2)))
     least, most = (0.05, 0.3) if wrong else (0.5, 1.0)
     c = float(scipy.optimize.brentq(lambda c: c * np.cosh(0.4 / c) - 1, least, most))
@@ -148,8 +142,7 @@ def _damped(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("spring at its end", "it ignores what the end costs", 0.2)
 def _end_cost(unit: float, cost: float, wrong: bool) -> Answer:
     """x' = u from 1 for u^2 over 1 s and 3 x(1)^2: it moves by 3/4."""
-    problem, leg, _, (u,) = one_phase("end cost", "x", "u", lambda x, u: [u], (0.0, 1.0))
-    leg.initial(x=unit)
+    problem, leg, _, u = integrator(unit, (0.0, 1.0), start=1.0)
     problem.minimize(cost * (leg.integral(u**2) + 3.0 * leg.final_state("x") ** 2) / unit**2)
     t, way = np.linspace(0.0, 1.0, 11), 0.4 if wrong else 0.75
     return Answer(problem, t, [unit * (1.0 - way * t)], -unit * way + 0.0 * t)
@@ -158,9 +151,7 @@ def _end_cost(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("price of time", "it arrives later than is worth it", 0.05)
 def _price_of_time(unit: float, cost: float, wrong: bool) -> Answer:
     """x' = u over 1 for u^2 + 1: T = 1."""
-    problem, leg, _, (u,) = one_phase("price of time", "x", "u", lambda x, u: [u], (0.0, (0.1, 9.0)))
-    leg.initial(x=0.0)
-    leg.final(x=unit)
+    problem, leg, _, u = integrator(unit, (0.0, (0.1, 9.0)), end=1.0)
     problem.minimize(cost * (leg.integral(u**2) / unit**2 + leg.final_time))
     last = 1.5 if wrong else 1.0
     t = np.linspace(0.0, last, 21)
@@ -170,9 +161,7 @@ def _price_of_time(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("start in a range", "it begins at the far end of the range", 1.0)
 def _start_in_range(unit: float, cost: float, wrong: bool) -> Answer:
     """From anywhere between 1 and 2 to 0 in 1 s: from 1."""
-    problem, leg, _, (u,) = one_phase("start in a range", "x", "u", lambda x, u: [u], (0.0, 1.0))
-    leg.initial(x=(unit, 2.0 * unit))
-    leg.final(x=0.0)
+    problem, leg, _, u = integrator(unit, (0.0, 1.0), start=(1.0, 2.0), end=0.0)
     problem.minimize(cost * leg.integral(u**2) / unit**2)
     t, start = np.linspace(0.0, 1.0, 11), 2.0 if wrong else 1.0
     return Answer(problem, t, [unit * start * (1.0 - t)], -unit * start + 0.0 * t)
@@ -181,9 +170,7 @@ def _start_in_range(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("saddle of a start", "the start is where the cost is largest over it", 0.1, first_order=False)
 def _saddle_start(unit: float, cost: float, wrong: bool) -> Answer:
     """From anywhere between -2 and 2 to 1 in 1 s, where the start costs by its place: a hill at 0 or a hollow."""
-    problem, leg, _, (u,) = one_phase("saddle of a start", "x", "u", lambda x, u: [u], (0.0, 1.0))
-    leg.initial(x=(-2.0 * unit, 2.0 * unit))
-    leg.final(x=unit)
+    problem, leg, _, u = integrator(unit, (0.0, 1.0), start=(-2.0, 2.0), end=1.0)
     bend = -1.5 if wrong else 0.5
     start = leg.initial_state("x") / unit
     # (1 - x0)^2 + bend x0^2 + 2 x0 is stationary at 0.
@@ -195,9 +182,7 @@ def _saddle_start(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("end in a range", "it goes farther than it must", 0.01, kind="at a limit")
 def _end_in_range(unit: float, cost: float, wrong: bool) -> Answer:
     """In 1 s to anywhere between 1 and 2: to 1."""
-    problem, leg, (_, u) = free_line(unit, 1.0)
-    leg.initial(x=0.0)
-    leg.final(x=(unit, 2.0 * unit))
+    problem, leg, _, u = line(unit, end=(1.0, 2.0))
     problem.minimize(cost * leg.integral(u**2))
     t, end = np.linspace(0.0, 1.0, 11), 1.01 if wrong else 1.0
     return Answer(problem, t, [unit * end * t], 0 * t + unit * end)
@@ -206,9 +191,7 @@ def _end_in_range(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("free start", "it begins too early", 0.05, kind="at a limit")
 def _free_start(unit: float, cost: float, wrong: bool) -> Answer:
     """Over 1 up to 5 s, where beginning later earns 1/4 a second: it takes 2 s."""
-    problem, leg, _, (u,) = one_phase("free start", "x", "u", lambda x, u: [u], ((0.0, 4.5), 5.0))
-    leg.initial(x=0.0)
-    leg.final(x=unit)
+    problem, leg, _, u = integrator(unit, ((0.0, 4.5), 5.0), end=1.0)
     problem.minimize(cost * (leg.integral(u**2) / unit**2 - 0.25 * leg.initial_time))
     takes = 2.5 if wrong else 2.0
     t = np.linspace(5.0 - takes, 5.0, 21)
@@ -241,8 +224,7 @@ def _wavy_end(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("time window around 5 s", "it is too early", 0.05)
 def _window(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _x, u = line(unit, ((0.0, 20.0), (0.0, 20.0)))
-    leg.final(x=unit)
+    problem, leg, _x, u = line(unit, ((0.0, 20.0), (0.0, 20.0)), end=1.0)
     problem.minimize(cost * leg.integral(u**2 + (leg.model.time - 5) ** 2))
     # u^2 = v^2 on the way: lam = -2u constant, H = (t-5)^2 - u^2 + ... at ends 0: (t0-5)^2 = u^2
     last = np.sqrt(2)
@@ -260,8 +242,7 @@ def _ratio(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("two wells of the control", "it stands between the wells", 1.0)
 def _two_wells(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _x, u = line(unit)
-    leg.final(x=0.5 * unit)
+    problem, leg, _x, u = line(unit, end=0.5)
     problem.minimize(cost * leg.integral((u**2 - 1) ** 2))
     if wrong:
         return Answer(problem, T, unit * 0.5 * T, unit * 0.5 + 0 * T)
@@ -271,8 +252,7 @@ def _two_wells(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("two ends of a range", "it ends where the cost is largest", 0.5, first_order=False)
 def _range(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _x, u = line(unit)
-    leg.final(x=(-unit, unit))
+    problem, leg, _x, u = line(unit, end=(-1.0, 1.0))
     end = leg.final_state("x") / unit
     problem.minimize(cost * (leg.integral(u**2) - 3 * end**2 + 0.1 * end))
     c = 0.1 / 4 if wrong else 1.0
@@ -282,8 +262,9 @@ def _range(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("constant as a state", "the cost is largest over the constant", 0.5, first_order=False)
 def _constant_state(unit: float, cost: float, wrong: bool) -> Answer:
     """x' = u + k and k' = 0: (1 - k)^2 + bend (k - 1/2)^2 + k is stationary at k = 1/2."""
-    problem = go.Problem("constant state")
-    leg, _, (u,) = phase_of(problem, "leg", "x k", "u", lambda x, k, u: [u + k, 0 * k], (0.0, 1.0))
+    problem, leg, _, (u,) = one_phase(
+        "constant state", "x k", "u", lambda x, k, u: [u + k, 0 * k], (0.0, 1.0)
+    )
     leg.initial(x=0.0)
     leg.final(x=unit)
     k, bend = leg.final_state("k") / unit, -3.0 if wrong else 0.5
@@ -306,8 +287,7 @@ def _gain_state(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("time before a turning point", "it is the dearest arrival", 0.1, first_order=False)
 def _late_arrival(unit: float, cost: float, wrong: bool) -> Answer:
     """u^2 - x^2 + 2 over any time to 1: x = sqrt(2) sin t; 1 is passed on the way up and on the way down."""
-    problem, leg, x, u = line(unit, (0.0, (0.1, 3.0)))
-    leg.final(x=unit)
+    problem, leg, x, u = line(unit, (0.0, (0.1, 3.0)), end=1.0)
     problem.minimize(cost * leg.integral(u**2 - x**2 + 2))
     t = (0.75 if wrong else 0.25) * np.pi * T
     return Answer(problem, t, unit * np.sqrt(2) * np.sin(t), unit * np.sqrt(2) * np.cos(t))
@@ -331,8 +311,9 @@ def _far_origin(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("clock at 1e6 s", "it pushes unevenly", 0.01)
 def _late_clock(unit: float, cost: float, wrong: bool) -> Answer:
-    problem = go.Problem("late clock")
-    leg, _, (a,) = phase_of(problem, "leg", "q v", "a", lambda q, v, a: [v, a], (1e6, (1e6 + 0.1, 1e6 + 9)))
+    problem, leg, _, (a,) = one_phase(
+        "late clock", "q v", "a", lambda q, v, a: [v, a], (1e6, (1e6 + 0.1, 1e6 + 9))
+    )
     leg.initial(q=0.0, v=0.0)
     leg.final(q=unit, v=0.0)
     # 12 / T^3 + 36 T is least for T = 1
@@ -347,8 +328,9 @@ def _late_clock(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("cost as a state", "it pushes unevenly", 0.05)
 def _mayer(unit: float, cost: float, wrong: bool) -> Answer:
-    problem = go.Problem("cost as a state")
-    leg, _, _ = phase_of(problem, "leg", "x y", "u", lambda x, y, u: [u, u**2 / unit], (0.0, 1.0))
+    problem, leg, _, _ = one_phase(
+        "cost as a state", "x y", "u", lambda x, y, u: [u, u**2 / unit], (0.0, 1.0)
+    )
     leg.initial(x=0.0, y=0.0)
     leg.final(x=unit)
     problem.minimize(cost * leg.final_state("y") / unit)
@@ -445,9 +427,8 @@ def _two_headings(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("throw with the least speed", "at 55 degrees", 0.05)
 def _throw(unit: float, cost: float, wrong: bool) -> Answer:
-    problem = go.Problem("throw")
     rates: Rates = lambda x, y, v, w: [v, w, 0 * v, 0 * w - unit]  # noqa: E731
-    leg, _, _ = phase_of(problem, "leg", "x y v w", "", rates, (0.0, (0.1, 9.0)))
+    problem, leg, _, _ = one_phase("throw", "x y v w", "", rates, (0.0, (0.1, 9.0)))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=unit, y=0.0)
     v, w = (leg.initial_state(name) / unit for name in ("v", "w"))
