@@ -34,11 +34,9 @@ can.
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -211,17 +209,8 @@ def loop(name: str, *, bias: bool = True) -> ClosedLoop:
     )
 
 
-def campaign(
-    name: str,
-    runs: int,
-    seed: int,
-    executor: Executor | Literal["serial"] | None = None,
-    *,
-    bias: bool = True,
-    progress: bool = False,
-    checkpoint: Path | None = None,
-) -> Campaign:
-    """Fly one of `LAWS`; the same seed gives all of them the same spacecraft, sensors and gaps."""
+def campaign(name: str, runs: int, seed: int, *, bias: bool = True, **options: Any) -> Campaign:
+    """Simulate one of `LAWS`; the same seed gives all the same spacecraft and gaps; options as of `monte_carlo`."""
     return monte_carlo(
         loop(name, bias=bias),
         runs,
@@ -231,7 +220,5 @@ def campaign(
         dispersions=DISPERSIONS,
         target={"q": TARGET, "omega": np.zeros(3)},
         limits=LIMITS,
-        executor=executor,
-        progress=progress,
-        checkpoint=checkpoint,
+        **options,
     )

@@ -21,12 +21,9 @@ the switch times are exact. The controllers have the rest of the authority.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache, cached_property
-from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
@@ -105,9 +102,6 @@ torques, 7.5 N m, permits."""
 HORIZON = 1.5
 """Of the MPC, s."""
 
-MPC_RUNS = 100
-"""Runs of the MPC at most, unless asked otherwise: each solves some 480 quadratic programmes."""
-
 CONTROLLERS = ("open loop", "TVLQR", "integral sliding mode", "MPC")
 
 
@@ -131,81 +125,16 @@ def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go
     return go.refine(solution) if refined else solution
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """Laws that are simulated, dispersions, noise and actuators.
-
-    Attributes
-    ----------
-    law : str
-        One of `CONTROLLERS`, or "all" of them.
-    share : float
-        Of the authority, for the plan.
-    feedback : float
-        Corrections that the regulators permit, over `CORRECTIONS`.
-    reaching, layer : float
-        Gain (N, N m) and half width of the layer (N s, N m s) of the sliding mode.
-    horizon : float
-        Of the MPC, s.
-    mass, inertia : float
-        1 sigma of the mass, truncated at three of them, and half the range of the moments, relative.
-    position, attitude : float
-        Largest errors at the start, m and deg.
-    lag, lag_range : float
-        Of the thrusters, s, and half its range, relative.
-    push : float
-        Differential force in a random direction, N.
-    noise : float
-        Of the measurements, over `NOISE`.
-    """
-
-    law: str = "all"
-    share: float = RESERVE
-    feedback: float = 1.0
-    reaching: float = REACHING
-    layer: float = LAYER
-    horizon: float = HORIZON
-    mass: float = 0.01
-    inertia: float = 0.05
-    position: float = 0.2
-    attitude: float = 2.0
-    lag: float = LAG
-    lag_range: float = 0.2
-    push: float = DIFFERENTIAL_FORCE
-    noise: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.law not in ("all", *CONTROLLERS):
-            raise go.GncOptError(
-                f"there is no law {self.law!r} to fly: give {', '.join(CONTROLLERS)} or all."
-            )
-        for name, value in asdict(self).items():
-            if name != "law" and value < 0:
-                raise go.GncOptError(
-                    f"the condition '{name}' is {value!r}: give a number that is not negative."
-                )
-
-    @property
-    def laws(self) -> tuple[str, ...]:
-        """Which of `CONTROLLERS` are flown."""
-        return CONTROLLERS if self.law == "all" else (self.law,)
-
-    @property
-    def dispersions(self) -> dict[str, Dispersion]:
-        """In what the runs differ."""
-        return {
-            "plant.mass": Normal(self.mass, relative=True, truncate=3.0),
-            "plant.inertia": Uniform(-self.inertia, self.inertia, relative=True),
-            "initial.r_L": UniformInBall(self.position),
-            "initial.sigma": RandomRotation(Uniform(0.0, float(np.deg2rad(self.attitude)))),
-            "torque lag.tau": Uniform(-self.lag_range, self.lag_range, relative=True),
-            "force lag.tau": Uniform(-self.lag_range, self.lag_range, relative=True),
-            "differential force.level": RandomDirection(self.push / MASS),
-        }
-
-
-DISPERSIONS = Conditions().dispersions
-"""In what the runs differ by default."""
+DISPERSIONS: dict[str, Dispersion] = {
+    "plant.mass": Normal(0.01, relative=True, truncate=3.0),
+    "plant.inertia": Uniform(-0.05, 0.05, relative=True),
+    "initial.r_L": UniformInBall(0.2),
+    "initial.sigma": RandomRotation(Uniform(0.0, float(np.deg2rad(2.0)))),
+    "torque lag.tau": Uniform(-0.2, 0.2, relative=True),
+    "force lag.tau": Uniform(-0.2, 0.2, relative=True),
+    "differential force.level": RandomDirection(DIFFERENTIAL_FORCE / MASS),
+}
+"""In what the runs differ."""
 
 
 @dataclass(frozen=True)
@@ -216,11 +145,9 @@ class Tracking:
     ----------
     solution : Solution
         The plan.
-    conditions : Conditions
     """
 
     solution: go.Solution
-    conditions: Conditions = Conditions()
 
     @cached_property
     def reference(self) -> Reference:
@@ -232,6 +159,10 @@ class Tracking:
         """When the runs are evaluated, s."""
         return self.reference.final_time + SETTLING
 
+    def arrivals(self, campaign: Campaign) -> Array:
+        """Return when each run arrives by its last plan (m,), s."""
+        return np.full(len(campaign), self.reference.final_time)
+
     @property
     def initial(self) -> Array:
         """Planned initial state (n_states,)."""
@@ -240,49 +171,43 @@ class Tracking:
     @cached_property
     def tvlqr(self) -> Controller:
         """The regulator, sampled; also the nominal law of the sliding mode."""
-        return design_tvlqr(self.reference.model, self.reference, **self._weights, dt=DT, limits=AUTHORITY)
+        return design_tvlqr(self.reference.model, self.reference, **self.weights, dt=DT, limits=AUTHORITY)
+
+    @property
+    def weights(self) -> dict[str, dict[str, Array]]:
+        """Q and R of the regulators, by Bryson's rule."""
+        model = self.reference.model
+        return {"Q": bryson(model.errors, **ACCEPTED), "R": bryson(model.controls, **CORRECTIONS)}
 
     def controller(self, name: str) -> Controller:
         """Return one of `CONTROLLERS`."""
-        return self._designs[name]()
-
-    @property
-    def _weights(self) -> dict[str, dict[str, Array]]:
-        model = self.reference.model
-        permitted = {name: self.conditions.feedback * most for name, most in CORRECTIONS.items()}
-        return {"Q": bryson(model.errors, **ACCEPTED), "R": bryson(model.controls, **permitted)}
-
-    @property
-    def _designs(self) -> dict[str, Callable[[], Controller]]:
         model, reference = self.reference.model, self.reference
-        return {
-            "open loop": lambda: feedforward(reference),
-            "TVLQR": lambda: self.tvlqr,
-            "integral sliding mode": lambda: design_integral_sliding_mode(
-                model,
-                reference,
-                nominal=self.tvlqr,
-                reaching=ConstantRate(self.conditions.reaching),
-                boundary=SaturationLayer(self.conditions.layer),
-                dt=DT,
-                limits=AUTHORITY,
-            ),
-            "MPC": lambda: design_mpc(
-                model, reference, **self._weights, horizon=self.conditions.horizon, dt=DT, limits=AUTHORITY
-            ),
-        }
+        if name == "open loop":
+            return feedforward(reference)
+        if name == "TVLQR":
+            return self.tvlqr
+        if name == "MPC":
+            return design_mpc(model, reference, **self.weights, horizon=HORIZON, dt=DT, limits=AUTHORITY)
+        return design_integral_sliding_mode(
+            model,
+            reference,
+            nominal=self.tvlqr,
+            reaching=ConstantRate(REACHING),
+            boundary=SaturationLayer(LAYER),
+            dt=DT,
+            limits=AUTHORITY,
+        )
 
     @property
     def actuators(self) -> list[Block]:
         """The thrusters."""
-        lag = self.conditions.lag
         return [
             Quantisation("torque steps", TORQUE_STEP, on="T_B"),
             Quantisation("force steps", FORCE_STEP, on="F_B"),
             Saturation("torque limit", -MAX_TORQUE, MAX_TORQUE, on="T_B"),
             Saturation("force limit", -MAX_FORCE, MAX_FORCE, on="F_B"),
-            Lag("torque lag", lag, on="T_B"),
-            Lag("force lag", lag, on="F_B"),
+            Lag("torque lag", LAG, on="T_B"),
+            Lag("force lag", LAG, on="F_B"),
         ]
 
     @property
@@ -292,47 +217,32 @@ class Tracking:
 
     def loop(self, controller: Controller) -> ClosedLoop:
         """Return the closed loop with all effects, before they are dispersed."""
-        noise = self.conditions.noise
         return ClosedLoop(
             chaser_model("exact"),
             controller,
             self.actuators,
             [
-                Noise("gyro", noise * NOISE["omega"], on="omega"),
-                Noise("attitude sensor", np.full(3, noise * NOISE["sigma"]), turned, on="sigma"),
-                Noise("velocity filter", noise * NOISE["v_L"], on="v_L"),
-                Noise("position filter", noise * NOISE["r_L"], on="r_L"),
+                Noise("gyro", NOISE["omega"], on="omega"),
+                Noise("attitude sensor", np.full(3, NOISE["sigma"]), turned, on="sigma"),
+                Noise("velocity filter", NOISE["v_L"], on="v_L"),
+                Noise("position filter", NOISE["r_L"], on="r_L"),
             ],
             self.disturbances,
             dt=DT,
             accuracy=ACCURACY,
         )
 
-    def campaign(
-        self,
-        name: str,
-        runs: int,
-        seed: int,
-        executor: Executor | Literal["serial"] | None = None,
-        *,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> Campaign:
-        """Fly one of `CONTROLLERS`; the same seed gives all of them the same plants and starts.
-
-        Runs that are in the folder of the checkpoint are not flown again.
-        """
+    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> Campaign:
+        """Simulate one of `CONTROLLERS`; the same seed gives all the same plants; options as of `monte_carlo`."""
         return monte_carlo(
             self.loop(self.controller(name)),
             runs,
             x0=self.initial,
             tf=self.end,
             seed=seed,
-            dispersions=self.conditions.dispersions,
+            dispersions=DISPERSIONS,
             limits=LIMITS,
-            executor=executor,
-            progress=progress,
-            checkpoint=checkpoint,
+            **options,
         )
 
 

@@ -32,6 +32,7 @@ from problems.rendezvous_tracking.control import (
     ACCURACY,
     AUTHORITY,
     DT,
+    LAG,
     LIMITS,
     NOISE,
     SETTLING,
@@ -54,10 +55,9 @@ class Guided(Tracking):
         """The guidance, with the regulator about the end."""
         model, reference = self.reference.model, self.reference
         final = reference.x(reference.final_time)
-        regulator = design_lqr(model, final, **self._weights, dt=DT, limits=AUTHORITY)
-        weight = self._weights["Q"]
-        options = {"last": LAST, "reserve": REGULATED, "delay": self.conditions.lag}
-        return design_neighbouring_optimal(self.solution, regulator, Q=weight, **options)
+        regulator = design_lqr(model, final, **self.weights, dt=DT, limits=AUTHORITY)
+        options = {"last": LAST, "reserve": REGULATED, "delay": LAG}
+        return design_neighbouring_optimal(self.solution, regulator, Q=self.weights["Q"], **options)
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
         """Return the guidance."""
@@ -70,7 +70,7 @@ class Guided(Tracking):
         return float(first[self.guidance.memory.slice("final_time")][0]) + SETTLING
 
     def arrivals(self, campaign: Campaign) -> Array:
-        """Return when each run arrived by its last plan (m,), s."""
+        """Return when each run arrives by its last plan (m,), s."""
         return np.asarray(campaign.memory[campaign.layouts["memory"].slice("final_time")][0])
 
 
@@ -130,13 +130,13 @@ def kalman_filter(start: tuple[float, ...]) -> Estimator:
 
 def sensed(flown: Tracking, controller: Controller, *, keep_out: bool = False) -> ClosedLoop:
     """Return the loop of `control` with these sensors, a controller of them and, if wanted, the keep-out sphere."""
-    noise, chaser = flown.conditions.noise, observed_chaser()
+    chaser = observed_chaser()
     r = chaser.symbol("r_L")
     sensors = [
-        Noise("gyro", noise * NOISE["omega"], on="omega"),
-        Noise("attitude sensor", np.full(3, noise * NOISE["sigma"]), turned, on="sigma"),
-        Noise("range finder", noise * RANGE_NOISE, on="range"),
-        Noise("camera", noise * BEARING_NOISE, on="bearing"),
+        Noise("gyro", NOISE["omega"], on="omega"),
+        Noise("attitude sensor", np.full(3, NOISE["sigma"]), turned, on="sigma"),
+        Noise("range finder", RANGE_NOISE, on="range"),
+        Noise("camera", BEARING_NOISE, on="bearing"),
     ]
     return ClosedLoop(
         chaser,

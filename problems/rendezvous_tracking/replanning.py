@@ -44,8 +44,6 @@ from problems.rendezvous_tracking.guidance import Measured
 
 PLANNED = 0.97
 """Share of the authority that the plans use."""
-REPLANNED_RUNS = 100
-"""At most, unless asked otherwise: each solves four problems."""
 EVERY, LATENCY, LAST = 4.0, 0.5, 8.0
 """Of the re-planning, s: how often, how long a solve takes on board, and before which end the plan stays."""
 

@@ -30,11 +30,9 @@ where the tanks are empty. It has to be within 5 m of the target, below 0.5 m/s 
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cache, cached_property
-from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -214,17 +212,8 @@ class Landing:
             substeps=2,
         )
 
-    def campaign(
-        self,
-        name: str,
-        runs: int,
-        seed: int,
-        executor: Executor | Literal["serial"] | None = None,
-        *,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> Campaign:
-        """Fly one of `CONTROLLERS`; the same seed gives all of them the same landers, winds and starts."""
+    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> Campaign:
+        """Simulate one of `CONTROLLERS`; the same seed gives all the same landers; options as of `monte_carlo`."""
         return monte_carlo(
             self.loop(name),
             runs,
@@ -235,32 +224,13 @@ class Landing:
             target={"r": np.zeros(3), "v": np.zeros(3)},
             limits=LIMITS,
             measures={
-                "miss": _miss,
-                "speed across": _across,
-                "speed downward": _downward,
-                "propellant": _propellant,
+                "miss": lambda c: _landed(c, np.linalg.norm(c.state("r")[1:], axis=0)),
+                "speed across": lambda c: _landed(c, np.linalg.norm(c.state("v")[1:], axis=0)),
+                "speed downward": lambda c: _landed(c, -c.state("v")[0]),
+                "propellant": lambda c: _landed(c, c.parameter("initial.mass")[0] - c.state("mass")[0]),
             },
-            executor=executor,
-            progress=progress,
-            checkpoint=checkpoint,
+            **options,
         )
-
-
-def _miss(campaign: Campaign) -> Array:
-    """m, of the runs that have met the ground."""
-    return _landed(campaign, np.linalg.norm(campaign.state("r")[1:], axis=0))
-
-
-def _across(campaign: Campaign) -> Array:
-    return _landed(campaign, np.linalg.norm(campaign.state("v")[1:], axis=0))
-
-
-def _downward(campaign: Campaign) -> Array:
-    return _landed(campaign, -campaign.state("v")[0])
-
-
-def _propellant(campaign: Campaign) -> Array:
-    return _landed(campaign, campaign.parameter("initial.mass")[0] - campaign.state("mass")[0])
 
 
 def _landed(campaign: Campaign, values: Array) -> Array:

@@ -43,7 +43,10 @@ SEED = 3
 
 @pytest.fixture(scope="module")
 def campaigns() -> dict[str, Campaign]:
-    return {name: campaign(name, runs, SEED, "serial") for name, runs in (("least energy", 5), ("FLC", 2))}
+    return {
+        name: campaign(name, runs, SEED, executor="serial")
+        for name, runs in (("least energy", 5), ("FLC", 2))
+    }
 
 
 @pytest.fixture(scope="module")

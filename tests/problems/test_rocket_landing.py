@@ -27,7 +27,7 @@ def landing() -> Landing:
 @pytest.fixture(scope="module")
 def campaigns(landing):
     runs = {"as planned": 5, "planned again": 2, "ZEM/ZEV": 2}
-    return {name: landing.campaign(name, n, SEED, "serial") for name, n in runs.items()}
+    return {name: landing.campaign(name, n, SEED, executor="serial") for name, n in runs.items()}
 
 
 def test_the_plan_is_that_of_the_closed_form(landing):
