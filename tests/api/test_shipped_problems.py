@@ -21,7 +21,7 @@ def names() -> set[str]:
     files = {
         p.stem
         for p in (ROOT / "problems").glob("*/*.py")
-        if p.stem != "__main__" and "run(build, REFERENCE" in p.read_text("utf-8")
+        if p.stem != "__main__" and "example_main(build, REFERENCE" in p.read_text("utf-8")
     }
     return files | {p.parent.name for p in (ROOT / "problems").glob("*/__main__.py")}
 
