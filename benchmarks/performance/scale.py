@@ -33,16 +33,11 @@ import casadi as ca
 
 import gnc_opt as go
 from gnc_opt.planning.direct.mesh_problem import Attempt
-from gnc_opt.planning.nlp import NlpResult
 from problems import rendezvous
 
 SEGMENTS = (20, 60, 200, 600, 2000)
-BEFORE, ITERATIONS = 3, 33
-"""Iterations of two solves, whose difference is what counts: without all that is done once. Many, as some iterations
-need several factorisations, on one mesh more than on another."""
-
-RUNS = 2
-"""Of each, the faster counts."""
+ITERATIONS = 33
+"""Many, as some iterations need several factorisations, on one mesh more than on another."""
 
 GROWTH = 1.3
 THRUST, RADIUS = 2.984e-4, 2.0
@@ -54,40 +49,27 @@ NEAR = 0.02
 
 
 def rendezvous_of(segments: int) -> dict[str, Any]:
-    """Return what solving the rendezvous on so many segments takes."""
-    first = _iterated(segments, ITERATIONS)
-    memory = _most_memory()
-    many, more, once = min(first, *(_iterated(segments, ITERATIONS) for _ in range(1, RUNS)), key=_time_of)
-    few, less, _ = min((_iterated(segments, BEFORE) for _ in range(RUNS)), key=_time_of)
-    each = (more - less) / (many.iterations - few.iterations)
-    return {
-        "what": f"rendezvous, {segments}x3",
-        "segments": segments,
-        "iterations": many.iterations,
-        "once_s": once + less - few.iterations * each,
-        "per_iteration_ms": 1e3 * each,
-        "per_segment_ms": 1e3 * each / segments,
-        "functions": many.function_time / many.wall_time,
-        "memory_mb": memory,
-    }
-
-
-def _time_of(run: tuple[NlpResult, float, float]) -> float:
-    return run[1]
-
-
-def _iterated(segments: int, iterations: int) -> tuple[NlpResult, float, float]:
-    """So many iterations from the straight line, without coarser meshes; the time of them, and of what comes before."""
+    """Return what `ITERATIONS` of the rendezvous take on so many segments, from the straight line."""
     begin = time.process_time()
     problem = rendezvous.build(1)
     meshes = dict.fromkeys(problem.phases, go.Mesh.uniform(segments, 3))
-    options = go.SolverOptions(max_iterations=iterations)
+    options = go.SolverOptions(max_iterations=ITERATIONS)
     attempt = Attempt.prepare(problem, meshes, "LG", None, options)
     point = attempt.point(attempt.start)
     attempt.solver.set_up(point)
     middle = time.process_time()
     found = attempt.solver.solve(point)
-    return found, time.process_time() - middle, middle - begin
+    each = (time.process_time() - middle) / found.iterations
+    return {
+        "what": f"rendezvous, {segments}x3",
+        "segments": segments,
+        "iterations": found.iterations,
+        "once_s": middle - begin,
+        "per_iteration_ms": 1e3 * each,
+        "per_segment_ms": 1e3 * each / segments,
+        "functions": found.function_time / found.wall_time,
+        "memory_mb": _most_memory(),
+    }
 
 
 def spiral() -> go.Problem:

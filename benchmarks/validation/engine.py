@@ -25,7 +25,7 @@ import resource
 import statistics
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
@@ -298,17 +298,23 @@ def warm_up() -> None:
 # --- all problems ---------------------------------------------------------------------------------------
 
 
-def run(chosen: Sequence[Case], set_file: Path, limit_s: float) -> Iterator[Row]:
-    """Yield the row of every case; a group shares a process, which is replaced if a limit has ended it."""
+def run(
+    chosen: Sequence[Case],
+    set_file: Path,
+    limits_s: float | Sequence[float],
+    solve: Callable[[Case, Path, float], Row] = measure,
+) -> Iterator[Row]:
+    """Yield the row of every case; a group shares a process, which is replaced if a limit (s) has ended it."""
     context = multiprocessing.get_context("spawn")
     pool, group = None, ""
-    for case in chosen:
+    limits = [limits_s] * len(chosen) if isinstance(limits_s, (int, float)) else limits_s
+    for case, limit_s in zip(chosen, limits, strict=True):
         if pool is None or case.group != group:
             if pool is not None:
                 pool.shutdown()
             pool, group = ProcessPoolExecutor(1, context, initializer=warm_up), case.group
         try:
-            yield pool.submit(measure, case, set_file, limit_s).result()
+            yield pool.submit(solve, case, set_file, limit_s).result()
         except BrokenProcessPool:
             pool.shutdown()
             pool = None

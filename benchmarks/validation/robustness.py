@@ -19,14 +19,12 @@ import ast
 import importlib
 import json
 import math
-import multiprocessing
 import pkgutil
 import statistics
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -131,7 +129,7 @@ def set_constants(values: Mapping[str, tuple[float, float]]) -> None:
 
 
 def measure(
-    case: engine.Case, set_file: Path, limit_s: float, values: Mapping[str, tuple[float, float]]
+    values: Mapping[str, tuple[float, float]], case: engine.Case, set_file: Path, limit_s: float
 ) -> engine.Row:
     """Solve and check a problem with other constants; the process keeps them only as long."""
     set_constants(values)
@@ -151,34 +149,15 @@ class Bench:
 
     def lost(self, values: Mapping[str, tuple[float, float]]) -> list[str]:
         """Return the names of the problems that are not right and ok with other constants."""
-        rows = _solve(self.cases, self.limits_s, self.set_file, values)
+        rows = engine.run(self.cases, self.set_file, self.limits_s, partial(measure, values))
         return [row.problem for row in rows if not (row.right and row.ok)]
-
-
-def _solve(
-    cases: Sequence[engine.Case],
-    limits_s: Sequence[float],
-    set_file: Path,
-    values: Mapping[str, tuple[float, float]],
-) -> Iterator[engine.Row]:
-    context, pool = multiprocessing.get_context("spawn"), None
-    for case, limit_s in zip(cases, limits_s, strict=True):
-        pool = pool or ProcessPoolExecutor(1, context, initializer=engine.warm_up)
-        try:
-            yield pool.submit(measure, case, set_file, limit_s, values).result()
-        except BrokenProcessPool:  # at the limit of CPU time
-            pool.shutdown()
-            pool = None
-            yield engine.Row(case.group, case.label, cpu_s=limit_s)
-    if pool is not None:
-        pool.shutdown()
 
 
 def benches(count: int, groups: Sequence[str], set_file: Path) -> Bench:
     """Return the problems that take part: evenly from all that are right, ok and quick as the constants are."""
     every = [case for case in engine.cases(groups, (), set_file) if not case.variant]
     chosen = [every[int(k)] for k in np.unique(np.linspace(0, len(every) - 1, 2 * count).astype(int))]
-    rows = _solve(chosen, [CPU_LIMIT_LEAST_S] * len(chosen), set_file, {})
+    rows = engine.run(chosen, set_file, CPU_LIMIT_LEAST_S)
     good = [
         (case, row)
         for case, row in zip(chosen, rows, strict=True)
