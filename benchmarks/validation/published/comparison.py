@@ -13,14 +13,17 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from decimal import Decimal
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
+from gnc_opt.spacecraft import quaternion_product
 
 FOLDER = Path(__file__).parent
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {"<": operator.lt, "<=": operator.le, ">": operator.gt}
@@ -121,21 +124,51 @@ def flight_values(
         yield Value(f"{what}, flown: {name}; published law; ratio", (ours, theirs, ratio))
 
 
-def failing(verdict: go.Verdict) -> str:
-    """Return the conditions that fail or are inconclusive."""
-    return ", ".join(c.name for c in (*verdict.failed, *verdict.inconclusive))
+def verdict_value(quantity: str, verdict: go.Verdict) -> Value:
+    """Return whether an optimality check passes, with the conditions that fail or are inconclusive."""
+    failing = ", ".join(c.name for c in (*verdict.failed, *verdict.inconclusive))
+    return Value(quantity, float(verdict.ok), verdict.ok, failing)
+
+
+def outcome_value(what: str, run: go.Run) -> Value:
+    """Return whether a run in closed loop reached its end."""
+    return Value(f"{what}, flown: outcome", float(run.outcome.ok), run.outcome.ok)
+
+
+def last_beyond(times: Array, distance: Array, band: float) -> float:
+    """Return the last time (s) at which a distance exceeds a band: 0 if it never does, inf if it still does."""
+    beyond = np.flatnonzero(distance > band)
+    if beyond.size == 0:
+        return 0.0
+    return float("inf") if beyond[-1] == times.size - 1 else float(times[beyond[-1]])
+
+
+def small_turn(q: Any, angle: Any) -> Any:
+    """Return an attitude turned by a small rotation vector (rad) in its own axes, to first order."""
+    return quaternion_product(q, ca.vertcat(1, 0.5 * angle))
 
 
 def known(system: str) -> list[dict[str, Any]]:
     """Return what is known of a system, a dictionary per row, in the order of its table.
 
-    Keys: ``quantity``; of the publication ``published`` (numbers, met within a unit of their last digit, or
-    ``within``) or ``statement`` (words; ``agrees`` if that is fixed) with ``reason``; of the independent computation
-    ``independent`` with ``relative`` and ``absolute`` tolerances, of which the larger counts, ``at_most`` (a limit), or
-    ``condition`` (words, or ``< 1`` and the like); ``note``.
+    Keys: ``quantity``; ``constants``, names in the system's modules, ``divided_by`` a number, if that is all that
+    there is of ours (none if the list is empty), then also ``ours``; of the publication ``published`` (numbers, met within
+    a unit of their last digit, or ``within``) or ``statement`` (words; ``agrees`` if that is fixed) with ``reason``; of
+    the independent computation ``independent`` with ``relative`` and ``absolute`` tolerances, of which the larger counts,
+    ``at_most`` (a limit), or ``condition`` (words, or ``< 1`` and the like); ``note``.
     """
     rows: list[dict[str, Any]] = json.loads((FOLDER / f"{system}.json").read_text(encoding="utf-8"))
+    for row in rows:
+        if "constants" in row:
+            values = [np.ravel(_constant(system, name)) for name in row["constants"]]
+            row["ours"] = np.concatenate([[], *values]) / row.get("divided_by", 1.0)
     return rows
+
+
+def _constant(system: str, name: str) -> ArrayLike:
+    module, _, place = name.partition(".")
+    found: ArrayLike = operator.attrgetter(place)(import_module(f"problems.{system}.{module}"))
+    return found
 
 
 def compare(rows: Sequence[Mapping[str, Any]], values: Iterable[Value]) -> list[Row]:
@@ -144,10 +177,11 @@ def compare(rows: Sequence[Mapping[str, Any]], values: Iterable[Value]) -> list[
     Raises
     ------
     ValueError
-        The values are not those of the rows, in their order.
+        The values are not those of the rows without ``ours``, in their order.
     """
     computed = list(values)
-    wanted, found = [row["quantity"] for row in rows], [value.quantity for value in computed]
+    wanted = [row["quantity"] for row in rows if "ours" not in row]
+    found = [value.quantity for value in computed]
     if wanted != found:
         first = next((i for i, (a, b) in enumerate(zip(wanted, found, strict=False)) if a != b), len(found))
         here = found[first] if first < len(found) else "nothing"
@@ -155,7 +189,8 @@ def compare(rows: Sequence[Mapping[str, Any]], values: Iterable[Value]) -> list[
         raise ValueError(
             f"row {first + 1} is {there!r} in the data and {here!r} computed: make both the same."
         )
-    return [_row(row, value) for row, value in zip(rows, computed, strict=True)]
+    left = iter(computed)
+    return [_row(row, Value(row["quantity"], row["ours"]) if "ours" in row else next(left)) for row in rows]
 
 
 def _row(known: Mapping[str, Any], value: Value) -> Row:

@@ -15,45 +15,24 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import FlightMeasures, Value, flight_values
+from benchmarks.validation.published.comparison import (
+    FlightMeasures,
+    Value,
+    flight_values,
+    last_beyond,
+    outcome_value,
+)
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller
 from gnc_opt.simulation import ClosedLoop, Noise, Run, Saturation
 from gnc_opt.spacecraft import inertial_from_relative, j2_gravity, point_mass_gravity, relative_from_inertial
-from problems.formation_flying.control import (
-    CONTROL_WEIGHT,
-    DISTURBANCE_BOUND,
-    ETA,
-    GAIN,
-    LAYER,
-    PHI,
-    SLOPE,
-    WEIGHTS,
-    delta_v,
-    follow_plan,
-    integral_law,
-    linear_quadratic,
-    optimal_sliding_mode,
-    regulator,
-    sliding_mode,
-)
-from problems.formation_flying.model import (
-    EARTH_RADIUS,
-    J2,
-    LEADER_RADIUS,
-    MU,
-    PERIOD,
-    RATE,
-    START,
-    build_model,
-    circle,
-    differential_oblateness,
-    formation,
-    hill_model,
-)
-from problems.formation_flying.optimal import LIMIT, RESERVE, plan
+from problems.formation_flying import control, model, optimal
 
-LAWS = {"SMC": sliding_mode, "optimal SMC": optimal_sliding_mode, "LQ only": linear_quadratic}
+LAWS = {
+    "SMC": control.sliding_mode,
+    "optimal SMC": control.optimal_sliding_mode,
+    "LQ only": control.linear_quadratic,
+}
 STEPS, FEW_STEPS, TRUTH_STEPS, FLOWN_STEPS = 24000, 3000, 12000, 6000
 """Control steps in a period: of the nominal runs (0.25 s), of sweeps over the phase (2 s), of runs in inertial space,
 which cost four times the others (0.5 s), and of those beside the optima. The publication's controllers are continuous;
@@ -80,14 +59,14 @@ def values() -> Iterator[Value]:
 
 def closed_loop(controller: Controller, plant: go.Model, steps: int = STEPS) -> ClosedLoop:
     """Return the loop; the plant is a thousand times slower than a control step: one integration step will do."""
-    return ClosedLoop(plant, controller, dt=PERIOD / steps, substeps=1)
+    return ClosedLoop(plant, controller, dt=model.PERIOD / steps, substeps=1)
 
 
 @cache
 def run(law: str, oblate: bool = True, steps: int = STEPS) -> Run:
     """Return one period of a controller."""
-    plant = build_model() if oblate else build_model().with_parameters(J2=0.0)
-    return closed_loop(LAWS[law](PERIOD / steps), plant, steps).simulate(START, tf=PERIOD)
+    plant = model.build_model() if oblate else model.build_model().with_parameters(J2=0.0)
+    return closed_loop(LAWS[law](model.PERIOD / steps), plant, steps).simulate(model.START, tf=model.PERIOD)
 
 
 def inertial_model() -> go.Model:
@@ -96,15 +75,15 @@ def inertial_model() -> go.Model:
     States: ``r``, ``v`` as in `build_model`, measured in the leader's true frame; ``leader_r`` (m), ``leader_v`` (m/s),
     inertial. Control: ``a``, along the axes of that frame.
     """
-    model = go.Model("formation flying, two inertial orbits")
-    r, v = model.state("r", 3, unit="m"), model.state("v", 3, unit="m/s")
-    leader_r = model.state("leader_r", 3, unit="m")
-    leader_v = model.state("leader_v", 3, unit="m/s")
-    a = model.control("a", 3, unit="m/s^2")
-    j2 = model.parameter("J2", J2)
+    dynamics = go.Model("formation flying, two inertial orbits")
+    r, v = dynamics.state("r", 3, unit="m"), dynamics.state("v", 3, unit="m/s")
+    leader_r = dynamics.state("leader_r", 3, unit="m")
+    leader_v = dynamics.state("leader_v", 3, unit="m/s")
+    a = dynamics.control("a", 3, unit="m/s^2")
+    j2 = dynamics.parameter("J2", model.J2)
 
     def gravity(place: Any) -> Any:
-        return point_mass_gravity(place, MU) + j2_gravity(place, MU, j2, EARTH_RADIUS)
+        return point_mass_gravity(place, model.MU) + j2_gravity(place, model.MU, j2, model.EARTH_RADIUS)
 
     orbits = [ca.SX.sym(name, 3) for name in ("leader_r", "leader_v", "follower_r", "follower_v")]
     _, rho_rate = relative_from_inertial(*orbits, gravity(orbits[0]))
@@ -112,7 +91,7 @@ def inertial_model() -> go.Model:
     acceleration = ca.jtimes(rho_rate, ca.vertcat(*orbits), rates)
     seen = ca.Function("seen", [*orbits, j2], [acceleration])
     follower = inertial_from_relative(leader_r, leader_v, r, v, gravity(leader_r))
-    model.ode(
+    dynamics.ode(
         {
             r: v,
             v: seen(leader_r, leader_v, *follower, j2) + a,
@@ -120,21 +99,21 @@ def inertial_model() -> go.Model:
             leader_v: gravity(leader_r),
         }
     )
-    return model
+    return dynamics
 
 
 def leader_orbit(inclination: float = 0.0) -> tuple[Array, Array]:
     """Return the leader's inertial position (m) and velocity (m/s) at its node; inclination in rad."""
-    speed = RATE * LEADER_RADIUS
+    speed = model.RATE * model.LEADER_RADIUS
     heading = np.array([0.0, np.cos(inclination), np.sin(inclination)])
-    return np.array([LEADER_RADIUS, 0.0, 0.0]), speed * heading
+    return np.array([model.LEADER_RADIUS, 0.0, 0.0]), speed * heading
 
 
 def inertial_run(law: str, oblate: bool) -> Run:
     """Return one period of a controller with leader and follower as two inertial orbits."""
     plant = inertial_model() if oblate else inertial_model().with_parameters(J2=0.0)
-    loop = closed_loop(LAWS[law](PERIOD / TRUTH_STEPS), plant, TRUTH_STEPS)
-    return loop.simulate(np.concatenate([START, *leader_orbit()]), tf=PERIOD)
+    loop = closed_loop(LAWS[law](model.PERIOD / TRUTH_STEPS), plant, TRUTH_STEPS)
+    return loop.simulate(np.concatenate([model.START, *leader_orbit()]), tf=model.PERIOD)
 
 
 @cache
@@ -143,35 +122,27 @@ def phase_sweep(law: str) -> tuple[Array, Array]:
 
     Nothing but the circle depends on time: another phase is a later start.
     """
-    loop = closed_loop(LAWS[law](PERIOD / FEW_STEPS), build_model(), FEW_STEPS)
-    starts = np.mod(np.radians(np.arange(0, 360, 3)) - 0.5 * np.pi, 2 * np.pi) / (2 * np.pi) * PERIOD
-    runs = [loop.simulate(START, t0=t0, tf=t0 + PERIOD) for t0 in starts.tolist()]
-    return np.array([r.miss("r") for r in runs]), np.array([delta_v(r) for r in runs])
+    loop = closed_loop(LAWS[law](model.PERIOD / FEW_STEPS), model.build_model(), FEW_STEPS)
+    starts = np.mod(np.radians(np.arange(0, 360, 3)) - 0.5 * np.pi, 2 * np.pi) / (2 * np.pi) * model.PERIOD
+    runs = [loop.simulate(model.START, t0=t0, tf=t0 + model.PERIOD) for t0 in starts.tolist()]
+    return np.array([r.miss("r") for r in runs]), np.array([control.delta_v(r) for r in runs])
 
 
 # --- values of the publication --------------------------------------------------------------------------
 
 
 def _data() -> Iterator[Value]:
-    place, _, _ = circle(np.array([0.0]))
-    yield Value("data: gravitational parameter (km^3/s^2)", MU / 1e9)
-    yield Value("data: radius of the leader's orbit (km)", LEADER_RADIUS / 1e3)
-    yield Value("data: J2", J2)
-    yield Value("data: radius of the Earth (km)", EARTH_RADIUS / 1e3)
-    yield Value("data: first place of the follower (m)", START[:3])
+    place, _, _ = model.circle(np.array([0.0]))
+    yield Value("data: first place of the follower (m)", model.START[:3])
     yield Value("data: radius of the formation (m)", np.linalg.norm(place))
     yield Value("data: z over x in the formation's plane", place[2] / place[0])
-    yield Value("data: lambda (1/s), k (m/s^2), eps (m/s) of SMC", (SLOPE, GAIN, LAYER))
-    weights = (WEIGHTS["r"], WEIGHTS["v"], CONTROL_WEIGHT)
+    weights = (control.WEIGHTS["r"], control.WEIGHTS["v"], control.CONTROL_WEIGHT)
     yield Value("data: weights of optimal SMC: position, rate, thrust", weights)
-    yield Value("data: eta (m/s^2), phi (m/s) of optimal SMC", (ETA, PHI))
-    yield Value("data: bounds F_i and f_i of the disturbance (m/s^2)", (DISTURBANCE_BOUND, DISTURBANCE_BOUND))
-    yield Value("the curves of figures 2 to 5", ())
 
 
 def _outcome(name: str, found: Run) -> Iterator[Value]:
     yield Value(f"{name}: |e(T)| (m)", found.miss("r"))
-    yield Value(f"{name}: Delta-V (m/s)", delta_v(found))
+    yield Value(f"{name}: Delta-V (m/s)", control.delta_v(found))
 
 
 def _table() -> Iterator[Value]:
@@ -184,31 +155,34 @@ def _table() -> Iterator[Value]:
 
 
 def _course() -> Iterator[Value]:
-    smc, optimal, gain = run("SMC"), run("optimal SMC"), regulator()
+    smc, osmc, gain = run("SMC"), run("optimal SMC"), control.regulator()
     yield Value("LQ gain (1/s^2, 1/s)", gain[np.abs(gain) > 1e-12])
-    for law, flown in (("SMC", smc), ("optimal SMC", optimal)):
+    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
         found = np.linalg.norm(flown.error("r")(COURSE), axis=0)
         yield Value(f"{law}: |e| at 500, 1000 ... 6000 s (m)", found)
-    for law, flown in (("SMC", smc), ("optimal SMC", optimal)):
+    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
         yield Value(f"{law}: e(T) (m)", flown.error("r").values[:, -1])
-    for law, flown in (("SMC", smc), ("optimal SMC", optimal)):
+    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
         yield Value(f"{law}: first thrust (m/s^2)", flown.command("a").values[:, 0])
-    for law, flown in (("SMC", smc), ("optimal SMC", optimal)):
+    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
         yield Value(f"{law}: last time |e| > 10 m (s)", flown.settling_time("r", 10.0))
-    yield Value("optimal SMC: last time |e| > 1 m (s)", optimal.settling_time("r", 1.0))
-    steady = np.max(np.abs(differential_oblateness(optimal.states[:3])), axis=1)
+    yield Value("optimal SMC: last time |e| > 1 m (s)", osmc.settling_time("r", 1.0))
+    steady = np.max(np.abs(model.differential_oblateness(osmc.states[:3])), axis=1)
     yield Value("largest disturbance per axis (m/s^2)", steady)
     yield Value("the publication's bounds 1e-4 over the largest disturbance", 1e-4 / np.max(steady))
-    peaks = [np.max(np.abs(flown.commands)) for flown in (smc, optimal)]
+    peaks = [np.max(np.abs(flown.commands)) for flown in (smc, osmc)]
     yield Value("peak thrust, SMC / optimal SMC", peaks[0] / peaks[1])
 
 
 def _switching() -> Iterator[Value]:
     """Ideal switching, sgn() instead of sat(), held for 1 s."""
-    steps = round(PERIOD)
+    steps = round(model.PERIOD)
     ideal, smooth = (
-        closed_loop(law, build_model(), steps).simulate(START, tf=PERIOD)
-        for law in (optimal_sliding_mode(PERIOD / steps, layer=None), optimal_sliding_mode(PERIOD / steps))
+        closed_loop(law, model.build_model(), steps).simulate(model.START, tf=model.PERIOD)
+        for law in (
+            control.optimal_sliding_mode(model.PERIOD / steps, layer=None),
+            control.optimal_sliding_mode(model.PERIOD / steps),
+        )
     )
     yield from _outcome("optimal SMC, sgn, 1 s hold", ideal)
     yield Value("optimal SMC, sgn, 1 s hold: TV per axis (m/s^2)", ideal.total_variation("a"))
@@ -231,16 +205,16 @@ def _sweep() -> Iterator[Value]:
             three = (np.min(found), np.median(found), np.max(found))
             yield Value(f"{law}, 120 phases: {what}, least, median, largest", three)
     pairs = zip(phase_sweep("optimal SMC"), phase_sweep("SMC"), strict=True)
-    better = all(bool(np.all(optimal < plain)) for optimal, plain in pairs)
+    better = all(bool(np.all(osmc < plain)) for osmc, plain in pairs)
     yield Value("optimal SMC better in both, of 120 phases", float(better), better)
 
 
 def _claims() -> Iterator[Value]:
-    smc, optimal = run("SMC"), run("optimal SMC")
-    retuned = closed_loop(sliding_mode(PERIOD / STEPS, slope=1.6e-3), build_model())
-    yield Value("|e(T)|, SMC over optimal SMC", smc.miss("r") / optimal.miss("r"))
-    yield Value("Delta-V saved by optimal SMC", 1 - delta_v(optimal) / delta_v(smc))
-    yield from _outcome("SMC with lambda = 1.6e-3", retuned.simulate(START, tf=PERIOD))
+    smc, osmc = run("SMC"), run("optimal SMC")
+    retuned = closed_loop(control.sliding_mode(model.PERIOD / STEPS, slope=1.6e-3), model.build_model())
+    yield Value("|e(T)|, SMC over optimal SMC", smc.miss("r") / osmc.miss("r"))
+    yield Value("Delta-V saved by optimal SMC", 1 - control.delta_v(osmc) / control.delta_v(smc))
+    yield from _outcome("SMC with lambda = 1.6e-3", retuned.simulate(model.START, tf=model.PERIOD))
 
 
 # --- the optima, undisturbed and in closed loop ----------------------------------------------------------
@@ -249,10 +223,10 @@ def _claims() -> Iterator[Value]:
 def _optima() -> Iterator[Value]:
     law = run("optimal SMC")
     for name, of, published in (
-        ("least Delta-V", "in one period (m/s)", delta_v(law)),
+        ("least Delta-V", "in one period (m/s)", control.delta_v(law)),
         ("least time", "to the formation (s)", law.settling_time("r", 1.0)),
     ):
-        best = plan(name)
+        best = optimal.plan(name)
         failed = ", ".join(c.name for c in best.verdict.failed)
         yield Value(f"{name} {of}", best.solution.objective)
         yield Value(f"{name}: conditions that fail", len(best.verdict.failed), not failed, failed)
@@ -267,44 +241,51 @@ POSITION_NOISE, VELOCITY_NOISE = 0.01, 2e-5
 def disturbed_loop(law: Controller, steps: int = FLOWN_STEPS, noise: float = 1.0) -> ClosedLoop:
     """Return the loop of a controller with thrusters, measurement noise (times a factor) and the oblate plant."""
     return ClosedLoop(
-        build_model(),
+        model.build_model(),
         law,
-        actuators=[Saturation("thrusters", -LIMIT, LIMIT)],
+        actuators=[Saturation("thrusters", -optimal.LIMIT, optimal.LIMIT)],
         sensors=[
             Noise("position", noise * POSITION_NOISE, on="r"),
             Noise("velocity", noise * VELOCITY_NOISE, on="v"),
         ],
-        dt=PERIOD / steps,
+        dt=model.PERIOD / steps,
         substeps=1,
     )
 
 
 def closed(name: str, steps: int = FLOWN_STEPS) -> ClosedLoop:
     """Return the loop of the "published" optimal sliding mode, or of a plan; no controller knows the oblateness."""
-    dt = PERIOD / steps
+    dt = model.PERIOD / steps
     if name != "published":
-        return disturbed_loop(follow_plan(plan(name, RESERVE, False), dt, (-LIMIT, LIMIT)), steps)
-    model = hill_model()
-    return disturbed_loop(integral_law(model, formation(model, feedforward=False), dt), steps)
+        return disturbed_loop(
+            control.follow_plan(
+                optimal.plan(name, optimal.RESERVE, False), dt, (-optimal.LIMIT, optimal.LIMIT)
+            ),
+            steps,
+        )
+    dynamics = model.hill_model()
+    return disturbed_loop(
+        control.integral_law(dynamics, model.formation(dynamics, feedforward=False), dt), steps
+    )
 
 
 @cache
 def flight(name: str) -> Run:
     """Return the run of `closed` over a period."""
-    return closed(name).simulate(START, tf=PERIOD, seed=1)
+    return closed(name).simulate(model.START, tf=model.PERIOD, seed=1)
 
 
 def measures(flown: Run) -> FlightMeasures:
     """Return the measures of a run of one period."""
-    distance = np.linalg.norm(flown.states[:3] - circle(flown.times)[0], axis=0)
-    late = np.flatnonzero(distance > 1.0)
-    settled = float("inf") if late[-1] == flown.times.size - 1 else float(flown.times[late[-1]])
-    return FlightMeasures(settled, delta_v(flown), float(distance[-1]))
+    distance = np.linalg.norm(flown.states[:3] - model.circle(flown.times)[0], axis=0)
+    return FlightMeasures(
+        last_beyond(flown.times, distance, 1.0), control.delta_v(flown), float(distance[-1])
+    )
 
 
 def _flown() -> Iterator[Value]:
     for name in ("least Delta-V", "least time"):
         ours = flight(name)
         yield from flight_values(name, MEASURES, measures(ours), measures(flight("published")))
-        yield Value(f"{name}, flown: outcome", float(ours.outcome.ok), ours.outcome.ok)
+        yield outcome_value(name, ours)
         yield Value(f"{name}, flown: largest thrust per axis (m/s^2)", np.max(np.abs(ours.applied)))

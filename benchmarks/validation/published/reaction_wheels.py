@@ -19,56 +19,22 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import FlightMeasures, Value, failing, flight_values
+from benchmarks.validation.published.comparison import (
+    FlightMeasures,
+    Value,
+    flight_values,
+    last_beyond,
+    outcome_value,
+    small_turn,
+    verdict_value,
+)
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import ConstantDisturbance, Noise, Saturation, WheelArray
 from gnc_opt.simulation.run import compute_settling_time
-from gnc_opt.spacecraft import quaternion_angle, quaternion_product
-from problems.reaction_wheels.control import (
-    CONTROL_STEP,
-    FLC_WEIGHTS,
-    LQR_WEIGHTS,
-    PRINTED_FLC,
-    Law,
-    Linear,
-    design_flc,
-    design_quaternion_lqr,
-    design_tracker,
-    flc_gains,
-    flc_output,
-    lqr_gains,
-    peak_speed,
-)
-from problems.reaction_wheels.model import (
-    AXES,
-    DESIGN_SPEED,
-    DURATION,
-    INERTIA,
-    INVERSE,
-    MANOEUVRES,
-    MAX_MOMENTUM,
-    NOMINAL_SPEED,
-    NULL,
-    REST,
-    RPM,
-    TORQUE_CONSTANT,
-    VOLTAGE_CONSTANT,
-    WHEEL_INERTIA,
-    paper_quaternion,
-    target_quaternion,
-    wheel_model,
-)
-from problems.reaction_wheels.optimal import (
-    HALF,
-    MANOEUVRE,
-    Name,
-    build,
-    fastest_wheel,
-    optimal_slew,
-    published_peak_torque,
-)
+from gnc_opt.spacecraft import quaternion_angle
+from problems.reaction_wheels import control, model, optimal
 
-LAWS: tuple[Law, ...] = ("FLC", "LQR")
+LAWS: tuple[control.Law, ...] = ("FLC", "LQR")
 STEP = 0.005
 """Of the grid of the results, s."""
 SETTLED = 0.02
@@ -131,17 +97,17 @@ class Slew:
     @property
     def speeds(self) -> Array:
         """Of the wheels, (4, n), rpm."""
-        return self.momenta / WHEEL_INERTIA / RPM
+        return self.momenta / model.WHEEL_INERTIA / model.RPM
 
     @property
     def body_torque(self) -> Array:
         """(3, n), N m."""
-        return AXES @ self.torques
+        return model.AXES @ self.torques
 
     @property
     def power(self) -> Array:
         """|V i| of every motor, (4, n), W: with K_V of the speed and K_T of the current it is |speed times torque|."""
-        return np.abs(VOLTAGE_CONSTANT * self.speeds * self.torques / TORQUE_CONSTANT)
+        return np.abs(model.VOLTAGE_CONSTANT * self.speeds * self.torques / model.TORQUE_CONSTANT)
 
     @property
     def eulerint(self) -> float:
@@ -174,8 +140,8 @@ class Slew:
 
         Wheel i turns with n_i h_i + lambda in the null direction's signs; the shift is -(max + min) / 2.
         """
-        signed = NULL[:, None] * self.momenta
-        return float(np.max(np.ptp(signed, axis=0)) / 2 / WHEEL_INERTIA / RPM)
+        signed = model.NULL[:, None] * self.momenta
+        return float(np.max(np.ptp(signed, axis=0)) / 2 / model.WHEEL_INERTIA / model.RPM)
 
     @property
     def settling_time(self) -> float:
@@ -183,23 +149,23 @@ class Slew:
         return compute_settling_time(self.times, self.angle, SETTLED * float(self.angle[0]))
 
 
-def fly(controller: go.Controller, target: ArrayLike, duration: float = DURATION) -> Slew:
+def fly(controller: go.Controller, target: ArrayLike, duration: float = model.DURATION) -> Slew:
     """Integrate the model from rest under a controller that is evaluated continuously.
 
     Its memory keeps its first value, so that it must not depend on it (as long as no alarm is raised).
     """
-    craft = wheel_model()
+    craft = model.wheel_model()
     x = ca.SX.sym("x", craft.states.size)
     row = controller.signal(0.0, STEP)
-    memory = controller.initial_memory(0.0, REST, STEP)
-    torques = ca.DM(INVERSE) @ controller.step(0.0, x, row, memory)[0]
+    memory = controller.initial_memory(0.0, model.REST, STEP)
+    torques = ca.DM(model.INVERSE) @ controller.step(0.0, x, row, memory)[0]
     command = ca.Function("command", [x], [torques])
     rate = ca.Function("rate", [x], [craft.function(0.0, x, torques, craft.parameter_values)])
     times = STEP * np.arange(round(duration / STEP) + 1)
     flown = solve_ivp(
         lambda _, state: rate(state).full()[:, 0],
         (0.0, times[-1]),
-        REST,
+        model.REST,
         method="DOP853",
         t_eval=times,
         rtol=1e-10,
@@ -211,17 +177,17 @@ def fly(controller: go.Controller, target: ArrayLike, duration: float = DURATION
 
 
 @cache
-def published_slew(manoeuvre: int, name: Law) -> Slew:
+def published_slew(manoeuvre: int, name: control.Law) -> Slew:
     """Return the slew of a manoeuvre under a controller with the printed gains."""
-    target = target_quaternion(manoeuvre)
-    design = design_flc if name == "FLC" else design_quaternion_lqr
+    target = model.target_quaternion(manoeuvre)
+    design = control.design_flc if name == "FLC" else control.design_quaternion_lqr
     return fly(design(target), target)
 
 
 # --- the wheels' speed limit, and the singularity of feedback linearisation ------------------------------
 
 
-def allocated_run(balance: str, *, limited: bool = False, duration: float = DURATION) -> go.Run:
+def allocated_run(balance: str, *, limited: bool = False, duration: float = model.DURATION) -> go.Run:
     """Return manoeuvre 3 under the FLC, sampled every 0.02 s, with a wheel array.
 
     Parameters
@@ -234,10 +200,17 @@ def allocated_run(balance: str, *, limited: bool = False, duration: float = DURA
         s.
     """
     wheels = WheelArray(
-        "wheels", AXES, balance=balance, momenta="h", to="T", max_momentum=MAX_MOMENTUM if limited else np.inf
+        "wheels",
+        model.AXES,
+        balance=balance,
+        momenta="h",
+        to="T",
+        max_momentum=model.MAX_MOMENTUM if limited else np.inf,
     )
-    loop = go.ClosedLoop(wheel_model(), design_flc(target_quaternion(3)), actuators=[wheels], dt=0.02)
-    return loop.simulate(REST, tf=duration)
+    loop = go.ClosedLoop(
+        model.wheel_model(), control.design_flc(model.target_quaternion(3)), actuators=[wheels], dt=0.02
+    )
+    return loop.simulate(model.REST, tf=duration)
 
 
 def about_z(angle: float) -> Array:
@@ -251,7 +224,7 @@ def breakdown_time(angle: float) -> float:
 
     In closed form the vector part has then the length one: (1 - e(t)) sin(angle / 2) = 1.
     """
-    errors = Linear()
+    errors = control.Linear()
     half = np.sin(np.radians(angle) / 2)
     peak = np.pi / (errors.frequency * np.sqrt(1 - errors.damping**2))
     return float(brentq(lambda t: (1 - float(errors.left(t))) * half - 1, 0.0, peak))
@@ -259,9 +232,9 @@ def breakdown_time(angle: float) -> float:
 
 def unguarded_breakdown(angle: float) -> float:
     """Return the same (s) from the model under the FLC without a useful guard: the first q_0 < 0.005."""
-    craft = wheel_model(drive="body")
-    controller = design_flc(about_z(angle), singular=1e-3)
-    row, memory = controller.signal(0.0, 0.1), controller.initial_memory(0.0, REST, 0.1)
+    craft = model.wheel_model(drive="body")
+    controller = control.design_flc(about_z(angle), singular=1e-3)
+    row, memory = controller.signal(0.0, 0.1), controller.initial_memory(0.0, model.REST, 0.1)
 
     def rate(t: float, x: Array) -> Array:
         torque = controller.step(t, x, row, memory)[0]
@@ -271,47 +244,39 @@ def unguarded_breakdown(angle: float) -> float:
         return float(x[0]) - 0.005
 
     lost.terminal = True  # type: ignore[attr-defined]
-    flown = solve_ivp(rate, (0.0, 60.0), REST, method="DOP853", events=lost, rtol=1e-9, atol=1e-11)
+    flown = solve_ivp(rate, (0.0, 60.0), model.REST, method="DOP853", events=lost, rtol=1e-9, atol=1e-11)
     return float(flown.t_events[0][0])
 
 
 def guarded_run(angle: float) -> go.Run:
     """Return a slew about z (degrees) with the paper's output, sampled: the guard hands over to quaternion feedback."""
-    controller = design_flc(about_z(angle))
-    return go.ClosedLoop(wheel_model(drive="body"), controller, dt=0.02).simulate(REST, tf=120.0)
+    controller = control.design_flc(about_z(angle))
+    return go.ClosedLoop(model.wheel_model(drive="body"), controller, dt=0.02).simulate(model.REST, tf=120.0)
 
 
 def rerouted_slew(angle: float) -> Slew:
     """Return a slew about z (degrees) with the output chosen for it: the error quaternion if need be."""
     target = about_z(angle)
-    return fly(design_flc(target, output=flc_output(target)), target, 120.0)
+    return fly(control.design_flc(target, output=control.flc_output(target)), target, 120.0)
 
 
 # --- values of the publication --------------------------------------------------------------------------
 
 
 def _data() -> Iterator[Value]:
-    tilt = np.degrees(np.arctan2(AXES[2, 0], np.hypot(*AXES[:2, 0])))
-    turn = np.degrees(np.arctan2(AXES[1, 0], AXES[0, 0]))
-    yield Value("data: moments of inertia (kg m^2)", INERTIA)
-    yield Value("data: inertia of a wheel (kg m^2)", WHEEL_INERTIA)
-    yield Value("data: nominal and design limit of a wheel's speed (rpm)", (NOMINAL_SPEED, DESIGN_SPEED))
-    yield Value("data: K_T (N m/A)", TORQUE_CONSTANT)
-    yield Value("data: K_V (V/rpm)", VOLTAGE_CONSTANT)
-    yield Value("data: final time (s)", DURATION)
+    tilt = np.degrees(np.arctan2(model.AXES[2, 0], np.hypot(*model.AXES[:2, 0])))
+    turn = np.degrees(np.arctan2(model.AXES[1, 0], model.AXES[0, 0]))
     yield Value("data: beta and theta of the pyramid (deg)", (tilt, turn))
-    yield Value("data: weights of the FLC's regulator: errors, effort", FLC_WEIGHTS)
-    yield Value("data: weights of the LQR: rates, vector part, torque", LQR_WEIGHTS)
-    for manoeuvre in MANOEUVRES:
-        turned = Rotation.from_quat(paper_quaternion(target_quaternion(manoeuvre)))
+    for manoeuvre in model.MANOEUVRES:
+        turned = Rotation.from_quat(model.paper_quaternion(model.target_quaternion(manoeuvre)))
         angles = turned.as_euler("ZYX", degrees=True)[::-1]
         yield Value(f"data: target of manoeuvre {manoeuvre} about x, y, z (deg)", angles)
-    a = np.array([[0.0, 1.0], [-PRINTED_FLC[0], -PRINTED_FLC[1]]])
+    a = np.array([[0.0, 1.0], [-control.PRINTED_FLC[0], -control.PRINTED_FLC[1]]])
     p = solve_continuous_lyapunov(a.T, -np.eye(2))
     yield Value("P of equation 50 (1, 1; 1, 2; 2, 2)", (p[0, 0], p[0, 1], p[1, 1]))
     yield Value("eigenvalues of P of equation 50", np.linalg.eigvalsh(p))
     # E = 1/2 (q4 I + [q x]) J^-1: dq_v/dt of a turn about z has the second component in its first row
-    target = paper_quaternion(target_quaternion(1))
+    target = model.paper_quaternion(model.target_quaternion(1))
     turned = Rotation.from_quat(target) * Rotation.from_rotvec([0, 0, 1e-6])
     yield Value(
         "entry (1, 3) of equation 26 times 2 J_z, at target 1", 2e6 * (turned.as_quat()[0] - target[0])
@@ -319,18 +284,18 @@ def _data() -> Iterator[Value]:
 
 
 def _gains() -> Iterator[Value]:
-    k1, k2 = flc_gains()
-    k_q, k_w = lqr_gains()
+    k1, k2 = control.flc_gains()
+    k_q, k_w = control.lqr_gains()
     yield Value("FLC K1 (1/s^2)", k1)
     yield Value("FLC K2 (1/s)", k2)
     yield Value("LQR K_q (N m)", k_q[0, 0])
     yield Value("LQR K_omega, x and y (N m s)", k_w[0, 0])
     yield Value("LQR K_omega, z (N m s)", k_w[2, 2])
-    yield Value("FLC overshoot", Linear().overshoot)
+    yield Value("FLC overshoot", control.Linear().overshoot)
 
 
 def _slews() -> Iterator[Value]:
-    for manoeuvre in MANOEUVRES:
+    for manoeuvre in model.MANOEUVRES:
         for law in LAWS:
             slew = published_slew(manoeuvre, law)
             yield Value(f"EULERINT {manoeuvre} {law} (deg s)", slew.eulerint)
@@ -353,41 +318,41 @@ def _slews() -> Iterator[Value]:
         for law in LAWS:
             speed = published_slew(manoeuvre, law).balanced_speed
             yield Value(f"peak speed, min-max, {manoeuvre} {law} (rpm)", speed)
-    sampled = peak_speed(allocated_run("momentum", limited=True, duration=40.0))
+    sampled = control.peak_speed(allocated_run("momentum", limited=True, duration=40.0))
     yield Value("peak speed, min-max, 3 FLC, sampled (rpm)", sampled)
 
 
 def _singularity() -> Iterator[Value]:
-    yield Value("largest FLC slew (deg)", np.degrees(Linear().largest_slew))
+    yield Value("largest FLC slew (deg)", np.degrees(control.Linear().largest_slew))
     for angle in BREAKDOWNS:
         yield Value(f"breakdown of {angle} deg, closed form (s)", breakdown_time(angle))
         yield Value(f"breakdown of {angle} deg, flown (s)", unguarded_breakdown(angle))
     yield Value("150 deg, guarded: angle left (deg)", np.degrees(guarded_run(150).attitude_error("q")))
     for angle in (150, 170, 179):
         yield Value(f"{angle} deg, error output: angle left (deg)", rerouted_slew(angle).angle[-1])
-    edge = fly(design_flc(about_z(147)), about_z(147), 120.0)
+    edge = fly(control.design_flc(about_z(147)), about_z(147), 120.0)
     yield Value("147 deg, FLC: smallest q4", np.min(edge.states[0]))
     yield Value("147 deg, FLC: peak torque (N m)", np.max(np.abs(edge.body_torque)))
     yield Value("147 deg, FLC: peak rate (deg/s)", np.degrees(np.max(np.abs(edge.rates))))
     yield Value("147 deg, FLC: peak speed (rpm)", edge.peak_speed)
-    lqr = design_quaternion_lqr(about_z(179))
-    yield Value("LQR at 179 deg: first torque (N m)", np.max(np.abs(lqr(0.0, REST, dt=1.0)[0])))
+    lqr = control.design_quaternion_lqr(about_z(179))
+    yield Value("LQR at 179 deg: first torque (N m)", np.max(np.abs(lqr(0.0, model.REST, dt=1.0)[0])))
     yield Value("LQR at 179 deg: angle after 120 s (deg)", fly(lqr, about_z(179), 120.0).angle[-1])
 
 
 def _statements() -> Iterator[Value]:
-    for manoeuvre in MANOEUVRES:
+    for manoeuvre in model.MANOEUVRES:
         for law in LAWS:
             slew = published_slew(manoeuvre, law)
             yield Value(f"sum of |P| (J), {manoeuvre} {law}", slew.work)
             yield Value(f"sum of |T| (N m s), {manoeuvre} {law}", slew.effort)
             yield Value(f"sum of T^2 (N^2 m^2 s), {manoeuvre} {law}", slew.energy)
     for law in LAWS:
-        times = [published_slew(manoeuvre, law).settling_time for manoeuvre in MANOEUVRES]
+        times = [published_slew(manoeuvre, law).settling_time for manoeuvre in model.MANOEUVRES]
         note = f"{min(times):.1f} to {max(times):.1f} to 2 %"
         yield Value(f"settling, 1 to 6 {law} (s)", np.mean(times), note=note)
         yield Value(f"peak speed, 1 {law} (rpm)", published_slew(1, law).peak_speed)
-    pairs = [[published_slew(manoeuvre, law) for law in LAWS] for manoeuvre in MANOEUVRES]
+    pairs = [[published_slew(manoeuvre, law) for law in LAWS] for manoeuvre in model.MANOEUVRES]
     for name, what in (
         ("eulerint", "EULERINT"),
         ("energy", "integral of sum T^2"),
@@ -403,18 +368,18 @@ def _statements() -> Iterator[Value]:
 
 
 def _optima() -> Iterator[Value]:
-    for name, manoeuvre in MANOEUVRE.items():
-        solution, published = optimal_slew(name), published_slew(manoeuvre, "FLC")
-        verdict, in_time = go.verify(solution), name.startswith("time")
+    for name, manoeuvre in optimal.MANOEUVRE.items():
+        solution, published = optimal.optimal_slew(name), published_slew(manoeuvre, "FLC")
+        in_time = name.startswith("time")
         theirs = published.settling_time if in_time else published.energy
         what, unit = f"{name} (manoeuvre {manoeuvre})", "s" if in_time else "N^2 m^2 s"
         yield Value(f"{what}: least ({unit})", solution.objective)
-        yield Value(f"{what}: verdict", float(verdict.ok), verdict.ok, failing(verdict))
-        yield Value(f"{what}: peak speed (rpm)", fastest_wheel(solution))
+        yield verdict_value(f"{what}: verdict", go.verify(solution))
+        yield Value(f"{what}: peak speed (rpm)", optimal.fastest_wheel(solution))
         yield Value(f"{what}: least / published FLC", solution.objective / theirs)
 
 
-FLOWN: tuple[Name, ...] = ("energy", "energy, half the time", "time, small")
+FLOWN: tuple[optimal.Name, ...] = ("energy", "energy, half the time", "time, small")
 """Optima that are tracked, beside the FLC."""
 MEASURES = ("to 2 % of the angle (s)", "integral of sum T^2 (N^2 m^2 s)", "angle after 60 s (deg)")
 RESERVE_SPEED, RESERVE_TORQUE = 4750.0, 0.8
@@ -431,18 +396,18 @@ ATTITUDE_NOISE, RATE_NOISE = 0.002, 0.001
 
 
 @cache
-def plan(name: Name) -> go.Solution:
+def plan(name: optimal.Name) -> go.Solution:
     """Return the slew of `FLOWN` that is tracked, with reserves of speed and torque."""
     if name == "time, small":
-        limit = RESERVE_TORQUE * published_peak_torque(MANOEUVRE[name])
-        problem = build("time", MANOEUVRE[name], torque=limit, speed=RESERVE_SPEED)
+        limit = RESERVE_TORQUE * optimal.published_peak_torque(optimal.MANOEUVRE[name])
+        problem = optimal.build("time", optimal.MANOEUVRE[name], torque=limit, speed=RESERVE_SPEED)
     else:
-        problem = build(duration=HALF if "half" in name else 34.6, speed=RESERVE_SPEED)
+        problem = optimal.build(duration=optimal.HALF if "half" in name else 34.6, speed=RESERVE_SPEED)
     return go.solve(problem, tol=1e-8)
 
 
 def closed(
-    name: Name, law: bool = False, start_error: ArrayLike = START_ERROR, noise: float = 1.0
+    name: optimal.Name, law: bool = False, start_error: ArrayLike = START_ERROR, noise: float = 1.0
 ) -> tuple[go.ClosedLoop, Array]:
     """Return the loop of a plan, or of the FLC in the same manoeuvre, and its first state.
 
@@ -459,55 +424,56 @@ def closed(
     noise : float
         Factor of both noises.
     """
-    limit, true = published_peak_torque(MANOEUVRE[name]), np.asarray(INERTIA) * INERTIA_RATIO
+    limit, true = (
+        optimal.published_peak_torque(optimal.MANOEUVRE[name]),
+        np.asarray(model.INERTIA) * INERTIA_RATIO,
+    )
     if law:
-        controller, momenta = design_flc(target_quaternion(MANOEUVRE[name])), REST[7:]
+        controller, momenta = (
+            control.design_flc(model.target_quaternion(optimal.MANOEUVRE[name])),
+            model.REST[7:],
+        )
         motors: go.simulation.Block = WheelArray(
-            "wheels", AXES, max_torque=limit, max_momentum=MAX_MOMENTUM, momenta="h", to="T"
+            "wheels", model.AXES, max_torque=limit, max_momentum=model.MAX_MOMENTUM, momenta="h", to="T"
         )
     else:
         slew = plan(name)
-        controller, momenta = design_tracker(slew, limit), np.asarray(slew.state("h")(0.0))
+        controller, momenta = control.design_tracker(slew, limit), np.asarray(slew.state("h")(0.0))
         motors = Saturation("motors", -limit, limit)
     turn = np.radians(start_error) / 2
     start = np.concatenate([[np.sqrt(1 - turn @ turn)], turn, np.zeros(3), momenta])
     loop = go.ClosedLoop(
-        wheel_model(true),
+        model.wheel_model(true),
         controller,
         actuators=[motors],
         sensors=[
-            Noise("star tracker", np.full(3, noise * np.radians(ATTITUDE_NOISE)), turned, on="q"),
+            Noise("star tracker", np.full(3, noise * np.radians(ATTITUDE_NOISE)), small_turn, on="q"),
             Noise("gyro", float(noise * np.radians(RATE_NOISE)), on="omega"),
         ],
         disturbances=[ConstantDisturbance("push", np.asarray(DISTURBANCE) / true, on="omega")],
-        dt=CONTROL_STEP,
+        dt=control.CONTROL_STEP,
     )
     return loop, start
 
 
-def turned(q: object, angle: object) -> object:
-    """Return an attitude turned by a small rotation vector (rad) in its own axes, to first order."""
-    return quaternion_product(q, ca.vertcat(1, 0.5 * angle))  # type: ignore[operator]
-
-
 @cache
-def flight(name: Name, law: bool = False, noise: float = 1.0) -> go.Run:
+def flight(name: optimal.Name, law: bool = False, noise: float = 1.0) -> go.Run:
     """Return the run of `closed`, 60 s."""
     loop, start = closed(name, law, noise=noise)
-    return loop.simulate(start, tf=DURATION, seed=1)
+    return loop.simulate(start, tf=model.DURATION, seed=1)
 
 
-def measures(name: Name, run: go.Run) -> FlightMeasures:
+def measures(name: optimal.Name, run: go.Run) -> FlightMeasures:
     """Return the measures of a run."""
-    target = target_quaternion(MANOEUVRE[name])
+    target = model.target_quaternion(optimal.MANOEUVRE[name])
     angle = np.degrees(quaternion_angle(run.state("q").values, target[:, None]))
-    beyond = np.flatnonzero(angle > SETTLED * np.degrees(quaternion_angle(REST[:4], target)))
-    settled = float("inf") if beyond[-1] == angle.size - 1 else float(run.times[beyond[-1]])
+    band = SETTLED * float(np.degrees(quaternion_angle(model.REST[:4], target)))
+    settled = last_beyond(run.times, angle, band)
     return FlightMeasures(settled, float(np.sum(run.control_energy("T"))), float(angle[-1]))
 
 
-def _flown(name: Name) -> Iterator[Value]:
-    ours, law, what = flight(name), flight(name, True), f"{name} ({MANOEUVRE[name]})"
+def _flown(name: optimal.Name) -> Iterator[Value]:
+    ours, law, what = flight(name), flight(name, True), f"{name} ({optimal.MANOEUVRE[name]})"
     yield from flight_values(what, MEASURES, measures(name, ours), measures(name, law))
-    yield Value(f"{what}, flown: outcome", float(ours.outcome.ok), ours.outcome.ok)
-    yield Value(f"{what}, flown: peak speed (rpm)", peak_speed(ours))
+    yield outcome_value(what, ours)
+    yield Value(f"{what}, flown: peak speed (rpm)", control.peak_speed(ours))

@@ -10,52 +10,33 @@ from collections.abc import Iterator
 
 import gnc_opt as go
 from benchmarks.validation.published.comparison import Value
-from problems.rendezvous.model import (
-    ALTITUDE,
-    CASES,
-    EQUATIONS,
-    FINAL_POSITION,
-    FINAL_SIGMA,
-    INERTIA,
-    MASS,
-    MAX_FORCE,
-    MAX_TORQUE,
-    PAPER_MESH,
-    build,
-)
-from problems.rendezvous.optimal import REFERENCE
+from problems.rendezvous import model, optimal
 
 
 def values() -> Iterator[Value]:
     """Yield every computed quantity of the table; each equation is transcribed once."""
     yield from _data()
-    problems = {equation: build(equation=equation) for equation in EQUATIONS}
+    problems = {equation: model.build(equation=equation) for equation in model.EQUATIONS}
     solutions = {
-        (case, equation): go.solve(problem.with_initial(r_L=list(place)), mesh=PAPER_MESH, tol=None)
+        (case, equation): go.solve(problem.with_initial(r_L=list(place)), mesh=model.PAPER_MESH, tol=None)
         for equation, problem in problems.items()
-        for case, place in CASES.items()
+        for case, place in model.CASES.items()
     }
-    yield from _size(solutions[1, EQUATIONS[0]])
+    yield from _size(solutions[1, model.EQUATIONS[0]])
     for (case, equation), solution in solutions.items():
         t_f = solution.objective
         yield Value(f"case {case}, {equation} equation: minimum time (s)", t_f)
         for key in ("paper GPM", "paper GPOPS"):
-            if key in REFERENCE[case, equation]:
+            if key in optimal.REFERENCE[case, equation]:
                 yield Value(f"case {case}, {key}", t_f)
 
 
 def _data() -> Iterator[Value]:
-    yield Value("data: moments of inertia (kg m^2)", INERTIA)
-    yield Value("data: mass (kg)", MASS)
-    yield Value("data: limits of torque (N m) and force (N)", (MAX_TORQUE, MAX_FORCE))
-    yield Value("data: altitude (km)", ALTITUDE / 1e3)
-    yield Value("data: final sigma, y", FINAL_SIGMA[1])
-    yield Value("data: final position (m)", FINAL_POSITION)
-    yield Value("data: segments and points of each", (PAPER_MESH.segments, PAPER_MESH.degrees[0]))
-    for case, place in CASES.items():
+    yield Value("data: final sigma, y", model.FINAL_SIGMA[1])
+    yield Value("data: segments and points of each", (model.PAPER_MESH.segments, model.PAPER_MESH.degrees[0]))
+    for case, place in model.CASES.items():
         yield Value(f"data: first position, case {case} (m)", place)
-    yield Value("data: formula of the final sigma, y", FINAL_SIGMA[1])
-    yield Value("the curves of figures 3 to 15", ())
+    yield Value("data: formula of the final sigma, y", model.FINAL_SIGMA[1])
 
 
 def _size(solution: go.Solution) -> Iterator[Value]:
@@ -66,4 +47,3 @@ def _size(solution: go.Solution) -> Iterator[Value]:
     yield Value("variables of the programme", (points + segments + 1) * states + points * controls + 1)
     # collocation at every point, the end of every segment by quadrature; the ends themselves are fixed by bounds
     yield Value("constraints of the programme", (points + segments) * states)
-    yield Value("nonzeros of its Jacobian", ())

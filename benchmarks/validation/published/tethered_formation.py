@@ -16,38 +16,18 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import FlightMeasures, Value, failing, flight_values
+from benchmarks.validation.published.comparison import (
+    FlightMeasures,
+    Value,
+    flight_values,
+    last_beyond,
+    outcome_value,
+    verdict_value,
+)
 from gnc_opt.arrays import Array
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.simulation import Noise, Saturation
-from problems.tethered_formation.control import (
-    STEP,
-    Gains,
-    Linear,
-    Reaching,
-    Switching,
-    Unknown,
-    design_swing_law,
-    held,
-    predictive,
-    surface,
-)
-from problems.tethered_formation.model import (
-    DURATION,
-    FORCE,
-    MAX_ANGLE,
-    MAX_RATE,
-    PAIR,
-    RADIUS,
-    RATE,
-    Orbit,
-    equilibrium,
-    first_state,
-    reference,
-    tether_model,
-)
-from problems.tethered_formation.optimal import optimum
-from problems.tethered_formation.tether import TetheredPair, TetherMotion
+from problems.tethered_formation import control, model, optimal, tether
 
 
 def values() -> Iterator[Value]:
@@ -83,8 +63,8 @@ class Manoeuvre:
     """
 
     run: go.Run
-    pair: TetheredPair = PAIR
-    force: float = FORCE
+    pair: tether.TetheredPair = model.PAIR
+    force: float = model.FORCE
 
     @property
     def times(self) -> Array:
@@ -110,7 +90,7 @@ class Manoeuvre:
     def lead(self) -> Array:
         """Error along the orbit, r e_alpha, m."""
         ahead, above = self.run.error("lead").values[0], self.run.state("height").values[0]
-        return np.asarray(ahead * (1 + above / RADIUS))
+        return np.asarray(ahead * (1 + above / model.RADIUS))
 
     @cached_property
     def angle(self) -> Array:
@@ -126,10 +106,10 @@ class Manoeuvre:
     def tension(self) -> Array:
         """N."""
         state = {n: self.run.state(n).values[0] for n in self.run.layouts["state"].names}
-        motion = TetherMotion(
-            RADIUS + state["height"],
+        motion = tether.TetherMotion(
+            model.RADIUS + state["height"],
             state["climb"],
-            RATE + state["drift"] / RADIUS,
+            model.RATE + state["drift"] / model.RADIUS,
             state["theta"],
             state["theta_rate"],
         )
@@ -142,10 +122,7 @@ class Manoeuvre:
 
     def last_beyond(self, band: float) -> float:
         """Return the last time (s) at which the swing is beyond a band (degrees); inf if it still is at the end."""
-        beyond = np.flatnonzero(np.abs(self.swing) > band)
-        if beyond.size == 0:
-            return 0.0
-        return float("inf") if beyond[-1] == self.times.size - 1 else float(self.times[beyond[-1]])
+        return last_beyond(self.times, np.abs(self.swing), band)
 
     def late_swing(self, begin: float = 150.0) -> float:
         """Return the largest swing from ``begin`` (s) on, degrees."""
@@ -158,12 +135,12 @@ class Manoeuvre:
     @property
     def at_angle_limit(self) -> Array:
         """Times (s) of the states that are on the limit of the angle."""
-        return np.asarray(self.times[np.abs(self.angle) >= np.degrees(MAX_ANGLE) * (1 - 1e-9)])
+        return np.asarray(self.times[np.abs(self.angle) >= np.degrees(model.MAX_ANGLE) * (1 - 1e-9)])
 
     @property
     def at_rate_limit(self) -> Array:
         """Times (s) of the commands that are on the limit of the rate."""
-        return self.times[:-1][np.abs(self.rate) >= MAX_RATE * (1 - 1e-9)]
+        return self.times[:-1][np.abs(self.rate) >= model.MAX_RATE * (1 - 1e-9)]
 
     @property
     def effort(self) -> float:
@@ -183,16 +160,16 @@ class Manoeuvre:
 
 
 def fly(
-    reaching: Reaching | None = None,
+    reaching: control.Reaching | None = None,
     *,
-    gains: Gains | None = None,
-    unknown: Unknown = "observed",
+    gains: control.Gains | None = None,
+    unknown: control.Unknown = "observed",
     swing: float = np.radians(30.0),
     swing_rate: float = 0.0,
-    pair: TetheredPair = PAIR,
-    force: float = FORCE,
-    duration: float = DURATION,
-    dt: float = STEP,
+    pair: tether.TetheredPair = model.PAIR,
+    force: float = model.FORCE,
+    duration: float = model.DURATION,
+    dt: float = control.STEP,
 ) -> Manoeuvre:
     """Fly the published structure on the exact plant.
 
@@ -207,21 +184,27 @@ def fly(
     duration : float
         s.
     """
-    law = design_swing_law(reference(duration=duration), reaching, gains=gains, unknown=unknown, dt=dt)
-    return fly_law(law, first_state(swing, swing_rate), duration, pair, force)
+    law = control.design_swing_law(
+        model.reference(duration=duration), reaching, gains=gains, unknown=unknown, dt=dt
+    )
+    return fly_law(law, model.first_state(swing, swing_rate), duration, pair, force)
 
 
-def fly_without_control(duration: float = DURATION) -> Manoeuvre:
+def fly_without_control(duration: float = model.DURATION) -> Manoeuvre:
     """Fly with the thrust along the orbit."""
-    return fly_law(go.feedforward(reference(duration=duration)), first_state(), duration)
+    return fly_law(go.feedforward(model.reference(duration=duration)), model.first_state(), duration)
 
 
 def fly_law(
-    law: go.Controller, start: Array, duration: float, pair: TetheredPair = PAIR, force: float = FORCE
+    law: go.Controller,
+    start: Array,
+    duration: float,
+    pair: tether.TetheredPair = model.PAIR,
+    force: float = model.FORCE,
 ) -> Manoeuvre:
     """Fly a law on the exact plant from a state (7,), for ``duration`` (s); pair and thrust (N) are the true ones."""
     # One step of the fifth-order method per 0.1 s leaves 1e-11, see run.integration_error.
-    loop = go.ClosedLoop(tether_model(pair, force, "exact"), law, dt=law.dt or STEP, substeps=1)
+    loop = go.ClosedLoop(model.tether_model(pair, force, "exact"), law, dt=law.dt or control.STEP, substeps=1)
     return Manoeuvre(loop.simulate(start, tf=duration), pair, force)
 
 
@@ -230,11 +213,11 @@ def results() -> dict[str, Manoeuvre]:
     """Return the six manoeuvres of the results table, by name."""
     return {
         "no control": fly_without_control(),
-        "MPC": fly(predictive()),
-        "linear": fly(Linear(0.5)),
-        "switching 0.01": fly(Switching(0.01)),
-        "switching 0.003": fly(Switching(0.003)),
-        "MPC, no observer": fly(predictive(), unknown="ignored"),
+        "MPC": fly(control.predictive()),
+        "linear": fly(control.Linear(0.5)),
+        "switching 0.01": fly(control.Switching(0.01)),
+        "switching 0.003": fly(control.Switching(0.003)),
+        "MPC, no observer": fly(control.predictive(), unknown="ignored"),
     }
 
 
@@ -242,46 +225,40 @@ def results() -> dict[str, Manoeuvre]:
 
 
 def _data() -> Iterator[Value]:
-    yield Value("data: limit of the angle (rad)", MAX_ANGLE, np.pi / 9 == MAX_ANGLE)
-    yield Value("data: limit of its rate (rad/s)", MAX_RATE)
-    yield Value("data: duration (s)", DURATION)
-    yield Value("data: control step (s)", STEP)
-    yield Value("any number of the publication's figures, digit by digit", ())
-    yield Value("the rival scheme", ())
-    yield Value("exact tracking of the orbit later on", ())
+    yield Value("data: limit of the angle (rad)", model.MAX_ANGLE, np.pi / 9 == model.MAX_ANGLE)
 
 
 def _plant() -> Iterator[Value]:
     """Derived data, sample values of the accelerations, drifts of what a free pair conserves."""
-    here = TetherMotion(RADIUS, 0.0, RATE, np.radians(30.0), 0.0)
-    sample = PAIR.accelerations(here, FORCE, 0.1)
-    yield Value("kappa", PAIR.kappa)
-    yield Value("m*, kg", PAIR.reduced_mass)
-    frequency = PAIR.kappa * FORCE / (PAIR.reduced_mass * PAIR.length)
+    here = tether.TetherMotion(model.RADIUS, 0.0, model.RATE, np.radians(30.0), 0.0)
+    sample = model.PAIR.accelerations(here, model.FORCE, 0.1)
+    yield Value("kappa", model.PAIR.kappa)
+    yield Value("m*, kg", model.PAIR.reduced_mass)
+    frequency = model.PAIR.kappa * model.FORCE / (model.PAIR.reduced_mass * model.PAIR.length)
     yield Value("swing frequency squared, 1/s^2", frequency)
     yield Value("sample r'', m/s^2", sample.r)
     yield Value("sample alpha'', rad/s^2", sample.alpha)
     yield Value("sample theta'', rad/s^2", sample.theta)
-    yield Value("sample tension, N", PAIR.tension(here, FORCE, 0.1))
+    yield Value("sample tension, N", model.PAIR.tension(here, model.FORCE, 0.1))
     for length, exact in ((100.0, True), (1000.0, True), (100.0, False)):
-        energy, momentum, theta = free_drift(TetheredPair(500.0, 200.0, 1.0, length), exact)
+        energy, momentum, theta = free_drift(tether.TetheredPair(500.0, 200.0, 1.0, length), exact)
         name = f"{'exact' if exact else 'first-order'} gravity, {length:g} m"
         yield Value(f"{name}: drift of energy", energy)
         yield Value(f"{name}: drift of momentum", momentum)
         yield Value(f"{name}: swing after 6000 s, deg", theta)
 
 
-def free_drift(pair: TetheredPair, exact: bool) -> tuple[float, float, float]:
+def free_drift(pair: tether.TetheredPair, exact: bool) -> tuple[float, float, float]:
     """Return relative drifts of energy and momentum over 6000 s without thrust, and the last swing (degrees)."""
     law = pair.true_accelerations if exact else pair.accelerations
 
     def rate(_: float, y: Array) -> list[float]:
-        a = law(TetherMotion(y[0], y[2], y[3], y[1], y[4]), 0.0, 0.0)
+        a = law(tether.TetherMotion(y[0], y[2], y[3], y[1], y[4]), 0.0, 0.0)
         return [y[2], y[4], a.r, a.alpha, a.theta]
 
-    start = [RADIUS, np.radians(60.0), 0.0, RATE, 1e-3]
+    start = [model.RADIUS, np.radians(60.0), 0.0, model.RATE, 1e-3]
     y = solve_ivp(rate, (0.0, 6000.0), start, "DOP853", rtol=3e-14, atol=1e-15).y
-    motion = TetherMotion(y[0], y[2], y[3], y[1], y[4])
+    motion = tether.TetherMotion(y[0], y[2], y[3], y[1], y[4])
     energy, momentum = pair.energy(motion), pair.angular_momentum(motion)
     drifts = [float(np.max(np.abs(v / v[0] - 1))) for v in (energy, momentum)]
     return drifts[0], drifts[1], float(np.degrees(y[1, -1]))
@@ -289,29 +266,29 @@ def free_drift(pair: TetheredPair, exact: bool) -> tuple[float, float, float]:
 
 def _parts() -> Iterator[Value]:
     """The reference, the surface at the start, and single commands of the reaching law."""
-    orbit, plan = Orbit.of(), reference()
-    height, climb, lead, _ = orbit(DURATION)
+    orbit, plan = model.Orbit.of(), model.reference()
+    height, climb, lead, _ = orbit(model.DURATION)
     yield Value("reference r at 200 s - r0, m", height)
     yield Value("reference rate of r, m/s", climb)
-    yield Value("reference alpha, rad", RATE * DURATION + lead / RADIUS)
-    errors = surface(plan, Gains())
+    yield Value("reference alpha, rad", model.RATE * model.DURATION + lead / model.RADIUS)
+    errors = control.surface(plan, control.Gains())
     parts = errors.pair.function(errors.chains[0][0], errors.chains[0][1], errors.decoupling[0])
-    s, rate, effect = (float(v) for v in parts(0.0, first_state(), [0.0], plan.x(0.0), [0.0]))
+    s, rate, effect = (float(v) for v in parts(0.0, model.first_state(), [0.0], plan.x(0.0), [0.0]))
     yield Value("S(0)", s)
     yield Value("S_v(0)", rate)
     yield Value("G(0)", effect)
     yield Value("sigma(0)", s + rate)
     symbols = [ca.SX.sym(n) for n in ("s", "f", "g", "y")]
-    v = ca.Function("v", symbols, [predictive().command(*symbols)])
+    v = ca.Function("v", symbols, [control.predictive().command(*symbols)])
     g = -0.0139923
     yield Value("v0 / sigma without limits", float(v(1e-6, 0.0, g, 0.0)) / 1e-6)
-    yield Value("... infinite horizon", -predictive(2000).gain(g))
+    yield Value("... infinite horizon", -control.predictive(2000).gain(g))
     yield Value("v0 at sigma = 0.18", float(v(0.18, 0.0, g, 0.0)))
-    yield Value("... 0.005 from the angle's limit", float(v(0.18, 0.0, g, MAX_ANGLE - 0.005)))
-    yield Value("... on the limit", float(v(0.18, 0.0, g, MAX_ANGLE)))
+    yield Value("... 0.005 from the angle's limit", float(v(0.18, 0.0, g, model.MAX_ANGLE - 0.005)))
+    yield Value("... on the limit", float(v(0.18, 0.0, g, model.MAX_ANGLE)))
     for t in (0.0, 100.0, 200.0):
         h, c, _, d = orbit(t)
-        yield Value(f"equilibrium swing at {t:g} s, rad", equilibrium(PAIR, FORCE, h, c, d))
+        yield Value(f"equilibrium swing at {t:g} s, rad", model.equilibrium(model.PAIR, model.FORCE, h, c, d))
 
 
 # --- the results table ----------------------------------------------------------------------------------
@@ -349,7 +326,7 @@ def _limits() -> Iterator[Value]:
     yield Value("MPC: time on the limit of the rate, s", mpc.at_rate_limit.size * step)
     yield Value("MPC: |sigma| < 1e-4 from, s", mpc.times[np.flatnonzero(sigma >= 1e-4)[-1]])
     yield Value("MPC: rate of r above its reference from, s", rising[0])
-    excess = max(float(np.max(np.abs(m.angle))) for m in runs.values()) - np.degrees(MAX_ANGLE)
+    excess = max(float(np.max(np.abs(m.angle))) for m in runs.values()) - np.degrees(model.MAX_ANGLE)
     yield Value("all: angle beyond 20 deg, deg", excess, excess <= 1e-10)
     overstep = max(float(np.max(np.abs(m.rate))) for m in runs.values()) - 0.1
     yield Value("all: rate beyond 0.1, rad/s", overstep, overstep <= 1e-12)
@@ -372,8 +349,8 @@ def observer_errors(m: Manoeuvre, begin: float = 0.0) -> tuple[float, float, flo
 
     Gamma from the model of the law on the true states.
     """
-    plan = reference(duration=m.times[-1])
-    errors = surface(plan, Gains())
+    plan = model.reference(duration=m.times[-1])
+    errors = control.surface(plan, control.Gains())
     drift = errors.pair.function(errors.drift[0])
     kept = np.flatnonzero(m.times[:-1] >= begin - 1e-9)
     references = m.run.reference
@@ -401,17 +378,17 @@ def _observer() -> Iterator[Value]:
         yield Value(f"observer{where}: rms Gamma", unknown)
         yield Value(f"observer{where}: rms error", error)
     yield Value("observer after 100 s: largest xi", observer_errors(mpc, 100.0)[2])
-    gentle = fly(gains=Gains(observer=SuperTwistingObserver(0.003, 5e-6)))
+    gentle = fly(gains=control.Gains(observer=SuperTwistingObserver(0.003, 5e-6)))
     yield Value("k7 = 0.003, k8 = 5e-6: variation after 150 s, rad/s", gentle.variation(150.0))
     yield Value("... in all, rad/s", gentle.variation())
 
 
 def _mismatches() -> Iterator[Value]:
     for name, pair, force in (
-        ("md + 20 %", TetheredPair(500.0, 240.0, 1.0, 100.0), FORCE),
-        ("md - 20 %", TetheredPair(500.0, 160.0, 1.0, 100.0), FORCE),
-        ("F - 10 %", PAIR, 0.9 * FORCE),
-        ("mp + 20 %", TetheredPair(600.0, 200.0, 1.0, 100.0), FORCE),
+        ("md + 20 %", tether.TetheredPair(500.0, 240.0, 1.0, 100.0), model.FORCE),
+        ("md - 20 %", tether.TetheredPair(500.0, 160.0, 1.0, 100.0), model.FORCE),
+        ("F - 10 %", model.PAIR, 0.9 * model.FORCE),
+        ("mp + 20 %", tether.TetheredPair(600.0, 200.0, 1.0, 100.0), model.FORCE),
     ):
         m = fly(pair=pair, force=force)
         yield Value(f"{name}: largest swing after 150 s, deg", m.late_swing())
@@ -430,17 +407,17 @@ def _first_swings() -> Iterator[Value]:
 
 def _tuning() -> Iterator[Value]:
     """Other gains, steps, durations and horizons."""
-    flipped = fly(gains=Gains(k4=0.005))
+    flipped = fly(gains=control.Gains(k4=0.005))
     yield Value("k4 = +0.005: swing at 200 s, deg", flipped.swing[-1])
     yield Value("... rate of r against its reference, m/s", flipped.climb[-1])
-    other = fly(gains=Gains(k1=0.30, k2=0.0015, k4=-0.022, k6=0.5))
+    other = fly(gains=control.Gains(k1=0.30, k2=0.0015, k4=-0.022, k6=0.5))
     yield Value("other gains: overshoot, deg", other.overshoot)
     yield Value("... last time beyond 1 deg, s", other.last_beyond(1.0))
     yield Value("... error of r at 200 s, m", other.height[-1])
-    alone = fly(gains=Gains(k4=0.0, k5=0.0))
+    alone = fly(gains=control.Gains(k4=0.0, k5=0.0))
     yield Value("swing alone: last time beyond 1 deg, s", alone.last_beyond(1.0))
     yield Value("... error of r at 200 s, m", alone.height[-1])
-    fine = fly(predictive(40, dt=0.05), dt=0.05)
+    fine = fly(control.predictive(40, dt=0.05), dt=0.05)
     yield Value("half the step: overshoot, deg", fine.overshoot)
     yield Value("... last time beyond 1 deg, s", fine.last_beyond(1.0))
     yield Value("... error of r at 200 s, m", fine.height[-1])
@@ -449,10 +426,10 @@ def _tuning() -> Iterator[Value]:
     yield Value("... swing, deg", long.swing[-1])
     yield Value("... error along the orbit, m", long.lead[-1])
     for label, law in (
-        ("Np = 5", predictive(5)),
-        ("Np = 10", predictive(10)),
-        ("R = 1e-5", predictive(effort=1e-5)),
-        ("R = 1e-3", predictive(effort=1e-3)),
+        ("Np = 5", control.predictive(5)),
+        ("Np = 10", control.predictive(10)),
+        ("R = 1e-5", control.predictive(effort=1e-5)),
+        ("R = 1e-3", control.predictive(effort=1e-3)),
     ):
         m = fly(law)
         yield Value(f"{label}: overshoot, deg", m.overshoot)
@@ -465,11 +442,10 @@ def _tuning() -> Iterator[Value]:
 def _optima() -> Iterator[Value]:
     for title in ("time, s", "planned, s", "effort, rad^2/s"):
         name = title.partition(",")[0]
-        best = optimum(name)
+        best = optimal.optimum(name)
         yield Value(f"least {title}", best.solution.objective)
-        ok = best.verdict.ok
-        yield Value(f"least {name}: verdict", float(ok), ok, failing(best.verdict))
-    published, fast, slow = results()["MPC"], optimum("time"), optimum("effort")
+        yield verdict_value(f"least {name}: verdict", best.verdict)
+    published, fast, slow = results()["MPC"], optimal.optimum("time"), optimal.optimum("effort")
     settled = published.last_beyond(1.0)
     yield Value("time, published to 1 deg only / least", settled / fast.leg.final_time)
     yield Value("effort in 200 s, published / least", published.effort / slow.effort)
@@ -481,7 +457,7 @@ MEASURES = (
     "integral of the squared rate (rad^2/s)",
     "largest swing in the last 20 s (deg)",
 )
-TRUE = TetheredPair(PAIR.leader_mass, 204.0, PAIR.tether_mass, PAIR.length)
+TRUE = tether.TetheredPair(model.PAIR.leader_mass, 204.0, model.PAIR.tether_mass, model.PAIR.length)
 """The pair that is flown; controllers and plans assume a follower of 200 kg."""
 TRUE_SWING = 31.5
 """First swing, degrees; the plans assume 30."""
@@ -489,7 +465,7 @@ SWING_NOISE, SWING_RATE_NOISE, POSITION_NOISE, VELOCITY_NOISE = 0.01, 0.003, 0.0
 """1 sigma of every measurement: deg, deg/s, m and m/s."""
 
 
-def closed(name: str, pair: TetheredPair = TRUE, noise: float = 1.0) -> go.ClosedLoop:
+def closed(name: str, pair: tether.TetheredPair = TRUE, noise: float = 1.0) -> go.ClosedLoop:
     """Return the loop of the "published" structure, or of a plan, "time" (with a reserve) or "effort".
 
     Parameters
@@ -501,16 +477,16 @@ def closed(name: str, pair: TetheredPair = TRUE, noise: float = 1.0) -> go.Close
         Factor of all measurement noise.
     """
     if name == "published":
-        controller = design_swing_law(reference(), predictive())
+        controller = control.design_swing_law(model.reference(), control.predictive())
     else:
-        plan = optimum("planned" if name == "time" else name).solution
+        plan = optimal.optimum("planned" if name == "time" else name).solution
         # the model's Gamma contains the plan's own steering, which no observer has to find then
-        controller = design_swing_law(held(plan), unknown="modelled")
+        controller = control.design_swing_law(control.held(plan), unknown="modelled")
     turn = noise * np.radians([SWING_NOISE, SWING_RATE_NOISE])
     return go.ClosedLoop(
-        tether_model(pair, FORCE, "exact"),
+        model.tether_model(pair, model.FORCE, "exact"),
         controller,
-        actuators=[Saturation("drive", -MAX_RATE, MAX_RATE)],
+        actuators=[Saturation("drive", -model.MAX_RATE, model.MAX_RATE)],
         sensors=[
             Noise("swing", float(turn[0]), on="theta"),
             Noise("swing rate", float(turn[1]), on="theta_rate"),
@@ -519,31 +495,32 @@ def closed(name: str, pair: TetheredPair = TRUE, noise: float = 1.0) -> go.Close
             Noise("climb", noise * VELOCITY_NOISE, on="climb"),
             Noise("drift", noise * VELOCITY_NOISE, on="drift"),
         ],
-        dt=controller.dt or STEP,
+        dt=controller.dt or control.STEP,
         substeps=1,
     )
 
 
 @cache
-def flight(name: str, pair: TetheredPair = TRUE, swing: float = TRUE_SWING, noise: float = 1.0) -> Manoeuvre:
+def flight(
+    name: str, pair: tether.TetheredPair = TRUE, swing: float = TRUE_SWING, noise: float = 1.0
+) -> Manoeuvre:
     """Return the run of `closed` from a first swing (degrees)."""
-    start = first_state(float(np.radians(swing)))
-    return Manoeuvre(closed(name, pair, noise).simulate(start, tf=DURATION, seed=1), pair)
+    start = model.first_state(float(np.radians(swing)))
+    return Manoeuvre(closed(name, pair, noise).simulate(start, tf=model.DURATION, seed=1), pair)
 
 
 def measures(m: Manoeuvre) -> FlightMeasures:
     """Return the measures of a run, against the first reference."""
     swing = np.abs(np.degrees(m.run.state("theta").values[0]))
-    late = np.flatnonzero(swing > 1.0)
-    settled = float("inf") if late[-1] == swing.size - 1 else float(m.times[late[-1]])
-    return FlightMeasures(settled, m.effort, float(np.max(swing[m.times >= DURATION - 20.0 - 1e-9])))
+    settled = last_beyond(m.times, swing, 1.0)
+    return FlightMeasures(settled, m.effort, float(np.max(swing[m.times >= model.DURATION - 20.0 - 1e-9])))
 
 
 def _flown(name: str) -> Iterator[Value]:
     law, m, what = flight("published"), flight(name), f"least {name}"
     yield from flight_values(what, MEASURES, measures(m), measures(law))
-    heights = [float((f.run.state("height").values[0] - Orbit.of()(f.times)[0])[-1]) for f in (m, law)]
+    heights = [float((f.run.state("height").values[0] - model.Orbit.of()(f.times)[0])[-1]) for f in (m, law)]
     yield Value(f"{what}, flown: error of r at 200 s (m); published law", heights)
-    yield Value(f"{what}, flown: outcome", float(m.run.outcome.ok), m.run.outcome.ok)
+    yield outcome_value(what, m.run)
     yield Value(f"{what}, flown: largest angle (deg)", np.max(np.abs(m.angle)))
     yield Value(f"{what}, flown: largest rate (rad/s)", np.max(np.abs(m.rate)))
