@@ -151,10 +151,10 @@ def small_turn(q: Any, angle: Any) -> Any:
 def known(system: str) -> list[dict[str, Any]]:
     """Return what is known of a system, a dictionary per row, in the order of its table.
 
-    Keys: ``quantity``; ``constants``, names in the system's modules, ``divided_by`` a number, if that is all that
-    there is of ours (none if the list is empty), then also ``ours``; of the publication ``published`` (numbers, met within
-    a unit of their last digit, or ``within``) or ``statement`` (words; ``agrees`` if that is fixed) with ``reason``; of
-    the independent computation ``independent`` with ``relative`` and ``absolute`` tolerances, of which the larger counts,
+    Keys: ``quantity``; ``constants``, names in the system's modules, ``divided_by`` a number, if that is all that there
+    is of ours (none if the list is empty), then also ``ours``; of the publication ``published`` (numbers, met within a
+    unit of their last digit, or ``within``) or ``statement`` (words; ``agrees`` if that is fixed) with ``reason``; of
+    the independent computation ``independent`` with ``relative`` and ``absolute`` tolerances (the larger counts),
     ``at_most`` (a limit), or ``condition`` (words, or ``< 1`` and the like); ``note``.
     """
     rows: list[dict[str, Any]] = json.loads((FOLDER / f"{system}.json").read_text(encoding="utf-8"))
