@@ -63,24 +63,7 @@ from gnc_opt.simulation import (
 from gnc_opt.simulation.block import clip
 from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import quaternion_retraction
-from problems.attitude_control.model import (
-    GYRO_BIAS,
-    GYRO_NOISE,
-    GYRO_WALK,
-    MAX_MOMENTUM,
-    MAX_TORQUE,
-    RPM,
-    TACHOMETER_NOISE,
-    TARGET,
-    TRACKER_DELAY,
-    TRACKER_NOISE,
-    TRACKER_PERIOD,
-    TRACKER_RATE,
-    WHEEL_INERTIA,
-    off_target,
-    plant,
-    slew,
-)
+from problems.attitude_control import model
 from problems.reaction_wheels.control import design_flc, design_quaternion_lqr, design_tracker
 from problems.reaction_wheels.model import INVERSE, REST, wheel_model
 
@@ -101,14 +84,16 @@ LAWS = ("least energy", "FLC", "LQR")
 @cache
 def estimator(*, bias: bool = True) -> Estimator:
     """Return the filter, for comparison also one that does not know of the gyro's bias."""
-    wrong = {"bias": 2 * GYRO_BIAS, "bias_walk": GYRO_WALK} if bias else {}
+    wrong = {"bias": 2 * model.GYRO_BIAS, "bias_walk": model.GYRO_WALK} if bias else {}
     return go.design_ekf(
         wheel_model(),
         REST,
         [
-            Measurement("q", TRACKER_NOISE, period=TRACKER_PERIOD, delay=TRACKER_DELAY, gate=0.99999),
-            Measurement("omega", GYRO_NOISE, **wrong),
-            Measurement("h", TACHOMETER_NOISE),
+            Measurement(
+                "q", model.TRACKER_NOISE, period=model.TRACKER_PERIOD, delay=model.TRACKER_DELAY, gate=0.99999
+            ),
+            Measurement("omega", model.GYRO_NOISE, **wrong),
+            Measurement("h", model.TACHOMETER_NOISE),
         ],
         sigma0=FIRST,
         process_noise=UNKNOWN,
@@ -125,9 +110,9 @@ def within_limits(controller: Controller) -> Controller:
     )
     wanted, after = inner.step(t, x, r, z)
     torques = wanted if "T" in inner.commands else ca.DM(INVERSE) @ wanted
-    h, most = x[craft.states.slice("h")], SHARE * MAX_MOMENTUM
+    h, most = x[craft.states.slice("h")], SHARE * model.MAX_MOMENTUM
     torques = clip(torques, (h - most) / CLOSING, (h + most) / CLOSING)
-    torques = clip(torques, -SHARE * MAX_TORQUE, SHARE * MAX_TORQUE)
+    torques = clip(torques, -SHARE * model.MAX_TORQUE, SHARE * model.MAX_TORQUE)
     return with_dropout_handling(
         replace(
             inner,
@@ -143,9 +128,9 @@ def within_limits(controller: Controller) -> Controller:
 def controller(name: str, *, bias: bool = True) -> Controller:
     """Return all that runs on board with one of `LAWS`."""
     if name == "least energy":
-        inner = design_tracker(slew(), MAX_TORQUE)
+        inner = design_tracker(model.slew(), model.MAX_TORQUE)
     else:
-        inner = design_flc(TARGET) if name == "FLC" else design_quaternion_lqr(TARGET)
+        inner = design_flc(model.TARGET) if name == "FLC" else design_quaternion_lqr(model.TARGET)
     return output_feedback(within_limits(inner), estimator(bias=bias))
 
 
@@ -159,20 +144,20 @@ START = {"q": [1.0, 0.0, 0.0, 0.0], "omega": np.zeros(3), "h": np.zeros(4), "mot
 
 LIMITS = {
     "max(pointing)": POINTING,
-    "max(torque)": MAX_TORQUE,
-    "max(speed)": MAX_MOMENTUM / WHEEL_INERTIA / RPM,
+    "max(torque)": model.MAX_TORQUE,
+    "max(speed)": model.MAX_MOMENTUM / model.WHEEL_INERTIA / model.RPM,
 }
 """rad, N m, rpm."""
 
 DISPERSIONS: dict[str, Dispersion] = {
     "initial.q": RandomRotation(Uniform(0.0, float(np.radians(1.0)))),
     "initial.omega": Normal(float(np.radians(0.02))),
-    "initial.h": Normal(50.0 * WHEEL_INERTIA * RPM),
+    "initial.h": Normal(50.0 * model.WHEEL_INERTIA * model.RPM),
     "plant.inertia": Uniform(-0.05, 0.05, relative=True),
     "plant.lag": Uniform(-0.3, 0.3, relative=True),
     "plant.external": Normal(2e-5),
     "motors.factor": Uniform(-0.02, 0.02),
-    "gyro bias.bias": Normal(GYRO_BIAS),
+    "gyro bias.bias": Normal(model.GYRO_BIAS),
     "glare.begin": Uniform(-5.0, 5.0),
     "glare.end": Uniform(-5.0, 5.0),
 }
@@ -180,27 +165,27 @@ DISPERSIONS: dict[str, Dispersion] = {
 
 def loop(name: str, *, bias: bool = True) -> ClosedLoop:
     """Return the loop of one of `LAWS`, before it is dispersed; with a filter that estimates the bias or does not."""
-    craft = plant()
+    craft = model.plant()
     t, q = craft.time, craft.symbol("q")
     return ClosedLoop(
         craft,
         controller(name, bias=bias),
         [ScaleFactor("motors", np.ones(4), on="T")],
         [
-            Noise("star tracker", TRACKER_NOISE, quaternion_retraction, on="q"),
-            SensorOutage("too fast", where=lambda t, x: ca.norm_2(x["omega"]) - TRACKER_RATE, on="q"),
+            Noise("star tracker", model.TRACKER_NOISE, quaternion_retraction, on="q"),
+            SensorOutage("too fast", where=lambda t, x: ca.norm_2(x["omega"]) - model.TRACKER_RATE, on="q"),
             SensorOutage("glare", 60.0, 80.0, on="q"),
-            ZeroOrderHold("exposures", TRACKER_PERIOD, on="q"),
-            Delay("image processing", TRACKER_DELAY, on="q"),
-            Noise("gyro", GYRO_NOISE, on="omega"),
+            ZeroOrderHold("exposures", model.TRACKER_PERIOD, on="q"),
+            Delay("image processing", model.TRACKER_DELAY, on="q"),
+            Noise("gyro", model.GYRO_NOISE, on="omega"),
             Bias("gyro bias", np.zeros(3), on="omega"),
-            RandomWalk("gyro drift", GYRO_WALK, on="omega"),
-            Noise("tachometers", TACHOMETER_NOISE, on="h"),
+            RandomWalk("gyro drift", model.GYRO_WALK, on="omega"),
+            Noise("tachometers", model.TACHOMETER_NOISE, on="h"),
         ],
         quantities=[
-            Quantity("pointing", ca.if_else(t > SETTLED, off_target(q), 0), "rad"),
+            Quantity("pointing", ca.if_else(t > SETTLED, model.off_target(q), 0), "rad"),
             Quantity("torque", ca.norm_inf(craft.symbol("motor")), "N m"),
-            Quantity("speed", ca.norm_inf(craft.symbol("h")) / WHEEL_INERTIA / RPM, "rpm"),
+            Quantity("speed", ca.norm_inf(craft.symbol("h")) / model.WHEEL_INERTIA / model.RPM, "rpm"),
             Quantity("rate", ca.norm_2(craft.symbol("omega")), "rad/s"),
         ],
         dt=DT,
@@ -218,7 +203,7 @@ def campaign(name: str, runs: int, seed: int, *, bias: bool = True, **options: A
         tf=END,
         seed=seed,
         dispersions=DISPERSIONS,
-        target={"q": TARGET, "omega": np.zeros(3)},
+        target={"q": model.TARGET, "omega": np.zeros(3)},
         limits=LIMITS,
         **options,
     )

@@ -21,15 +21,7 @@ import numpy as np
 
 import gnc_opt as go
 from problems._example import Reference
-from problems.flexible_spacecraft.model import (
-    FREQUENCIES,
-    INERTIA,
-    INITIAL_ATTITUDE,
-    MAX_TORQUE,
-    build_model,
-    initial_state,
-    rest,
-)
+from problems.flexible_spacecraft import model
 
 MESH = go.Mesh.uniform(60, 3)
 """For the time-optimal slew: modes of 2 s and arcs of 0.3 s in 33 s."""
@@ -44,7 +36,7 @@ REFERENCE = Reference(
 )
 
 
-def build(limit: float = MAX_TORQUE) -> go.Problem:
+def build(limit: float = model.MAX_TORQUE) -> go.Problem:
     """Return the time-optimal slew, with torques up to the limit (N m)."""
     problem, slew = _slew("time-optimal slew", limit)
     slew.time(initial=0.0, final=(20.0, 80.0))
@@ -53,7 +45,7 @@ def build(limit: float = MAX_TORQUE) -> go.Problem:
     return problem
 
 
-def build_prompt(limit: float = RESERVED * MAX_TORQUE, price: float = PRICE) -> go.Problem:
+def build_prompt(limit: float = RESERVED * model.MAX_TORQUE, price: float = PRICE) -> go.Problem:
     """Return the slew of least time and effort, with torques up to the limit (N m)."""
     problem, slew = _slew("slew of least time and effort", limit)
     slew.time(initial=0.0, final=(20.0, 80.0))
@@ -63,22 +55,24 @@ def build_prompt(limit: float = RESERVED * MAX_TORQUE, price: float = PRICE) -> 
     return problem
 
 
-def build_gentle(duration: float = DURATION, weight: float = WEIGHT, limit: float = MAX_TORQUE) -> go.Problem:
+def build_gentle(
+    duration: float = DURATION, weight: float = WEIGHT, limit: float = model.MAX_TORQUE
+) -> go.Problem:
     """Return the slew of a given duration (s) with the least vibration, with torques up to the limit (N m)."""
     problem, slew = _slew("minimum-vibration slew", limit)
     slew.time(initial=0.0, final=duration)
     eta, eta_rate, torque = (slew.model.symbol(name) for name in ("eta", "eta_rate", "torque"))
-    energy = 0.5 * (ca.sumsqr(eta_rate) + ca.sumsqr(ca.DM(FREQUENCIES) * eta))
+    energy = 0.5 * (ca.sumsqr(eta_rate) + ca.sumsqr(ca.DM(model.FREQUENCIES) * eta))
     problem.minimize(slew.integral(energy + weight * ca.sumsqr(torque), "vibration"))
     return problem
 
 
 def _slew(name: str, limit: float) -> tuple[go.Problem, go.Phase]:
-    model = build_model()
-    start, end = initial_state(model), rest(model, (1.0, 0.0, 0.0, 0.0))
-    place = model.states.slice
+    dynamics = model.build_model()
+    start, end = model.initial_state(dynamics), model.rest(dynamics, (1.0, 0.0, 0.0, 0.0))
+    place = dynamics.states.slice
     problem = go.Problem(name)
-    slew = problem.phase("slew", model)
+    slew = problem.phase("slew", dynamics)
     slew.initial(q_BO=start[place("q_BO")], omega=start[place("omega")], eta=0.0, eta_rate=0.0)
     # the norm is conserved: the scalar part follows from the others
     slew.final(
@@ -92,9 +86,9 @@ def _slew(name: str, limit: float) -> tuple[go.Problem, go.Phase]:
 
 def eigenaxis_time() -> float:
     """Return the time (s) of the turn about the eigenaxis of a rigid body, gyroscopic torques for free."""
-    vector = np.array(INITIAL_ATTITUDE[1:])
-    angle, axis = 2 * np.arccos(INITIAL_ATTITUDE[0]), vector / np.linalg.norm(vector)
-    return float(2 * np.sqrt(angle * np.max(np.array(INERTIA) * np.abs(axis)) / MAX_TORQUE))
+    vector = np.array(model.INITIAL_ATTITUDE[1:])
+    angle, axis = 2 * np.arccos(model.INITIAL_ATTITUDE[0]), vector / np.linalg.norm(vector)
+    return float(2 * np.sqrt(angle * np.max(np.array(model.INERTIA) * np.abs(axis)) / model.MAX_TORQUE))
 
 
 @cache

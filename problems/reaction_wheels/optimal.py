@@ -26,19 +26,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.errors import did_you_mean
 from problems._example import Reference
-from problems.reaction_wheels.control import PRINTED_FLC
-from problems.reaction_wheels.model import (
-    AXES,
-    DESIGN_SPEED,
-    INERTIA,
-    INVERSE,
-    NULL,
-    REST,
-    RPM,
-    WHEEL_INERTIA,
-    target_quaternion,
-    wheel_model,
-)
+from problems.reaction_wheels import control, model
 
 Goal: TypeAlias = Literal["energy", "time"]
 Name: TypeAlias = Literal["energy", "energy, half the time", "time, small", "time, speed limit"]
@@ -60,8 +48,8 @@ def published_peak_torque(manoeuvre: int) -> float:
 
     It is the first one: from rest the law asks for the body torque 2 K1 J q_v, q_v the target's vector part.
     """
-    body = 2 * PRINTED_FLC[0] * np.asarray(INERTIA) * target_quaternion(manoeuvre)[1:]
-    return float(np.max(np.abs(INVERSE @ body)))
+    body = 2 * control.PRINTED_FLC[0] * np.asarray(model.INERTIA) * model.target_quaternion(manoeuvre)[1:]
+    return float(np.max(np.abs(model.INVERSE @ body)))
 
 
 def build(
@@ -70,7 +58,7 @@ def build(
     duration: float = 34.6,
     torque: float | None = None,
     bias: float = 0.0,
-    speed: float = DESIGN_SPEED,
+    speed: float = model.DESIGN_SPEED,
 ) -> go.Problem:
     """Return the problem of an optimal slew of the body from rest to rest.
 
@@ -98,22 +86,22 @@ def build(
     """
     if goal not in ("energy", "time"):
         raise go.ProblemError(f"a slew has no goal {goal!r}: {did_you_mean(str(goal), ('energy', 'time'))}")
-    target = target_quaternion(manoeuvre)
+    target = model.target_quaternion(manoeuvre)
     limit = published_peak_torque(manoeuvre) if torque is None else torque
-    craft = wheel_model()
+    craft = model.wheel_model()
     problem = go.Problem(f"{goal}-optimal slew {manoeuvre}")
     slew = problem.phase("slew", craft)
     slew.time(initial=0.0, final=(1.0, 100.0) if goal == "time" else duration)
-    slew.initial(q=REST[:4], omega=0.0, h=WHEEL_INERTIA * RPM * bias * NULL)
+    slew.initial(q=model.REST[:4], omega=0.0, h=model.WHEEL_INERTIA * model.RPM * bias * model.NULL)
     # What is conserved (unit length, zero momentum) is not stated twice: the quaternion's vector part is enough, and
     # with the body at rest one wheel stands for all four
-    most = WHEEL_INERTIA * RPM * speed
+    most = model.WHEEL_INERTIA * model.RPM * speed
     null = most if goal == "time" else 0.0
     slew.final(
         q=([0.0, *target[1:]], [1.0, *target[1:]]), omega=0.0, h=([-most] * 3 + [-null], [most] * 3 + [null])
     )
     # The rates that the wheels' momenta can give at most: it excludes nothing, but keeps the iterates where they belong
-    rates = np.sum(np.abs(AXES), axis=1) * most / np.asarray(INERTIA)
+    rates = np.sum(np.abs(model.AXES), axis=1) * most / np.asarray(model.INERTIA)
     slew.bounds(T=(-limit, limit), h=(-most, most), omega=(-rates, rates))
     if goal == "time":
         problem.minimize(slew.final_time)
@@ -168,4 +156,4 @@ def eigenaxis_energy(inertia: float, angle: float, duration: float) -> float:
 def fastest_wheel(solution: go.Solution) -> float:
     """Return the largest speed of a wheel, rpm."""
     times = solution.phase().sample_times(24)
-    return float(np.max(np.abs(solution.state("h")(times)))) / WHEEL_INERTIA / RPM
+    return float(np.max(np.abs(solution.state("h")(times)))) / model.WHEEL_INERTIA / model.RPM

@@ -19,17 +19,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.errors import did_you_mean
 from problems._example import Array, Reference
-from problems.tethered_formation.model import (
-    DURATION,
-    FIRST_SWING,
-    FORCE,
-    MAX_ANGLE,
-    MAX_RATE,
-    PAIR,
-    Orbit,
-    first_state,
-    tether_model,
-)
+from problems.tethered_formation import model
 
 Goal: TypeAlias = Literal["time", "effort"]
 
@@ -41,10 +31,10 @@ MESH = go.Mesh.uniform(60, 3)
 
 def build(
     goal: Goal = "time",
-    swing: float = FIRST_SWING,
-    duration: float = DURATION,
-    angle: float = MAX_ANGLE,
-    rate: float = MAX_RATE,
+    swing: float = model.FIRST_SWING,
+    duration: float = model.DURATION,
+    angle: float = model.MAX_ANGLE,
+    rate: float = model.MAX_RATE,
 ) -> go.Problem:
     """Return the problem of taking out the swing *and* coming to rest on the height of the reference orbit.
 
@@ -69,11 +59,11 @@ def build(
     """
     if goal not in ("time", "effort"):
         raise go.ProblemError(f"the pair has no goal {goal!r}: {did_you_mean(str(goal), ('time', 'effort'))}")
-    model, orbit = tether_model(), Orbit.of()
+    dynamics, orbit = model.tether_model(), model.Orbit.of()
     problem = go.Problem(f"swing suppression, least {goal}")
-    leg = problem.phase("pull", model)
-    leg.time(initial=0.0, final=(10.0, DURATION) if goal == "time" else duration)
-    leg.initial(**dict(zip(model.states.names, first_state(swing), strict=True)))
+    leg = problem.phase("pull", dynamics)
+    leg.time(initial=0.0, final=(10.0, model.DURATION) if goal == "time" else duration)
+    leg.initial(**dict(zip(dynamics.states.names, model.first_state(swing), strict=True)))
     leg.bounds(gamma=(-angle, angle), gamma_rate=(-rate, rate))
     # The equilibrium's angle, some -1e-5 rad, moves by 1e-6 rad in 200 s: taken at the end of the orbit.
     leg.final(theta=orbit.state(duration)[4], theta_rate=0.0, gamma=0.0)
@@ -83,7 +73,7 @@ def build(
     if goal == "time":
         problem.minimize(leg.final_time)
     else:
-        problem.minimize(leg.integral(model.symbol("gamma_rate") ** 2, "effort"))
+        problem.minimize(leg.integral(dynamics.symbol("gamma_rate") ** 2, "effort"))
     return problem
 
 
@@ -130,7 +120,9 @@ class Optimum:
     @cached_property
     def loss(self) -> float:
         """Speed along the orbit that deflection costs, m/s."""
-        return self._integral(FORCE / PAIR.mass * (1 - np.cos(self.leg.state("gamma")(self._grid))))
+        return self._integral(
+            model.FORCE / model.PAIR.mass * (1 - np.cos(self.leg.state("gamma")(self._grid)))
+        )
 
     @property
     def _grid(self) -> Array:
