@@ -21,7 +21,7 @@ import re
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -36,6 +36,8 @@ _PACKAGES = ("gnc_opt", "casadi", "numpy", "scipy")
 _PLACE = re.compile(r"(<!-- table of benchmarks\.\w+\.(\w+) -->\n).*?(<!-- end of the table -->)", re.DOTALL)
 
 Cells = Iterable[Sequence[str]]
+Columns = Mapping[str, Callable[[Any], str]]
+"""Cells of a row by heading."""
 
 
 @dataclass(frozen=True)
@@ -58,32 +60,6 @@ class Benchmark:
     needs: str = ""
 
 
-def _certified(results: Any) -> Cells:
-    for row in results:
-        parts = (f"{row['mean_s'][part]:.2f}" for part in ("solve", "refine", "verify", "all"))
-        yield row["mesh"], *parts, _error(row["largest_error"]), f"{row['minima']} of {len(row['cases'])}"
-
-
-def _resolve(results: Any) -> Cells:
-    for row in results:
-        spent = (f"{row[key]:.0f}" for key in ("median_ms", "p99_ms", "max_ms"))
-        others = f"{row['other_minima']} of {row['compared']}"
-        yield f"{100 * row['size']:g} %", str(row["runs"]), *spent, _error(row["largest_difference"]), others
-
-
-def _scale(results: Any) -> Cells:
-    for row in results:
-        each = row.get("per_segment_ms")
-        yield (
-            row["what"],
-            str(row["iterations"]),
-            f"{row['all_s']:.1f}" if "all_s" in row else "",
-            "" if each is None else f"{each:.2f}",
-            f"{100 * row['functions']:.0f} %",
-            f"{row['memory_mb']:.0f}",
-        )
-
-
 def _closed_loop(results: Any) -> Cells:
     yield "plain loop by SciPy (s per run)", f"{results['plain_s_per_run']:.2f}"
     yield "campaign (s per run)", f"{results['campaign_s_per_run']:.4f}"
@@ -102,45 +78,49 @@ def _error(value: float | None) -> str:
     return "" if value is None else f"{abs(value):.0e}" if value else "0"
 
 
+_CERTIFIED: Columns = {
+    "first mesh": lambda row: row["mesh"],
+    "solve (s)": lambda row: f"{row['mean_s']['solve']:.2f}",
+    "refine (s)": lambda row: f"{row['mean_s']['refine']:.2f}",
+    "verify (s)": lambda row: f"{row['mean_s']['verify']:.2f}",
+    "all (s)": lambda row: f"{row['mean_s']['all']:.2f}",
+    "off the references (s)": lambda row: _error(row["largest_error"]),
+    "minima": lambda row: f"{row['minima']} of {len(row['cases'])}",
+}
+_RESOLVE: Columns = {
+    "start moved by": lambda row: f"{100 * row['size']:g} %",
+    "runs": lambda row: str(row["runs"]),
+    "median (ms)": lambda row: f"{row['median_ms']:.0f}",
+    "99 % (ms)": lambda row: f"{row['p99_ms']:.0f}",
+    "longest (ms)": lambda row: f"{row['max_ms']:.0f}",
+    "off the answer from the start": lambda row: _error(row["largest_difference"]),
+    "another minimum": lambda row: f"{row['other_minima']} of {row['compared']}",
+}
+_SCALE: Columns = {
+    "problem, mesh": lambda row: row["what"],
+    "iterations": lambda row: str(row["iterations"]),
+    "built and solved (s)": lambda row: f"{row['all_s']:.1f}" if "all_s" in row else "",
+    "per iteration and segment (ms)": lambda row: (
+        f"{row['per_segment_ms']:.2f}" if row.get("per_segment_ms") is not None else ""
+    ),
+    "functions' share": lambda row: f"{100 * row['functions']:.0f} %",
+    "most memory (MB)": lambda row: f"{row['memory_mb']:.0f}",
+}
+
+
+def _by_columns(columns: Columns, *arguments: str) -> Benchmark:
+    """Return a benchmark whose results have a row of the table each."""
+    return Benchmark(
+        arguments,
+        tuple(columns),
+        lambda results: ([cell(row) for cell in columns.values()] for row in results),
+    )
+
+
 BENCHMARKS = {
-    "certified": Benchmark(
-        ("--runs", "7"),
-        (
-            "first mesh",
-            "solve (s)",
-            "refine (s)",
-            "verify (s)",
-            "all (s)",
-            "off the references (s)",
-            "minima",
-        ),
-        _certified,
-    ),
-    "resolve": Benchmark(
-        ("--runs", "1000"),
-        (
-            "start moved by",
-            "runs",
-            "median (ms)",
-            "99 % (ms)",
-            "longest (ms)",
-            "off the answer from the start",
-            "another minimum",
-        ),
-        _resolve,
-    ),
-    "scale": Benchmark(
-        (),
-        (
-            "problem, mesh",
-            "iterations",
-            "built and solved (s)",
-            "per iteration and segment (ms)",
-            "functions' share",
-            "most memory (MB)",
-        ),
-        _scale,
-    ),
+    "certified": _by_columns(_CERTIFIED, "--runs", "7"),
+    "resolve": _by_columns(_RESOLVE, "--runs", "1000"),
+    "scale": _by_columns(_SCALE),
     "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous followed by TVLQR", ""), _closed_loop),
     "profile": Benchmark(
         (),
