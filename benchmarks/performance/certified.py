@@ -51,7 +51,7 @@ def certify(case: int, equation: Any, mesh: str) -> tuple[dict[str, float], go.S
 
 def measure(mesh: str, runs: int) -> dict[str, Any]:
     """Return all ten cases from one mesh."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for equation in EQUATIONS:
         for case in CASES:
             times = []

@@ -97,7 +97,7 @@ def known_cases(set_file: Path) -> Iterator[tuple[engine.Case, float, float]]:
         if case.group == "set":
             document = documents[case.name]
             value, error = document.get("reference"), document.get("reference_uncertainty")
-            if document.get("expect") or value is None:
+            if document.get("expect") or value is None or error is None:
                 continue
         else:
             reference = engine.stated(case)[1]

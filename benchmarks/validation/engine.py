@@ -25,7 +25,7 @@ import resource
 import statistics
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
@@ -413,7 +413,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the rows, sums per group and changes; return 1 if an answer is ok and wrong."""
     given = _parser().parse_args(arguments)
-    former: Mapping[str, Any] | list[Row] = [] if given.compare is None else read_rows(given.compare)
+    former = [] if given.compare is None else read_rows(given.compare)
     print(HEADING)
     rows: list[Row] = []
     for row in run(cases(given.groups, given.only, given.set), given.set, given.limit):

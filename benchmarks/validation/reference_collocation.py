@@ -134,7 +134,9 @@ def collocate(
     parameters = _parameters(program, problem, before)
     ends, found = [], []
     for name, leg in problem.phases.items():
-        (first, last), states, controls = _guess(leg, np.r_[0.0, fractions], before and before.phases[name])
+        (first, last), states, controls = _guess(
+            leg, np.r_[0.0, fractions], None if before is None else before.phases[name]
+        )
         numbers, (starts, stops) = leg.numbers, leg.times()
         clock = np.array([max(abs(first), abs(last), 1e-9)])
         t_0 = program.variable("t_0", starts.lower, starts.upper, np.array([first]), clock)

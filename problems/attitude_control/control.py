@@ -140,7 +140,12 @@ SETTLED = 60.0
 """s."""
 POINTING = float(np.radians(0.1))
 """rad."""
-START = {"q": [1.0, 0.0, 0.0, 0.0], "omega": np.zeros(3), "h": np.zeros(4), "motor": np.zeros(4)}
+START: dict[str, Any] = {
+    "q": [1.0, 0.0, 0.0, 0.0],
+    "omega": np.zeros(3),
+    "h": np.zeros(4),
+    "motor": np.zeros(4),
+}
 
 LIMITS = {
     "max(pointing)": POINTING,

@@ -13,6 +13,7 @@ The slew is the one of least energy; it keeps off the limits of torque and speed
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -87,6 +88,6 @@ def plant() -> go.Model:
     return craft
 
 
-def off_target(q: ca.SX) -> ca.SX:
+def off_target(q: ca.SX) -> Any:
     """Return the angle from the attitude q (SX) to the target, rad."""
     return 2 * ca.asin(ca.fmin(1, 0.5 * ca.norm_2(quaternion_difference(q, ca.DM(TARGET)))))

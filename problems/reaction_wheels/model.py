@@ -22,7 +22,7 @@ wheel with feedback linearization, its performance study subject to power and EU
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -112,7 +112,7 @@ def wheel_model(inertia: ArrayLike = INERTIA, *, drive: Drive = "wheels") -> go.
     omega_BN_B = craft.state("omega", 3, unit="rad/s")
     momenta = craft.state("h", 4, unit="N m s")
     if drive == "wheels":
-        torques = craft.control("T", 4, unit="N m")
+        torques: Any = craft.control("T", 4, unit="N m")
     else:
         torques = ca.DM(INVERSE) @ craft.control("T_B", 3, unit="N m")
     moments = craft.parameter("inertia", inertia, unit="kg m^2")

@@ -174,7 +174,7 @@ class Tracking:
         return design_tvlqr(self.reference.model, self.reference, **self.weights, dt=DT, limits=AUTHORITY)
 
     @property
-    def weights(self) -> dict[str, dict[str, Array]]:
+    def weights(self) -> dict[str, Any]:
         """Q and R of the regulators, by Bryson's rule."""
         model = self.reference.model
         return {"Q": bryson(model.errors, **ACCEPTED), "R": bryson(model.controls, **CORRECTIONS)}

@@ -56,8 +56,9 @@ class Guided(Tracking):
         model, reference = self.reference.model, self.reference
         final = reference.x(reference.final_time)
         regulator = design_lqr(model, final, **self.weights, dt=DT, limits=AUTHORITY)
-        options = {"last": LAST, "reserve": REGULATED, "delay": LAG}
-        return design_neighbouring_optimal(self.solution, regulator, Q=self.weights["Q"], **options)
+        return design_neighbouring_optimal(
+            self.solution, regulator, Q=self.weights["Q"], last=LAST, reserve=REGULATED, delay=LAG
+        )
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
         """Return the guidance."""

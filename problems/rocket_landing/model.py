@@ -30,7 +30,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control import Reference
 from problems.landing.mars_landing import FULL, GRAVITY, MASS_RATE
 
-START = {"r": [2400.0, 300.0, -2000.0], "v": [-75.0, -20.0, 80.0], "mass": 1905.0}
+START: dict[str, Any] = {"r": [2400.0, 300.0, -2000.0], "v": [-75.0, -20.0, 80.0], "mass": 1905.0}
 """Up, east and north, m and m/s; kg."""
 SETTLING = 1.0
 """Speed downward at the end of the plan, m/s."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -187,7 +188,9 @@ def published_slew(manoeuvre: int, name: control.Law) -> Slew:
 # --- the wheels' speed limit, and the singularity of feedback linearisation ------------------------------
 
 
-def allocated_run(balance: str, *, limited: bool = False, duration: float = model.DURATION) -> go.Run:
+def allocated_run(
+    balance: Literal["none", "momentum"], *, limited: bool = False, duration: float = model.DURATION
+) -> go.Run:
     """Return manoeuvre 3 under the FLC, sampled every 0.02 s, with a wheel array.
 
     Parameters

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 import gnc_opt as go
 from benchmarks.validation.verdict.statements import Array
@@ -169,7 +170,7 @@ def plane(
     return problem, leg, (x / unit, y / unit), (u / unit, w / unit)
 
 
-def arcs(*durations: float) -> tuple[Array, Array]:
+def arcs(*durations: float) -> tuple[Array, NDArray[np.int64]]:
     """Times of arcs one after the other, both ends of each included, and which arc each is of."""
     ends = np.cumsum([0.0, *durations])
     times = np.concatenate([np.linspace(a, b, 21) for a, b in pairwise(ends)])

@@ -166,9 +166,9 @@ def _oscillator(unit: float, cost: float, wrong: bool) -> Answer:
     def left(s: Array) -> Array:
         return _swing(_swing(_swing(start, -1.0, 0.2), 1.0, s[0]), -1.0, s[1])
 
-    signs, durations = (1.0, -1.0), (1.0, 0.8)
+    signs, durations = [1.0, -1.0], [1.0, 0.8]
     if wrong:
-        signs, durations = (-1.0, 1.0, -1.0), (0.2, *scipy.optimize.fsolve(left, [1.2, 1.0], xtol=1e-13))
+        signs, durations = [-1.0, 1.0, -1.0], [0.2, *scipy.optimize.fsolve(left, [1.2, 1.0], xtol=1e-13)]
     t, arc = arcs(*durations)
     states, z = [], start
     for sign, duration in zip(signs, durations, strict=True):

@@ -49,11 +49,11 @@ class NotRight(Exception):
 def right(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
     """Yield the correct answers; ``documents`` is a set of `benchmarks.validation.problem_set.reader`, or empty."""
     for s in FAMILY:
-        yield Case("right: refined", s.name, lambda s=s: go.verify(solved(s)))
+        yield Case("right: refined", s.name, partial(_check_refined, s))
         for frame in frames(s, seed):
             yield Case("right: samples", f"{s.name}, {frame.name}", partial(_check_samples, s, frame))
     for name, make in _near_misses().items():
-        yield Case("right: near misses", name, lambda m=make: _solved(m()))
+        yield Case("right: near misses", name, partial(_solved, make))
     for file in FILES:
         yield Case("right: problem files", file, partial(_of_file, file))
     yield Case("right: problem files", "rendezvous, case 3", _rendezvous)
@@ -79,12 +79,16 @@ def _near_misses() -> dict[str, Callable[[], go.Problem]]:
     }
 
 
+def _check_refined(s: Statement) -> go.Verdict:
+    return go.verify(solved(s))
+
+
 def _check_samples(s: Statement, frame: Frame) -> go.Verdict:
     return go.verify_trajectory(build(s, frame), *in_frame(s, trajectory(solved(s)), frame))
 
 
-def _solved(problem: go.Problem) -> go.Verdict:
-    return _checked(go.solve(problem, tol=1e-8))
+def _solved(make: Callable[[], go.Problem]) -> go.Verdict:
+    return _checked(go.solve(make(), tol=1e-8))
 
 
 def _checked(solution: go.Solution) -> go.Verdict:

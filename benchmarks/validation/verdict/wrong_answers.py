@@ -71,14 +71,13 @@ def changes(s: Statement) -> Iterator[Planted]:
         kind, share = ("weight of an integral", 0.1) if name == "weight" else ("model parameter", 0.02)
         other = replace(s, numbers={**s.numbers, name: (1 + share) * value})
         yield _of(kind, f"{name} is {100 * share:.0f} % larger", other)
-    yield Planted("time", "1 % more time than is best, or than there is", lambda: _slower(s))
+    yield Planted("time", "1 % more time than is best, or than there is", partial(_slower, s))
     yield _of("other cost", "the path is not the cheapest", _other_cost(s))
     for channel, name in enumerate(s.controls):
-        yield Planted(
-            "control perturbed", f"{name} is off on a fifth of the flight", lambda c=channel: _flown(s, c)
-        )  # type: ignore[misc]
-    yield Planted("control delayed", "all controls come 1 % of the flight late", lambda: _delayed(s))
-    yield Planted("states off", "states bent by 0.1 %, controls as they were", lambda: _bent(s))
+        why = f"{name} is off on a fifth of the flight"
+        yield Planted("control perturbed", why, partial(_flown, s, channel))
+    yield Planted("control delayed", "all controls come 1 % of the flight late", partial(_delayed, s))
+    yield Planted("states off", "states bent by 0.1 %, controls as they were", partial(_bent, s))
 
 
 def off_by(s: Statement, wrong: Trajectory) -> float:
@@ -112,7 +111,7 @@ def _moved(s: Statement, which: str, name: str, share: float) -> Statement:
     values = dict(getattr(s, which))
     reach = max(abs(s.start.get(name, 0.0) - s.end.get(name, 0.0)), 0.3)
     values[name] += share * reach
-    return replace(s, **{which: values})
+    return replace(s, start=values) if which == "start" else replace(s, end=values)
 
 
 def _led(s: Statement, name: str) -> Statement:
