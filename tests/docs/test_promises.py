@@ -200,7 +200,7 @@ def test_problems_lists_every_file() -> None:
     files = [
         path
         for path in (ROOT / "problems").glob("*/*.py")
-        if path.stem != "__main__" and "run(build, REFERENCE" in path.read_text()
+        if path.stem != "__main__" and "example_main(build, REFERENCE" in path.read_text()
     ]
     systems = (ROOT / "problems").glob("*/__main__.py")
     assert table == {path.stem for path in files} | {path.parent.name for path in systems}
