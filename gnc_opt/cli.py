@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from gnc_opt.commands import (
+from gnc_opt.cli_commands import (
     MAX_WORK_S,
     REFINE_TOLERANCE,
     ExitCode,
@@ -74,7 +74,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _build_parser() -> argparse.ArgumentParser:
-    from gnc_opt.environment import package_version
+    from gnc_opt.runtime_environment import package_version
 
     parser = _Parser(
         prog="gnc-opt",

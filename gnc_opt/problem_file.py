@@ -133,7 +133,7 @@ class ProblemFile:
         found = getattr(self.module, "VIEW", None)
         if found is None:
             return None
-        from gnc_opt.plot.view import View  # after the file, which may not need it
+        from gnc_opt.plot.motion_view import View  # after the file, which may not need it
 
         if not isinstance(found, View):
             raise ProblemFileError(

@@ -33,7 +33,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller
-from gnc_opt.environment import imported
+from gnc_opt.runtime_environment import imported
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, mean_motion
 from problems.rendezvous import ALTITUDE, INERTIA, MASS, chaser_model
 from problems.rendezvous_tracking.control import DT, Tracking, plan

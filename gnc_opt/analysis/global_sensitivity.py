@@ -29,7 +29,7 @@ from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign_batch import MOST_PER_BATCH
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import draw_parameters
-from gnc_opt.text import Printed
+from gnc_opt.text_formatting import Printed
 
 NOISE = "noise"
 """The factor that all random numbers of the control steps are."""

@@ -26,12 +26,12 @@ from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.analysis.scenario import Scenario
 from gnc_opt.arguments import Strict, expect, read_integer, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.variables import Layout
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text import Printed, counted
+from gnc_opt.text_formatting import Printed, counted
 from gnc_opt.tolerances import TINY
 
 

@@ -25,8 +25,8 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.kalman_filter import COVARIANCE
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
+from gnc_opt.simulation.loop_assembly import Wiring
 from gnc_opt.simulation.signals import Places
-from gnc_opt.simulation.wiring import Wiring
 
 OUTPUTS = ("commands", "applied")
 """Parts of the log that are differentiated."""

@@ -24,9 +24,9 @@ from gnc_opt.arguments import Strict, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.loop_margins import Margins, input_output_states, stability_margins
 from gnc_opt.control.sampled_data import to_continuous_poles
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.simulation.actuators import ZeroOrderHold
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick
 from gnc_opt.simulation.closed_loop import ClosedLoop

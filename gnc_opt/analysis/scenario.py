@@ -20,7 +20,7 @@ from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
 from gnc_opt.simulation.monte_carlo import Criteria, MeasureFunction, read_criteria
-from gnc_opt.simulation.outcome import RunStatus
+from gnc_opt.simulation.run_outcome import RunStatus
 from gnc_opt.workers import Shared, WorkerPool
 
 _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arguments import Strict
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.text import heading, table
+from gnc_opt.text_formatting import heading, table
 from gnc_opt.tolerances import ROUNDING
 
 REPORT_VALUE_WIDTH = 44

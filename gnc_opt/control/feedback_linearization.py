@@ -32,9 +32,9 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry, format_numb
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_value, output_errors
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
+from gnc_opt.runtime_environment import one_thread
 
 
 @one_thread()

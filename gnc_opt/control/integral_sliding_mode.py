@@ -40,9 +40,9 @@ from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampled_data import spectral_radius, zero_order_hold
 from gnc_opt.control.sliding_mode import read_switching
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import dependent
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]

@@ -21,7 +21,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.control.sampled_data import to_continuous_poles
-from gnc_opt.environment import one_thread
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 _AT_ZERO = 1e-8

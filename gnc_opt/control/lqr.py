@@ -35,10 +35,10 @@ from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, req
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.riccati import Steady, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.sampled_data import discretize, to_continuous_poles
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import alike
 
 

@@ -50,10 +50,10 @@ from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.riccati import riccati_backward_step
 from gnc_opt.control.tvlqr_gains import SampledGains, riccati_gains
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError, shown, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
 
 QP_TOLERANCE = 1e-6

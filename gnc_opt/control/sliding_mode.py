@@ -48,9 +48,9 @@ from gnc_opt.control.reaching_laws import (
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.control.super_twisting import SuperTwistingObserver
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, shown
 from gnc_opt.model.model import Model
+from gnc_opt.runtime_environment import one_thread
 
 
 def _sliding_mode_command(

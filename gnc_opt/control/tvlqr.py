@@ -31,9 +31,9 @@ from gnc_opt.control.lqr import regulator_facts
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, riccati_gains
-from gnc_opt.environment import one_thread
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.runtime_environment import one_thread
 
 
 @dataclass(frozen=True, eq=False)

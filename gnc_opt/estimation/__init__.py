@@ -1,7 +1,7 @@
 """Design of Kalman filters, and output feedback through them."""
 
-from gnc_opt.estimation.design import design_ekf, design_ukf
 from gnc_opt.estimation.estimator import Estimator, output_feedback
+from gnc_opt.estimation.filter_design import design_ekf, design_ukf
 from gnc_opt.estimation.measurement import FilterOptions, Measurement
 
 __all__ = [

@@ -36,11 +36,11 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError, shown
 from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS
 from gnc_opt.tolerances import CONVEX, RANK, TINY
 

@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, right_symbol
 from gnc_opt.model.casadi_import import express_derivative, read_named_values, read_variables
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
-from gnc_opt.model.evaluation import check_arguments, evaluate
+from gnc_opt.model.function_evaluation import check_arguments, evaluate
 from gnc_opt.model.table import TableUse
 from gnc_opt.model.variables import (
     Layout,
@@ -27,7 +27,7 @@ from gnc_opt.model.variables import (
     as_vector,
     foreign_symbols,
 )
-from gnc_opt.text import counted
+from gnc_opt.text_formatting import counted
 
 
 class Differences:
@@ -298,7 +298,7 @@ class Model(Strict):
         """Declare an algebraic variable z of a semi-explicit system of index 1: g(t, x, u, p, z) = 0 along a phase.
 
         A phase has z among its controls and the path constraint ``equation of z``. The guess selects the
-        solution if g = 0 has several. See `gnc_opt.planning.problem.reformulation.algebraic`.
+        solution if g = 0 has several. See `gnc_opt.planning.problem.reformulation.algebraic_variables`.
 
         Parameters
         ----------

@@ -16,7 +16,7 @@ from gnc_opt.arguments import Strict, read_label, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, shown
 from gnc_opt.model.interpolation import METHODS, Method, Pieces
-from gnc_opt.model.tabular import read_columns
+from gnc_opt.model.tabular_data import read_columns
 from gnc_opt.model.variables import owners_of
 
 Outside: TypeAlias = Literal["linear", "hold", "error"]

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names for type checkers
-    from gnc_opt.planning.direct.failure import (
+    from gnc_opt.planning.direct.solve_failure import (
         SolveError,
     )
     from gnc_opt.planning.nlp import (
@@ -117,7 +117,7 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULES = {
-    "planning.direct.failure": "SolveError",
+    "planning.direct.solve_failure": "SolveError",
     "planning.nlp": "SolverOptions Status",
     "planning.problem": "Phase Problem",
     "planning.problem.arcs": "Arc ArcKind",

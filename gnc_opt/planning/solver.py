@@ -8,25 +8,25 @@ from enum import Enum
 from typing import Literal
 
 from gnc_opt.arguments import expect, read_positive, suggesting_keywords
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.direct.failure import SolveError, failure_message
+from gnc_opt.planning.direct.solve_failure import SolveError, failure_message
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.check import check_numbers
 from gnc_opt.planning.problem.measured_start import with_start_on_bounds
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_check import check_numbers
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, recover_initial_meshes
-from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.refinement.engine import StructureChoice, refine, refine_by_stages
-from gnc_opt.planning.refinement.stages import StagedRefinement
+from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine, refine_by_stages
+from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.switching.warm_start import KnownSwitches, truncate_solution
+from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import MOVED_START
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, family_of
+from gnc_opt.runtime_environment import one_thread
 
 
 class Resolver:

@@ -12,7 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.text import GREEK_NAMES
+from gnc_opt.text_formatting import GREEK_NAMES
 
 DPI = 150
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.errors import GncOptError
-from gnc_opt.report.document import (
+from gnc_opt.report.html_document import (
     command_html,
     figure_html,
     figures_html,
@@ -20,13 +20,13 @@ from gnc_opt.report.document import (
     status_label_html,
     write_page,
 )
-from gnc_opt.report.page import TRAJECTORY_CAPTION
-from gnc_opt.text import preformatted, table
+from gnc_opt.report.solution_page import TRAJECTORY_CAPTION
+from gnc_opt.text_formatting import preformatted, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gnc_opt.plot.view import View
+    from gnc_opt.plot.motion_view import View
     from gnc_opt.simulation.campaign import Campaign
     from gnc_opt.simulation.run import Run
 
@@ -185,7 +185,7 @@ def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str)
 
 
 def _scene_section(shown: dict[str, Run], view: View, regular: dict[str, bool] | None = None) -> str:
-    from gnc_opt.plot.scene import scene_html
+    from gnc_opt.plot.motion_scene import scene_html
 
     return scene_html(shown, view, regular=regular)
 
@@ -208,7 +208,7 @@ def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
 
 
 def _draw_run_figures(run: Run, view: View | None) -> Iterator[tuple[str, Figure]]:
-    from gnc_opt.plot.path import plot_motion
+    from gnc_opt.plot.motion_path import plot_motion
     from gnc_opt.plot.run import plot_run
 
     if view is not None and view.position is not None:

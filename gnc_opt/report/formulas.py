@@ -13,7 +13,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.text import GREEK_NAMES
+from gnc_opt.text_formatting import GREEK_NAMES
 
 FORMULA_MAX_NODES = 400
 """Operations and symbols of all formulas of one phase; larger ones are described by their arguments."""

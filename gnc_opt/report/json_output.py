@@ -13,7 +13,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import known_quality, left_tables
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart import Multistart
-from gnc_opt.text import json_text, plain_json
+from gnc_opt.text_formatting import json_text, plain_json
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from gnc_opt.report.formulas import (
     name_mathml,
     number_mathml,
 )
-from gnc_opt.text import table
+from gnc_opt.text_formatting import table
 
 _TIME = "<mi>t</mi>"
 

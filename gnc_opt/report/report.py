@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Verdict
-from gnc_opt.report.document import report_folder, save_figures, write_page
+from gnc_opt.report.html_document import report_folder, save_figures, write_page
 from gnc_opt.report.json_output import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gnc_opt.plot.view import View
+    from gnc_opt.plot.motion_view import View
 
 
 def write_report(
@@ -63,7 +63,7 @@ def write_report(
     >>> print([path.name for path in paths[:3]])
     ['report.html', 'summary.json', 'solution.npz']
     """
-    from gnc_opt.report.page import solution_page_html
+    from gnc_opt.report.solution_page import solution_page_html
 
     folder = report_folder(directory)
     motion = "" if view is None else _motion_scene(solution, view)
@@ -79,7 +79,7 @@ def write_report(
 
 
 def _motion_scene(solution: Solution, view: View) -> str:
-    from gnc_opt.plot.scene import scene_html
+    from gnc_opt.plot.motion_scene import scene_html
 
     return scene_html({solution.problem_name: solution}, view)
 
@@ -88,7 +88,7 @@ def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, 
     """Yield file stem and figure of what every solution has, all phases one after the other."""
     from gnc_opt.plot import trajectory
     from gnc_opt.plot.controls import plot_controls
-    from gnc_opt.plot.path import plot_motion
+    from gnc_opt.plot.motion_path import plot_motion
     from gnc_opt.plot.refinement import plot_refinement
 
     if view is not None and view.position is not None:

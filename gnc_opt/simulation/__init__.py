@@ -20,6 +20,7 @@ from gnc_opt.simulation.actuators import (
 from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray, thruster_effects
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.campaign_measures import Envelope
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import (
@@ -39,11 +40,10 @@ from gnc_opt.simulation.disturbances import (
 )
 from gnc_opt.simulation.events import Event, EventOccurrence
 from gnc_opt.simulation.final_values import FinalValues
-from gnc_opt.simulation.measures import Envelope
 from gnc_opt.simulation.monte_carlo import monte_carlo
-from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage
 
 __all__ = [

@@ -15,8 +15,9 @@ from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import Strict
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.model.tabular import Records, name_rows
+from gnc_opt.model.tabular_data import Records, name_rows
 from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.simulation.campaign_measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import (
     CONFIDENCE,
@@ -25,10 +26,9 @@ from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
     estimate_percentile,
 )
-from gnc_opt.simulation.measures import Envelope, Measures, compute_envelope
-from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
-from gnc_opt.text import Printed, json_text
+from gnc_opt.simulation.run_outcome import Outcome, RunStatus
+from gnc_opt.text_formatting import Printed, json_text
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,8 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
 from gnc_opt.simulation.final_values import FinalValues
-from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import select_sample_steps
+from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.workers import Done, WorkerDied
 
 MOST_PER_BATCH = 25

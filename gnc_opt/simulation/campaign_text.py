@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
-from gnc_opt.text import plain_json
+from gnc_opt.text_formatting import plain_json
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Of the percentiles that are printed and written."""

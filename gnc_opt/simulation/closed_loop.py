@@ -22,12 +22,12 @@ from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
+from gnc_opt.simulation.loop_assembly import Blocks, Wiring, wire_loop
 from gnc_opt.simulation.loop_kernel import Kernel, build_kernel
-from gnc_opt.simulation.outcome import OutcomeClassifier
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.run_outcome import OutcomeClassifier
 from gnc_opt.simulation.step_selection import StepSelection
-from gnc_opt.simulation.wiring import Blocks, Wiring, wire_loop
 from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 
 _MAX_STEPS = 2_000_000

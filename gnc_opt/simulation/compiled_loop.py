@@ -21,9 +21,9 @@ from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExe
 from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
 from gnc_opt.simulation.final_values import FinalValues, integration_errors
 from gnc_opt.simulation.loop_kernel import Kernel
-from gnc_opt.simulation.outcome import Outcome, OutcomeClassifier, RunStatus
 from gnc_opt.simulation.quantities import select_sample_steps
 from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.run_outcome import Outcome, OutcomeClassifier, RunStatus
 
 LEG = 1000
 """Control steps that are flown in one call at most, so that its memory does not grow with the run."""

@@ -12,9 +12,9 @@ from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.dormand_prince import Taken, integrate_dormand_prince
 from gnc_opt.simulation.event_location import Watch, event_note_layout, event_record_layout
 from gnc_opt.simulation.intersample_input import Wave, stack_waves
+from gnc_opt.simulation.loop_assembly import Wiring
 from gnc_opt.simulation.quantities import Extremes
 from gnc_opt.simulation.signals import Link, Places, replace_signals, replace_waves, stack_signals
-from gnc_opt.simulation.wiring import Wiring
 from gnc_opt.tolerances import SAME_TIME
 
 

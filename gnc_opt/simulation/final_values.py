@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.simulation.outcome import Outcome
+from gnc_opt.simulation.run_outcome import Outcome
 from gnc_opt.simulation.signals import Places
 
 

@@ -17,9 +17,9 @@ import casadi as ca
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.event_location import event_note_layout, event_passage_function
+from gnc_opt.simulation.loop_assembly import Wiring
 from gnc_opt.simulation.quantities import empty_record, join_records
 from gnc_opt.simulation.signals import Places, stack_signals
-from gnc_opt.simulation.wiring import Wiring
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:

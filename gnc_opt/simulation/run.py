@@ -14,14 +14,14 @@ from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import Strict, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.tabular import Records, name_rows
+from gnc_opt.model.tabular_data import Records, name_rows
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.campaign_text import LISTED
 from gnc_opt.simulation.events import EventOccurrence
-from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.spacecraft.attitude import attitude_angle
-from gnc_opt.text import Printed
+from gnc_opt.text_formatting import Printed
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 

@@ -25,7 +25,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.compiled_loop import CompiledLoop
-from gnc_opt.simulation.outcome import RunStatus
+from gnc_opt.simulation.run_outcome import RunStatus
 
 MAX_SUBSTEPS = 64
 """Integration steps per minor step at most; a plant that needs more is too fast for this step."""

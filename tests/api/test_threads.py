@@ -9,7 +9,7 @@ from testing.models import dynamics, one_phase
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import gnc_opt as go
-from gnc_opt.environment import one_thread
+from gnc_opt.runtime_environment import one_thread
 
 
 def counts() -> set[int]:

@@ -44,11 +44,11 @@ from gnc_opt.planning.direct.solve_mesh import (
     solve_mesh,
 )
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
-from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
-from gnc_opt.planning.optimality.reach import Ellipsoid
+from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.optimality.switches import Switches
@@ -61,9 +61,9 @@ from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
-from gnc_opt.planning.problem.magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,
@@ -73,21 +73,21 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     Resolution,
     count_uniform_points,
 )
-from gnc_opt.planning.refinement.arcs.detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switches
-from gnc_opt.planning.refinement.error import estimate_errors
+from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import control_spans
 from gnc_opt.planning.solution.summary import overshooting_controls
-from gnc_opt.planning.solution.unwrap import unwrap_angles
+from gnc_opt.planning.solution.variation_scales import control_spans
 from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution
 from gnc_opt.planning.transcription.arc_constraints import (
@@ -104,14 +104,14 @@ from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_var
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.planning.verification.bang_bang_second_order import check_strict_switches, why_not_applicable
-from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, check_second_order_parts
-from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_parts
+from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
 from gnc_opt.planning.verification.verify_trajectory import _build_solution
-from gnc_opt.plot.scene import scene_html
+from gnc_opt.plot.motion_scene import scene_html
+from gnc_opt.plot.motion_view import motion_time_span, sample_motion
 from gnc_opt.plot.style import derivative_unit, number_text, unit_text, variable_name_text
-from gnc_opt.plot.view import motion_time_span, sample_motion
-from gnc_opt.report.document import html_document
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml
+from gnc_opt.report.html_document import html_document
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
@@ -121,6 +121,7 @@ from gnc_opt.simulation.allocation import (
     pseudo_inverse,
 )
 from gnc_opt.simulation.block import Tick
+from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.compiled_step import StepExecutor
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
@@ -132,7 +133,6 @@ from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, integrate_do
 from gnc_opt.simulation.event_location import Watch
 from gnc_opt.simulation.final_values import integration_errors
 from gnc_opt.simulation.intersample_input import Wave, stack_waves
-from gnc_opt.simulation.measures import compute_envelope
 from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
 from gnc_opt.simulation.quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.run import Logged, compute_settling_time

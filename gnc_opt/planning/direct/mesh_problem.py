@@ -12,19 +12,19 @@ from typing import TypeAlias
 import numpy as np
 
 from gnc_opt.arrays import Indices
-from gnc_opt.environment import package_version
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import Iterate
-from gnc_opt.planning.solution.diagnosis import find_violations
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
+from gnc_opt.planning.solution.violation_diagnosis import find_violations
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.planning.transcription.scheme import Scheme
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.runtime_environment import package_version
 
 ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 

@@ -19,8 +19,8 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
-from gnc_opt.planning.nlp.monitor import ProgressCallback
 from gnc_opt.planning.nlp.options import Start
+from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
 from gnc_opt.planning.problem.guess.perturbation import with_random_guess
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem

@@ -21,7 +21,9 @@ import numpy.typing as npt
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.planning.nlp.monitor import (
+from gnc_opt.planning.nlp.options import SolverOptions, Start, nlpsol_options
+from gnc_opt.planning.nlp.program import NlpProblem
+from gnc_opt.planning.nlp.solve_monitor import (
     Box,
     Monitor,
     ProgressCallback,
@@ -29,8 +31,6 @@ from gnc_opt.planning.nlp.monitor import (
     as_float_vector,
     stop_on_sigint,
 )
-from gnc_opt.planning.nlp.options import SolverOptions, Start, nlpsol_options
-from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.status import Status, status_from_stats
 
 RUNAWAY = 1e10

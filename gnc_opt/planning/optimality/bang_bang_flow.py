@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.model.evaluation import evaluate_chain, evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_chain, evaluate_columns
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 

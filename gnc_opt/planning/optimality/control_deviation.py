@@ -9,7 +9,11 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, STILL_STATE_SHARE, required_control_sizes
+from gnc_opt.planning.solution.variation_scales import (
+    SPAN_MIN_SHARE,
+    STILL_STATE_SHARE,
+    required_control_sizes,
+)
 from gnc_opt.tolerances import EQUAL, NOTABLE, TINY
 
 MEAN_SHARE = 0.1

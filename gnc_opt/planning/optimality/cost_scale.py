@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.problem.functions import build_end_value_function
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.tolerances import NOTABLE, magnitude
 
 AVERAGING_SHARE_OF_PHASE = 1e-2

@@ -34,14 +34,14 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.optimality.control_deviation import (
     add_inactive_controls,
     compute_control_deviation,
     limit_deviation_from_below,
     replace_nonfinite,
 )
-from gnc_opt.planning.optimality.reach import (
+from gnc_opt.planning.optimality.reachable_set import (
     Ellipsoid,
     Reach,
     cell_edges,

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.problem.problem import Problem

@@ -23,9 +23,9 @@ from gnc_opt.planning.problem.expressions import (
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, phase_guess
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.interval_arithmetic import draw_values
-from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.typical_magnitudes import phase_magnitudes
 
 _IN_PHASES = "let a phase end there and link() the next one to it"
 _KINKS: dict[int, tuple[str, str]] = {

@@ -11,8 +11,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, right_symbol
-from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.expressions import nodes_of
+from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.model.model import Model
 from gnc_opt.model.table import Table, TableUse
 from gnc_opt.model.variables import Layout, foreign_symbols

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.evaluation import Operations, evaluate, make_fast_call
+from gnc_opt.model.function_evaluation import Operations, evaluate, make_fast_call
 from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import bind_ends, build_phase_function, end_arguments, end_symbols
 from gnc_opt.planning.problem.phase import Phase

@@ -39,7 +39,7 @@ from gnc_opt.planning.problem.interval import (
     stack_ranges,
     with_ranges,
 )
-from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement, read_duration
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement, read_duration
 
 
 class Owner(Protocol):

@@ -19,9 +19,7 @@ from gnc_opt.errors import ProblemError, shown, unknown_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_vector
 from gnc_opt.planning.problem.arcs import Junction, Smooth
-from gnc_opt.planning.problem.check import check_problem
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.division import divide_phase
 from gnc_opt.planning.problem.expressions import (
     check_end_symbols,
     check_phase_symbols,
@@ -32,9 +30,11 @@ from gnc_opt.planning.problem.guess.initial_guess import record_known_ends
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import read_duration
+from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
+from gnc_opt.planning.problem.phase_division import divide_phase
+from gnc_opt.planning.problem.problem_check import check_problem
 from gnc_opt.planning.problem.statement import Statement
-from gnc_opt.text import heading, table
+from gnc_opt.text_formatting import heading, table
 
 
 def compute_fingerprint(problem: Statement) -> str:

@@ -1,7 +1,7 @@
 """From a first solution to an accurate one: error estimate, meshes, arcs, switching times."""
 
-from gnc_opt.planning.refinement.budget import RefinementLimits
-from gnc_opt.planning.refinement.engine import refine
+from gnc_opt.planning.refinement.solution_refinement import refine
+from gnc_opt.planning.refinement.work_budget import RefinementLimits
 from gnc_opt.planning.solution.history import History, RefinementStatus
 
 __all__ = [

@@ -15,8 +15,8 @@ import numpy as np
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switches,

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from gnc_opt.planning.refinement.error import estimate_errors
+from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iterations import record_iteration
 from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.verification.control_conditions import minimum_principle_loss
-from gnc_opt.planning.verification.engine import verify
+from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 LOCAL_ERROR_RATIO = 1e3

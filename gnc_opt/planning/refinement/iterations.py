@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits
-from gnc_opt.planning.refinement.error import PhaseError, find_largest_error
+from gnc_opt.planning.refinement.error_estimation import PhaseError, find_largest_error
 from gnc_opt.planning.solution.history import Actions, RefinementIteration, iterations_for
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh

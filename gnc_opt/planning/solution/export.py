@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.model.tabular import Records
+from gnc_opt.model.tabular_data import Records
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.renamed import StatusWord
-from gnc_opt.text import Printed
+from gnc_opt.text_formatting import Printed
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class RefinementIteration:
     times : dict of tuple of float
         Segment boundaries by phase, s.
     error : float
-        Largest estimated error; see `gnc_opt.planning.refinement.error`.
+        Largest estimated error; see `gnc_opt.planning.refinement.error_estimation`.
     where : str
         Its place and kind.
     iterations : int
@@ -187,7 +187,7 @@ class RefinementIteration:
     actions : Actions or str
         Changes to the mesh before this solve; for a structure loop, the changes its solution requires.
     stage : str
-        Where in the sequence of meshes; see `gnc_opt.planning.refinement.stages`.
+        Where in the sequence of meshes; see `gnc_opt.planning.refinement.staged_refinement`.
     """
 
     meshes: dict[str, Mesh]

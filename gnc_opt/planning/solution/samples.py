@@ -10,8 +10,9 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.solution.angle_unwrapping import find_periods
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.scales import (
+from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
     control_spans,
@@ -20,7 +21,6 @@ from gnc_opt.planning.solution.scales import (
     share_components,
     state_spans,
 )
-from gnc_opt.planning.solution.unwrap import find_periods
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, points, weights
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, magnitude

@@ -28,7 +28,6 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
-from gnc_opt.planning.solution.diagnosis import Violation
 from gnc_opt.planning.solution.export import time_history_records
 from gnc_opt.planning.solution.history import (
     Actions,
@@ -44,9 +43,10 @@ from gnc_opt.planning.solution.propagation import Propagation, propagate
 from gnc_opt.planning.solution.quality import Quality, measure_quality
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
+from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scheme import Scheme
-from gnc_opt.text import Printed
+from gnc_opt.text_formatting import Printed
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,6 +10,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions, end_gradients, phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.costates import (
     Iterate,
     map_costates,
@@ -19,7 +20,6 @@ from gnc_opt.planning.solution.costates import (
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.unwrap import unwrap_angles
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
@@ -89,7 +89,7 @@ def extract_phases(
 
 
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
-    """Return the variables with angles among the controls unwound; see `gnc_opt.planning.solution.unwrap`."""
+    """Return the variables with angles among the controls unwound; see `gnc_opt.planning.solution.angle_unwrapping`."""
     q = variables[transcription.parameter_places]
     extended = np.concatenate([variables, transcription.fixed_times(problem)])
     found = variables.copy()

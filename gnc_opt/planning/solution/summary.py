@@ -8,17 +8,17 @@ from typing import Protocol
 import numpy as np
 
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.problem.check import missing_bounds_text
 from gnc_opt.planning.problem.expressions import OutsideTable
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_check import missing_bounds_text
 from gnc_opt.planning.solution.accuracy import Accuracy
-from gnc_opt.planning.solution.diagnosis import Violation
 from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
+from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text import counted
+from gnc_opt.text_formatting import counted
 from gnc_opt.tolerances import EQUAL
 
 LABEL_WIDTH = 13

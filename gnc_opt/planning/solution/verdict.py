@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
-from gnc_opt.text import heading, preformatted, table
+from gnc_opt.text_formatting import heading, preformatted, table
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Many solutions, or derivatives of one: multistart, sweeps, continuation, sensitivity, lower bounds."""
 
-from gnc_opt.planning.study.minima import Minimum
+from gnc_opt.planning.study.local_minima import Minimum
 from gnc_opt.planning.study.multistart import Multistart, multistart
 from gnc_opt.planning.study.parameter_continuation import Continuation, ContinuationStatus, continuation
 from gnc_opt.planning.study.sweep import Sweep, sweep

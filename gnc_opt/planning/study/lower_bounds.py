@@ -28,7 +28,6 @@ import scipy
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.environment import one_thread
 from gnc_opt.planning.problem.kinks import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -36,8 +35,9 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.relaxation import Relaxation, relaxations
-from gnc_opt.planning.verification.engine import verify
+from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficiency import is_convex
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 
 

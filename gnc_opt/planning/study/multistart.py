@@ -18,21 +18,21 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 import numpy as np
 
 from gnc_opt.arguments import expect, read_integer, read_positive, suggesting_keywords
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.perturbation import keeps_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.budget import RefinementLimits
-from gnc_opt.planning.refinement.engine import StructureChoice
-from gnc_opt.planning.refinement.engine import refine as refine_solution
+from gnc_opt.planning.refinement.solution_refinement import StructureChoice
+from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
+from gnc_opt.planning.refinement.work_budget import RefinementLimits
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.study.minima import Minimum, merge_minima
+from gnc_opt.planning.study.local_minima import Minimum, merge_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
-from gnc_opt.planning.verification.engine import verify
-from gnc_opt.text import Printed
+from gnc_opt.planning.verification.optimality_check import verify
+from gnc_opt.runtime_environment import one_thread
+from gnc_opt.text_formatting import Printed
 
 MOST_POINTS = 1000
 """Of a phase on a refined mesh."""

@@ -10,20 +10,20 @@ import numpy as np
 
 from gnc_opt.arguments import expect, read_numbers, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.planning.direct.failure import SolveError
+from gnc_opt.planning.direct.solve_failure import SolveError
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.engine import refine
+from gnc_opt.planning.refinement.solution_refinement import refine
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
 from gnc_opt.renamed import StatusWord
-from gnc_opt.text import Printed
+from gnc_opt.runtime_environment import one_thread
+from gnc_opt.text_formatting import Printed
 
 Family: TypeAlias = Callable[[float], Problem]
 

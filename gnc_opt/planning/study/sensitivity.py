@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
-from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.functions import phase_functions
@@ -31,6 +30,7 @@ from gnc_opt.planning.solution.solution_extraction import model_parameters, stat
 from gnc_opt.planning.study.kkt_sensitivity import Change, KktPoint, Response
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.runtime_environment import one_thread
 
 
 @dataclass(frozen=True)

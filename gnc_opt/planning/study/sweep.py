@@ -12,7 +12,6 @@ import numpy as np
 
 from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -20,7 +19,8 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.text import Printed
+from gnc_opt.runtime_environment import one_thread
+from gnc_opt.text_formatting import Printed
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

@@ -12,8 +12,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.guess.initial_guess import phase_guess
-from gnc_opt.planning.problem.magnitudes import SAMPLES, phase_magnitudes, typical_magnitudes
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.typical_magnitudes import SAMPLES, phase_magnitudes, typical_magnitudes
 from gnc_opt.planning.transcription.transcription import Transcription
 
 NEARBY = 0.1

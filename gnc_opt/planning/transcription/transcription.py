@@ -14,7 +14,7 @@ import scipy
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem
-from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.problem.expressions import parameter_arguments
 from gnc_opt.planning.problem.interval import Interval, free

@@ -37,7 +37,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import direction_optimal_gradient
 from gnc_opt.planning.verification.feasibility import decide_result
-from gnc_opt.planning.verification.goh import find_flat_controls
+from gnc_opt.planning.verification.goh_transformation import find_flat_controls
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
 
 MOST_ORDERS = 120

@@ -43,7 +43,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.verification.feasibility import path_reach
-from gnc_opt.planning.verification.recomputed import evaluate_ends
+from gnc_opt.planning.verification.recomputed_solution import evaluate_ends
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))

@@ -131,7 +131,7 @@ class CriticalCone:
     strong, weak : bool array (n_variables + n_constraints,)
         Variables and rows that are held, and those at a limit that does not push: they may leave it to one side.
     unit : sparse (n_variables, n_variations) or None
-        Scaled variables per variation of size 1, if it is not one for each (module `goh`).
+        Scaled variables per variation of size 1, if it is not one for each (module `goh_transformation`).
     further : sparse (n, n_variables) or None
         What is held beside rows of the program (module `arc_starts`).
     """

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.reach import Ellipsoid
+from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval, stack_intervals
@@ -27,8 +27,8 @@ from gnc_opt.planning.solution.quality import (
     worst_index,
 )
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, SHORTEST, TINY
 

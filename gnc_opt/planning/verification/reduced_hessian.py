@@ -46,7 +46,7 @@ from gnc_opt.planning.verification.critical_cone import (
     hold_arc_entries,
     hold_inactive_directions,
 )
-from gnc_opt.planning.verification.goh import (
+from gnc_opt.planning.verification.goh_transformation import (
     find_flat_controls,
     find_gaining_end_control,
     narrow_arc_ends,

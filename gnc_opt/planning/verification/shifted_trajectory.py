@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.optimality.reach import cell_edges, end_response
+from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.planning.optimality.reachable_set import cell_edges, end_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.functions import EndGradients, build_end_value_function

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.optimality.cost_scale import SMEARED
-from gnc_opt.planning.optimality.narrow_features import bisect_sign_changes
 from gnc_opt.planning.optimality.reference_scales import Scales, second_differences
+from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
 from gnc_opt.planning.problem.kinks import Kinks, find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples

@@ -43,7 +43,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j

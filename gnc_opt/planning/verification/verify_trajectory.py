@@ -15,30 +15,30 @@ import numpy as np
 
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
-from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
-from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_check import check_unused_controls
 from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, model_parameters, phase_functions_at
-from gnc_opt.planning.solution.unwrap import unwrap_angles
 from gnc_opt.planning.solution.verdict import FIRST_ORDER, ConditionResult, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
-from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
+from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, NOTABLE, SAME_TIME, SMALL
 
 

@@ -13,7 +13,11 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.refinement.error import COSTATE_ERROR_WEIGHT, costate_residual, find_largest_error
+from gnc_opt.planning.refinement.error_estimation import (
+    COSTATE_ERROR_WEIGHT,
+    costate_residual,
+    find_largest_error,
+)
 from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, is_stagnating
 from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _bracket_onset
 from gnc_opt.planning.solution.samples import PhaseSamples

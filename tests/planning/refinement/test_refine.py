@@ -61,7 +61,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Return a list that grows by an entry whenever a verdict is computed."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.verification.engine")
+    module = importlib.import_module("gnc_opt.planning.verification.optimality_check")
     real, calls = module._check_solution, []
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
@@ -95,7 +95,7 @@ def test_a_verdict_that_fails_is_no_convergence(
     """Whichever way it went, the ending and what is printed name the condition and its place."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.verification.engine")
+    module = importlib.import_module("gnc_opt.planning.verification.optimality_check")
     real = module._check_solution
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
@@ -124,7 +124,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
     """The verdict is ok, but the error is above what was asked for: the message gives both."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.stages")
+    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     real: Callable[..., Any] = module.optimise_switches
 
     def coarse(*args: Any, **more: Any) -> Any:
@@ -201,7 +201,7 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
     [
         ("gnc_opt.planning.refinement.mesh.refinement", "solve_mesh", 2),
         ("gnc_opt.planning.refinement.mesh.refinement", "estimate_errors", 2),
-        ("gnc_opt.planning.refinement.stages", "detect_structures", 1),
+        ("gnc_opt.planning.refinement.staged_refinement", "detect_structures", 1),
         ("gnc_opt.planning.refinement.candidates", "verify", 1),
     ],
 )
@@ -225,7 +225,7 @@ def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatc
     )
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.stages")
+    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     monkeypatch.setattr(module, "refine_mesh", lambda *_, **__: pytest.fail("went on"))
     history = told(go.refine(start, tol=1e-9))
     assert history.status is RefinementStatus.INTERRUPTED
@@ -261,7 +261,7 @@ def test_attempts_that_were_given_up_are_reported(cart: go.Solution, monkeypatch
     """A structure that does not convince leaves its passes in the record, beside those of the meshes."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.stages")
+    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     real: Callable[..., Any] = module.optimise_switches
 
     def unconvincing(*args: Any, **more: Any) -> Any:
@@ -288,7 +288,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
     """A structure that had a solution and did not convince is not begun again after the mesh."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.stages")
+    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     real, begun = module.optimise_switches, []
 
     def unconvincing(*args: Any, structures: Any, **more: Any) -> Any:

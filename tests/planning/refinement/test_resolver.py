@@ -19,7 +19,7 @@ from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.measured_start import with_start_on_bounds
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _remove_sliver_pieces
-from gnc_opt.planning.refinement.arcs.detection import detect_structures
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
 from gnc_opt.planning.solver import SolveMethod
 

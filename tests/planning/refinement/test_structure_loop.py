@@ -31,10 +31,10 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import Arc, ArcKind, RefinementStatus, SolverOptions, Status
 from gnc_opt.planning.refinement.arcs import arc_refinement as f
-from gnc_opt.planning.refinement.arcs import curvature as b
-from gnc_opt.planning.refinement.arcs import detection as d
+from gnc_opt.planning.refinement.arcs import control_curvature as b
+from gnc_opt.planning.refinement.arcs import structure_detection as d
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as s
-from gnc_opt.planning.refinement.arcs.detection import evaluate_switching_functions
+from gnc_opt.planning.refinement.arcs.structure_detection import evaluate_switching_functions
 from problems.classics import van_der_pol
 
 # Detection of arcs in coarse solutions, and the pieces of which a structure is made.

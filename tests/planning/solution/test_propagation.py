@@ -24,9 +24,9 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.model import integration
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.solution.diagnosis import _unbounded_variables
 from gnc_opt.planning.solution.propagation import Propagation, propagate
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
+from gnc_opt.planning.solution.violation_diagnosis import _unbounded_variables
 
 # Propagation ends, whatever the dynamics are like, and says where and why.
 

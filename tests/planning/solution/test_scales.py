@@ -14,7 +14,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, find_inactive_controls, state_spans
+from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, find_inactive_controls, state_spans
 
 # How far states and controls move on a flight, and what controls could move: closed forms.
 

@@ -27,10 +27,10 @@ from gnc_opt.planning import (
     load,
 )
 from gnc_opt.planning.direct import solve_mesh as tries
-from gnc_opt.planning.direct.failure import failure_message
-from gnc_opt.planning.problem.check import missing_bounds_text
-from gnc_opt.planning.solution.diagnosis import Violation, find_violations
+from gnc_opt.planning.direct.solve_failure import failure_message
+from gnc_opt.planning.problem.problem_check import missing_bounds_text
 from gnc_opt.planning.solution.history import Actions
+from gnc_opt.planning.solution.violation_diagnosis import Violation, find_violations
 from gnc_opt.planning.study import kkt_sensitivity as again
 
 # --- answers ----------------------------------------------------------------------------------------------

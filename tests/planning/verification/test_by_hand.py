@@ -48,7 +48,7 @@ from gnc_opt.planning.verification.critical_cone import (
     _state_node_variables,
     _variables_by_line,
 )
-from gnc_opt.planning.verification.recomputed import (
+from gnc_opt.planning.verification.recomputed_solution import (
     _relative_difference,
     evaluate_ends,
     has_costates,

@@ -17,7 +17,7 @@ import gnc_opt as go
 from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
 from gnc_opt.planning.study.relaxation import relaxations
-from gnc_opt.planning.verification.engine import _pass_by_convexity
+from gnc_opt.planning.verification.optimality_check import _pass_by_convexity
 from gnc_opt.planning.verification.sufficiency import (
     _split_sum,
     has_unique_solution,

@@ -30,7 +30,7 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_parameter_stationarity,
     check_transversality,
 )
-from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 

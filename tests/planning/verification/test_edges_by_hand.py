@@ -47,8 +47,8 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     estimate_nearest_multipliers,
 )
 from gnc_opt.planning.verification.feasibility import _worst_interval_violation
-from gnc_opt.planning.verification.goh import find_flat_controls
-from gnc_opt.planning.verification.recomputed import (
+from gnc_opt.planning.verification.goh_transformation import find_flat_controls
+from gnc_opt.planning.verification.recomputed_solution import (
     evaluate_ends,
     find_missing_number,
     has_costates,

@@ -22,9 +22,9 @@ from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE
 from gnc_opt.planning.verification.feasibility import check_limits
-from gnc_opt.planning.verification.recomputed import recompute_from_problem
+from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
+from gnc_opt.planning.verification.recomputed_solution import recompute_from_problem
 from gnc_opt.planning.verification.verify_trajectory import reformulate_samples
 
 # Limits are judged by what they allow: a distance, found between the samples, however the constraint is

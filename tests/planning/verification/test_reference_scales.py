@@ -27,7 +27,7 @@ from gnc_opt.planning.optimality.trajectory_fit import Samples
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.recomputed import recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import recompute_from_problem
 from gnc_opt.planning.verification.verify_trajectory import _build_solution
 
 # Reference magnitudes do not depend on how a problem is written.

@@ -22,7 +22,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     check_bang_bang_second_order,
     check_strict_switches,
 )
-from gnc_opt.planning.verification.recomputed import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:

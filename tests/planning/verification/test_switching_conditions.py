@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
 from gnc_opt.planning.optimality.cost_scale import exclude_switches, lasting_minimum_index
 from gnc_opt.planning.optimality.switches import Switches, _merge_equal_times
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
-from gnc_opt.planning.verification.goh import (
+from gnc_opt.planning.verification.goh_transformation import (
     CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,
     narrow_arc_ends,

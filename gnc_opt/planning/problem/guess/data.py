@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, ProblemError, did_you_mean
-from gnc_opt.model.tabular import read_columns
+from gnc_opt.model.tabular_data import read_columns
 from gnc_opt.planning.problem.problem import Problem
 
 

@@ -12,10 +12,10 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angles import PERIODS
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.interval import Interval, intersect
-from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation.restate import build_angle_probe
+from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_probe
+from gnc_opt.planning.problem.typical_magnitudes import phase_magnitudes
 
 DURATION_MAX_RATIO = 10.0
 """A guessed duration is multiplied or divided by at most this: two decades, log-uniformly, within its bounds."""

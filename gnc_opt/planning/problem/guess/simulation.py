@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.evaluation import make_fast_call
+from gnc_opt.model.function_evaluation import make_fast_call
 from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
 from gnc_opt.model.variables import as_expression, as_vector
 from gnc_opt.planning.problem.expressions import build_phase_function

@@ -10,9 +10,9 @@ import numpy as np
 from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.planning.problem.check_functions import find_nonfinite_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import phase_guess
-from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.typical_magnitudes import phase_magnitudes
 
 BEND = 0.1
 """Displacement of a curved guess at its midpoint, as a share of each state's magnitude."""

@@ -11,6 +11,6 @@ place (epigraph form). Limits of kinks are limits of their pieces. Everything el
 `Problem.check` names it and the remedy. Bounds that leave an angle a whole turn limit nothing.
 """
 
-from gnc_opt.planning.problem.reformulation.restate import reformulate
+from gnc_opt.planning.problem.reformulation.problem_reformulation import reformulate
 
 __all__ = ["reformulate"]

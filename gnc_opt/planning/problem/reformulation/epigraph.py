@@ -22,8 +22,8 @@ from gnc_opt.planning.problem.expressions import table_calls
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
-from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, guess_column, unused_name
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
+from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, guess_column, unused_name
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 

@@ -23,8 +23,8 @@ from gnc_opt.planning.problem.expressions import stack_terms
 from gnc_opt.planning.problem.interval import Interval, by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
-from gnc_opt.planning.problem.reformulation.phase_form import (
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
+from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     guess_column,
     taken_names,

@@ -21,8 +21,8 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.detection import find_roots
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.polynomial import Side
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import JUNCTION_OFFSET_SHARE

@@ -23,7 +23,11 @@ from gnc_opt.planning.refinement.arcs.contacts import (
     find_wrong_touch,
     replace_saturated_controls,
 )
-from gnc_opt.planning.refinement.arcs.curvature import affine_controls, linear_path_limits, nonconvex_controls
+from gnc_opt.planning.refinement.arcs.control_curvature import (
+    affine_controls,
+    linear_path_limits,
+    nonconvex_controls,
+)
 from gnc_opt.planning.refinement.arcs.junctions import move_kinks
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose_kind, limit_signs
 from gnc_opt.planning.solution.samples import PhaseSamples

@@ -19,10 +19,10 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, count_uniform_points
-from gnc_opt.planning.refinement.arcs.detection import detect_structures
-from gnc_opt.planning.refinement.arcs.resolution import set_resolutions
+from gnc_opt.planning.refinement.arcs.piece_resolution import set_resolutions
 from gnc_opt.planning.refinement.arcs.split_switches import find_shared_boundaries, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import (
     KINKS_MOVED,
     RAISED,
@@ -30,14 +30,14 @@ from gnc_opt.planning.refinement.arcs.structure_update import (
     improve_plans,
     remove_vanished_piece,
 )
-from gnc_opt.planning.refinement.error import estimate_errors
+from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iterations import IterationLimits, record_iteration, show_pass
 from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton import solve_times
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.verification.engine import verify
+from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import EQUAL
 
 STALLED_MAX_ITERATIONS = 4
@@ -70,7 +70,7 @@ def optimise_switches(
     solution : Solution
         A solved collocation solution, with its problem.
     tol : float
-        On the error between the nodes; see `gnc_opt.planning.refinement.error`.
+        On the error between the nodes; see `gnc_opt.planning.refinement.error_estimation`.
     limits : IterationLimits, optional
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.

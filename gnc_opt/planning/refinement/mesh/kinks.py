@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.refinement.error import PhaseError, get_states_at_points
+from gnc_opt.planning.refinement.error_estimation import PhaseError, get_states_at_points
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 

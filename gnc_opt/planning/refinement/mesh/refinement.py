@@ -1,7 +1,7 @@
 """hp refinement: solve, estimate the error between the nodes, improve the mesh, until the error is small.
 
 Every pass starts warm from states, controls and multipliers of the last one. The error comes from model and
-trajectory alone, see `gnc_opt.planning.refinement.error`; how the mesh changes is in
+trajectory alone, see `gnc_opt.planning.refinement.error_estimation`; how the mesh changes is in
 `gnc_opt.planning.refinement.mesh.remesh`.
 """
 
@@ -18,7 +18,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import final_barrier_parameter
-from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
+from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iterations import IterationLimits, is_stagnating, record_iteration, show_pass
 from gnc_opt.planning.refinement.mesh.remesh import Past, Remesh, index_segments
 from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
@@ -86,7 +86,7 @@ def refine_mesh(
         With its problem; its mesh is the first.
     tol : float
         Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
-        dimensionless; see `gnc_opt.planning.refinement.error`.
+        dimensionless; see `gnc_opt.planning.refinement.error_estimation`.
     limits : IterationLimits, optional
         Default: `DEFAULT_ITERATIONS`. Twice as much work is allowed while the error falls to a third or less each time.
     options : SolverOptions, optional

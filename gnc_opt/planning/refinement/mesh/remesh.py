@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.refinement.error import PhaseError
+from gnc_opt.planning.refinement.error_estimation import PhaseError
 from gnc_opt.planning.refinement.mesh.kinks import Kink, find_kinks, kink_boundaries, limit_activity
 from gnc_opt.planning.refinement.mesh.smoothness import error_density, error_quantiles, legendre_decay_rates
 from gnc_opt.planning.solution.history import Actions

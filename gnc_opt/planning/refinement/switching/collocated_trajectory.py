@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import worst_bound_violation, worst_path_violation
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
-from gnc_opt.planning.verification.recomputed import evaluate_ends
+from gnc_opt.planning.verification.recomputed_solution import evaluate_ends
 from gnc_opt.tolerances import AT_LIMIT
 
 

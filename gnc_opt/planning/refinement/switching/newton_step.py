@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import end_derivatives

@@ -9,15 +9,15 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.switching.collocated_trajectory import complete_multipliers, satisfies_limits
 from gnc_opt.planning.refinement.switching.newton import GRID_SHARE_OF_ACCURACY, solve_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.recomputed import recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import recompute_from_problem
 from gnc_opt.tolerances import EQUAL
 
 

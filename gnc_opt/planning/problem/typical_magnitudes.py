@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, phase_guess
 from gnc_opt.planning.problem.interval import Interval

@@ -15,7 +15,6 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.riccati import solve_algebraic_riccati, uncontrollable_modes
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation.augmented_model import AugmentedModel
 from gnc_opt.estimation.estimator import Estimator
@@ -24,6 +23,7 @@ from gnc_opt.estimation.linearization import Approximation, Regression, Tangent
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_options
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_point, as_vector
+from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import EQUAL
 
 

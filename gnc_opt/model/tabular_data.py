@@ -12,10 +12,10 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.environment import imported
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.text import json_text
+from gnc_opt.runtime_environment import imported
+from gnc_opt.text_formatting import json_text
 
 
 def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:

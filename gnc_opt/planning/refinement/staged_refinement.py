@@ -35,19 +35,23 @@ from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits,
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.curvature import affine_controls, convex_controls, nonconvex_controls
-from gnc_opt.planning.refinement.arcs.detection import detect_structures
+from gnc_opt.planning.refinement.arcs.control_curvature import (
+    affine_controls,
+    convex_controls,
+    nonconvex_controls,
+)
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     Segments,
     optimise_switches,
 )
-from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.candidates import Candidate, build_answer
 from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.minimum_hamiltonian_guess import controls_of_least_hamiltonian
+from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh

@@ -12,15 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from gnc_opt.arrays import Array
-from gnc_opt.plot.style import (
-    COLORS,
-    QUIET,
-    apply_style,
-    axis_label,
-    legend_on_top,
-    new_figure,
-)
-from gnc_opt.plot.view import (
+from gnc_opt.plot.motion_view import (
     AXIS,
     VEHICLE_HALF_EDGES,
     Moved,
@@ -28,6 +20,14 @@ from gnc_opt.plot.view import (
     ellipsoid_points,
     motion_time_span,
     sample_motion,
+)
+from gnc_opt.plot.style import (
+    COLORS,
+    QUIET,
+    apply_style,
+    axis_label,
+    legend_on_top,
+    new_figure,
 )
 
 PATH_SAMPLES = 400

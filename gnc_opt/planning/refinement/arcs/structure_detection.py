@@ -12,7 +12,7 @@ from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
 from gnc_opt.planning.refinement.arcs.contacts import Determined, add_contacts, find_determined_controls
-from gnc_opt.planning.refinement.arcs.curvature import (
+from gnc_opt.planning.refinement.arcs.control_curvature import (
     SINGULAR_SHARE_OF_H,
     affine_controls,
     convex_controls,

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.problem.kinks import find_feature_centres
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples

@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement
 from gnc_opt.planning.problem.statement import Statement
 
 

@@ -9,27 +9,27 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.expressions import ROOTS, operations_in
+from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
 from gnc_opt.planning.problem.expressions import build_phase_function, stack_terms
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import PhaseNumbers
-from gnc_opt.planning.problem.reformulation.algebraic import with_algebraic_states
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
+from gnc_opt.planning.problem.reformulation.algebraic_variables import with_algebraic_states
+from gnc_opt.planning.problem.reformulation.control_splitting import (
+    Bends,
+    SplitForm,
+    apply_stated_bounds,
+    find_stated_bounds,
+)
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
     EndForm,
     EpigraphForm,
     Kinked,
     has_end_kinks,
-)
-from gnc_opt.planning.problem.reformulation.splitting import (
-    Bends,
-    SplitForm,
-    apply_stated_bounds,
-    find_stated_bounds,
 )
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_roots
 from gnc_opt.planning.problem.statement import Statement

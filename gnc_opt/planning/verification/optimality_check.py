@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_set import with_movable_touches
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
-from gnc_opt.planning.optimality.narrow_features import feature_edges
 from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.sampling_grid import feature_edges
 from gnc_opt.planning.problem.expressions import table_calls
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.kinks import find_kinks
@@ -27,7 +26,7 @@ from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.costate_conditions import add_end_constraints
 from gnc_opt.planning.verification.feasibility import condition_from_violation
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
-from gnc_opt.planning.verification.recomputed import (
+from gnc_opt.planning.verification.recomputed_solution import (
     check_stored_numbers,
     costate_inconsistency,
     evaluate_ends,
@@ -60,6 +59,7 @@ from gnc_opt.planning.verification.sufficiency import (
     reaches_least_cost,
 )
 from gnc_opt.planning.verification.switching_times import check_switching_times
+from gnc_opt.runtime_environment import one_thread
 
 CONDITION_TOLERANCE = 1e-5
 

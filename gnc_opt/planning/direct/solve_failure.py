@@ -9,9 +9,9 @@ import numpy as np
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import knows_trajectory
 from gnc_opt.planning.nlp import Status
-from gnc_opt.planning.problem.check import missing_bounds_text
 from gnc_opt.planning.problem.check_functions import singular_norms
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_check import missing_bounds_text
 from gnc_opt.planning.solution.solution import Solution
 
 GUESS_HELPS = (Status.INFEASIBLE, Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)

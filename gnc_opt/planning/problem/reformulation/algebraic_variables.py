@@ -24,16 +24,16 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_terms
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
-from gnc_opt.planning.problem.magnitudes import SAMPLES
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
 from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 
 P = TypeVar("P", bound=Statement)
 

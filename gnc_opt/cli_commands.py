@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from gnc_opt.errors import GncOptError, ProblemWarning
 from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_setting
 from gnc_opt.templates import write_template
-from gnc_opt.text import counted, json_text
+from gnc_opt.text_formatting import counted, json_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,8 +50,8 @@ class ExitCode(IntEnum):
 
 
 def solve_command(args: argparse.Namespace) -> ExitCode:
-    from gnc_opt.planning.direct.failure import failure_message
-    from gnc_opt.planning.refinement.budget import RefinementLimits
+    from gnc_opt.planning.direct.solve_failure import failure_message
+    from gnc_opt.planning.refinement.work_budget import RefinementLimits
     from gnc_opt.planning.solver import solve
 
     _check_targets(args)

@@ -15,9 +15,9 @@ from gnc_opt.planning.solution.summary import (
     objective_text,
 )
 from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe, violation_text
-from gnc_opt.report.document import command_html, figure_html, html_document, status_label_html
+from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import problem_statement_html
-from gnc_opt.text import table
+from gnc_opt.text_formatting import table
 from gnc_opt.tolerances import EQUAL
 
 TRAJECTORY_CAPTION = (

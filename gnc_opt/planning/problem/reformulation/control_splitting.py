@@ -21,14 +21,14 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval import Interval, by_name, free, intersect, stack_ranges
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_costed_kinks,
     solve_affine_equation,
     split_kinked_constraint,
 )
-from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, unused_name
+from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_stated_controls
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL

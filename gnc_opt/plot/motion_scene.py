@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.environment import imported
 from gnc_opt.errors import GncOptError
-from gnc_opt.plot.view import (
+from gnc_opt.plot.motion_view import (
     AXIS,
     PLUME,
     VEHICLE_HALF_EDGES,
@@ -30,6 +29,7 @@ from gnc_opt.plot.view import (
     motion_time_span,
     sample_motion,
 )
+from gnc_opt.runtime_environment import imported
 
 _INSTANTS = (41, 241)
 """Fewest and most instants of a motion."""

@@ -19,8 +19,8 @@ from gnc_opt.planning.problem.functions import build_end_value_function
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, magnitude
 
 CELLS = 40

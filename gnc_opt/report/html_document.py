@@ -9,8 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from gnc_opt.environment import package_version
 from gnc_opt.errors import GncOptError
+from gnc_opt.runtime_environment import package_version
 
 
 def report_folder(directory: str | Path) -> Path:

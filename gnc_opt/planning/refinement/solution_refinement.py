@@ -6,14 +6,14 @@ from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
 from gnc_opt.arguments import expect, read_positive, suggesting_keywords
-from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.refinement.stages import StagedRefinement
+from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
+from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import mesh_with_fixed_breaks
+from gnc_opt.runtime_environment import one_thread
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
@@ -38,14 +38,14 @@ def refine(
         A solved one, with its problem. Arcs that this holds explicitly (`Problem.with_fixed_arcs`) belong to its mesh:
         the refined solution is one of the problem without them.
     tol : float
-        On the dimensionless error between the nodes (`gnc_opt.planning.refinement.error`), and on the estimated error
+        On the error between the nodes (`gnc_opt.planning.refinement.error_estimation`), and on the estimated error
         of the objective in shares of it (`gnc_opt.planning.solution.objective_error`).
     structure : {"auto", "bang-bang", "none"}
         ``"none"``: hp refinement of the mesh. ``"bang-bang"``: recognise which control is at which bound when,
         make the switch times variables, and mend the structure until the switching functions agree with it.
         The same for kinks, where controls enter and leave their bounds or mixed path constraints, and for singular
         arcs and arcs on state bounds.
-        ``"auto"``: the sequence of meshes, see `gnc_opt.planning.refinement.stages`.
+        ``"auto"``: the sequence of meshes, see `gnc_opt.planning.refinement.staged_refinement`.
     check : bool
         Whether the answer has to pass the optimality check. Without it the first answer is returned whose estimated
         error of the objective is within the tolerance and whose history ends as UNCHECKED.
