@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
-from gnc_opt.tolerances import NEGLIGIBLE, RANK, magnitude
+from gnc_opt.tolerances import RANK, ROUNDING, magnitude
 
 CELLS = 40
 """Cells of a phase, at least, in which its linearised dynamics are constant."""
@@ -58,7 +58,7 @@ class Ellipsoid:
         correlation[~reached], correlation[:, ~reached] = 0.0, 0.0
         correlation[np.diag_indices_from(correlation)] = 1.0
         values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-        return cls(radius, axes, np.sqrt(np.clip(values, NEGLIGIBLE, None)))
+        return cls(radius, axes, np.sqrt(np.clip(values, ROUNDING, None)))
 
     def displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) in shares of the ellipsoid (...)."""

@@ -16,6 +16,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from testing.internals import Ellipsoid
 from testing.models import dynamics, one_phase
 from testing.second_order import second_order_of
 from testing.wrong_solutions import added, double_integrator, failed, free_time, scaled, shifted, with_leg
@@ -896,3 +897,30 @@ def test_an_orbit_that_is_left_alone_misses_a_target_just_ahead() -> None:
         problem.minimize(leg.integral(a[0] ** 2 + a[1] ** 2))
         verdict = go.verify_trajectory(problem, t, states, np.zeros((2, t.size)))
         assert (verdict["boundary conditions"].result.value == "PASS") == ok
+
+
+@pytest.mark.parametrize("mixture", [0.0, 1e3, 1e5])
+def test_a_displacement_does_not_depend_on_how_states_are_mixed(mixture: float) -> None:
+    """W = ((1/3, 1/2), (1/2, 1)) of a cart moves its place alone by 1/sqrt(12), whatever else is added to the place."""
+    mixed = np.array([[1.0, mixture], [0.0, 1.0]])
+    gramian = mixed @ np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]) @ mixed.T
+    ellipsoid = Ellipsoid.of(gramian, np.sqrt(np.diag(gramian)))
+    assert ellipsoid.displacement(np.array([1.0, 0.0])) == pytest.approx(np.sqrt(12), rel=1e-3)
+    assert ellipsoid.change(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
+
+
+@pytest.mark.parametrize("mixture", [0.0, 1e3, 1e6])
+def test_an_end_is_missed_by_a_thousandth_however_states_are_mixed(mixture: float) -> None:
+    """s = q + mixture v, from rest to rest: the least a^2 is right, the same flight 0.1 % short is not."""
+    model = go.Model("cart")
+    s, v, a = model.state("s"), model.state("v"), model.control("a")
+    model.ode({s: v + mixture * a, v: a})
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
+    leg.initial(s=0.0, v=0.0)
+    leg.final(s=1.0, v=0.0)
+    problem.minimize(leg.integral(a**2))
+    t = np.linspace(0.0, 1.0, 41)
+    q, speed, push = 3 * t**2 - 2 * t**3, 6 * t - 6 * t**2, 6 - 12 * t
+    for share, right in ((1.0, True), (0.999, False)):
+        states = {"s": share * (q + mixture * speed), "v": share * speed}
+        assert go.verify_trajectory(problem, t, states, {"a": share * push}).ok is right
