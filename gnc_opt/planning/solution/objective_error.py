@@ -167,7 +167,10 @@ def _control_gains(s: PhaseSamples) -> Array:
     """g of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)
-    at = s.times_within, s.x, s.u_polynomial, s.lam, s.mu
+    bounds = s.leg.path_bounds  # a polynomial of multipliers may have the wrong sign between the points
+    least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
+    most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
+    at = s.times_within, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
     slope = np.nan_to_num(s.functions.control_gradient(*at), posinf=0.0, neginf=0.0)
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
     curvature = np.nan_to_num(curvature, posinf=0.0, neginf=0.0)

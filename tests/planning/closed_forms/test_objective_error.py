@@ -140,3 +140,20 @@ def test_estimate_has_the_unit_of_the_objective() -> None:
     assert other.objective == pytest.approx(-1000.0 * one.objective)
     assert other.objective_error.value == pytest.approx(1000.0 * one.objective_error.value, rel=1e-4)
     assert other.objective_error.relative == pytest.approx(one.objective_error.relative, rel=1e-4)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_multiplier_of_the_wrong_sign_gains_nothing(sign: float) -> None:
+    """u = 1/2 has no error; a density of -1 (upper limit) or 1 (lower limit) of u^2 <= 1, not active, adds none."""
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("disc", model, initial=0.0, final=1.0)
+    leg.initial(x=0.0)
+    leg.final(x=0.5)
+    leg.path("disc", sign * u**2, **{"upper" if sign > 0 else "lower": sign})
+    problem.minimize(leg.integral(u**2 / 2))
+    solution = go.solve(problem, mesh="2x3", tol=None, options=go.SolverOptions(tolerance=1e-11))
+    wrong = np.full_like(solution.phase().path_multipliers, -sign)
+    found = replace(
+        solution, phases={"leg": replace(solution.phase(), path_multipliers=wrong)}
+    ).objective_error
+    assert found.suboptimal == pytest.approx(0.0, abs=1e-9)
