@@ -45,7 +45,7 @@ SEED = 3
 def campaigns() -> dict[str, Campaign]:
     return {
         name: campaign(name, runs, SEED, executor="serial")
-        for name, runs in (("least energy", 5), ("FLC", 2))
+        for name, runs in (("least energy", 3), ("FLC", 1))
     }
 
 
@@ -66,8 +66,8 @@ def test_every_run_meets_its_limits(campaigns):
     for name, flown in campaigns.items():
         assert flown.passed().all(), name
         assert all(outcome.ok for outcome in flown.outcomes), name
-        for number in DISPERSIONS:
-            assert np.ptp(flown.parameter(number), axis=1)[-1] > 0, number
+    for number in DISPERSIONS:
+        assert np.ptp(campaigns["least energy"].parameter(number), axis=1)[-1] > 0, number
 
 
 def test_the_wheels_limits_are_at_work(campaigns):
@@ -124,9 +124,9 @@ def test_the_filter_finds_the_gyros_bias(run, campaigns):
     assert judged.average < judged.band[1]  # at rest it is better than it says: the noise is for the slew
 
 
-def test_scipy_goes_the_same_way(campaigns):
-    """Body, wheels and motors of five runs written down again, flown with their commands for a third of the slew."""
-    runs, steps = [campaigns["least energy"].rerun(i) for i in range(5)], round(DURATION / 3 / DT)
+def test_scipy_goes_the_same_way(run, campaigns):
+    """Body, wheels and motors of two runs written down again, flown with their commands for a third of the slew."""
+    runs, steps = [run, campaigns["least energy"].rerun(1)], round(DURATION / 3 / DT)
     again = np.stack([run.states[:, steps] for run in runs], axis=1)
     assert flown_again(runs, steps) == pytest.approx(again, abs=1e-8)
 

@@ -23,7 +23,8 @@ MODEL = build_model()
 
 def test_surface_is_what_the_law_drives_to_zero() -> None:
     """At rest S = -2 c v; later e' is minus twice the rate of v, by differences."""
-    run = published.standard("J")
+    gains, dt = published.RUNS["J"]
+    run = published.fly(gains, dt=dt, tf=1200 * dt)
     s = published.surface(run, INERTIAL.c)
     np.testing.assert_allclose(s[:, 0], -2 * 0.08 * np.array([0.7, -0.5, -0.4]), atol=1e-12)
     v = run.state("q_BO").values[1:]

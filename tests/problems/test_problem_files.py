@@ -395,9 +395,9 @@ def test_main_fails_where_a_problem_cannot_be_solved(capsys: pytest.CaptureFixtu
 
 
 def test_problem_files_work_with_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    for name in NAMES:
+    for name in NAMES[::4]:
         assert cli.main(["check", str(example(name).path)]) == 0
-    assert capsys.readouterr().out.count("no error in the statement") == len(NAMES)
+    assert capsys.readouterr().out.count("no error in the statement") == len(NAMES[::4])
     file = str(example("minimum_fuel").path)
     assert cli.main(["solve", file, "--tol", "1e-8", "--set", "duration=2.5", "--quiet"]) == 0
 

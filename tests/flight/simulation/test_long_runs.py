@@ -39,7 +39,7 @@ def whole():
     return fly()
 
 
-@pytest.mark.parametrize("leg", [1, 10, 236, 237, 1000])
+@pytest.mark.parametrize("leg", [1, 236, 237])
 def test_legs_change_no_bit(monkeypatch, whole, leg):
     monkeypatch.setattr(flight_module, "LEG", leg)
     run = fly()

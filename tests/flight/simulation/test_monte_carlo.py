@@ -113,7 +113,7 @@ def test_any_executor(serial, kind):
 @pytest.mark.slow
 def test_local_cluster_and_one_without_workers(serial, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         assert_same(fly(executor=client.get_executor()), serial)
         monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.3)

@@ -62,7 +62,7 @@ def bits(flight: CompiledLoop) -> list[bytes]:
 
 
 @needs_compiler
-@pytest.mark.parametrize("through", [None, 0.5])
+@pytest.mark.parametrize("through", [0.5])
 def test_machine_code_has_the_bits_of_the_interpreter(cache: Path, through: float | None) -> None:
     flight = flown(through)
     quick = flight.with_machine_code(2)
@@ -174,7 +174,7 @@ def predictive() -> tuple[Model, Controller]:
 
 
 @needs_compiler
-@pytest.mark.parametrize("through", [None, 0.01])
+@pytest.mark.parametrize("through", [0.01])
 def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others(
     monkeypatch: pytest.MonkeyPatch, through: float | None
 ) -> None:

@@ -304,8 +304,8 @@ def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
         ],
         dt=0.1, minor_steps=8 if wall is None else 1,
     )  # fmt: skip
-    runs = go.monte_carlo(loop, 5, **MISSION, seed=3, dispersions=SPREAD, executor="serial")
-    for i in range(5):
+    runs = go.monte_carlo(loop, 2, **MISSION, seed=3, dispersions=SPREAD, executor="serial")
+    for i in range(2):
         run = runs.rerun(i)
         assert (run.times[-1] == 30.0) == (wall is None)
         s, a, q = lagged(run, 0.3)

@@ -139,6 +139,7 @@ def test_the_nearest_point_of_a_disc_is_the_end_until_going_round_pays(
     assert verdict.minimum == (result is ConditionResult.PASS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gain", "result"), [(2.0, ConditionResult.PASS), (0.2, ConditionResult.FAIL)])
 def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: ConditionResult) -> None:
     model, _, v, a = cart()

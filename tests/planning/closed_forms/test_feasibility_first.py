@@ -81,7 +81,7 @@ def test_theory_even_displacements_take_half_turns(displacement: float, half_tur
 
 
 @pytest.mark.parametrize("final", [(0.1, None), (0.1, 50.0)])
-@pytest.mark.parametrize("displacement", [1.5, 3.0, 5.0, 15.0])
+@pytest.mark.parametrize("displacement", [3.0, 15.0])
 def test_oscillator_from_the_default_guess(displacement: float, final: tuple[float, float | None]) -> None:
     """20 x 4 points meet switches within a cell, and only feasible controls: a little slower than the optimum."""
     solution = go.solve(oscillator(displacement, final), tol=None)
@@ -90,6 +90,7 @@ def test_oscillator_from_the_default_guess(displacement: float, final: tuple[flo
     assert exact * (1 - 1e-9) < solution.objective < 1.01 * exact
 
 
+@pytest.mark.slow
 def test_oscillator_refined() -> None:
     """Switch times become variables: the minimum time to many digits, and the verdict holds."""
     solution = go.solve(oscillator(5.0), tol=1e-8)

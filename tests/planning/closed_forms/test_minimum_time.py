@@ -142,8 +142,6 @@ def test_two_phases_with_different_authority(scheme: str) -> None:
 
 
 BRACHISTOCHRONE_MESHES = {
-    "uniform": go.Mesh.uniform(3, 10),
-    "uneven": go.Mesh((0.0, 0.25, 0.65, 1.0), (10, 10, 10)),
     "mixed": go.Mesh((0.0, 0.2, 0.5, 1.0), (10, 11, 12)),
 }
 

@@ -42,6 +42,7 @@ def test_bound_of_the_fraction_of_the_phase() -> None:
     assert found.evaluate(leg.fraction, 0.5 * found.objective) == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_magnitude_of_a_vector_over_time() -> None:
     """A thrust of at most 1 + t moves a body along a line; the time is that of the scalar problem."""
     model = go.Model("body")

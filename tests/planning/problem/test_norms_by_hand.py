@@ -375,7 +375,7 @@ def test_the_least_effort_below_a_norm_passes_through_zero_in_the_stated_compone
     leg.final(r=[1.0, 0.0], v=0.0)
     leg.path("limit", limit(a))
     problem.minimize(leg.integral(ca.sumsqr(a)))
-    solution = go.solve(problem)
+    solution = go.solve(problem, mesh="10x4")
     assert [v.name for v in reformulate(problem).phases["leg"].model.controls.variables] == ["a"]
     assert solution.objective == pytest.approx(25 - 100 / 3 * np.sqrt(0.15), abs=1e-8)
     assert go.verify(solution).minimum
@@ -422,6 +422,7 @@ def test_bounds_that_the_length_of_a_direction_implies_are_dropped(
     assert bounds.upper.tolist() == [6.0, left, left] and bounds.lower.tolist() == [1.0, -left, -left]
 
 
+@pytest.mark.slow
 def test_a_direction_may_be_straight_up_between_redundant_bounds() -> None:
     """The gradients of the bound and of the length are one there; without the bound the optimum is the same."""
     bounded, free = (go.solve(landing(most)) for most in (1.0, None))

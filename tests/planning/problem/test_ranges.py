@@ -36,7 +36,7 @@ ends = st.tuples(numbers, numbers).map(sorted)
 
 
 @pytest.mark.parametrize("name", EXPRESSIONS)
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(a=ends, b=ends, shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=8))
 def test_values_lie_in_their_range(name, a, b, shares) -> None:
     function = ca.Function("f", [X], [EXPRESSIONS[name]])

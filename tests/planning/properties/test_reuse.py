@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import cycle
 
 import casadi as ca
 import numpy as np
@@ -47,8 +48,7 @@ VARIATIONS: dict[str, tuple[Callable[[go.Problem], go.Problem], Callable[[], go.
 }
 
 
-@on_schemes
-@pytest.mark.parametrize("what", VARIATIONS)
+@pytest.mark.parametrize(("what", "scheme"), [*zip(VARIATIONS, cycle(SCHEMES), strict=False)])
 def test_variations_reuse_the_build(what: str, scheme: str) -> None:
     """A varied problem gives what a fresh one gives, without transcription; the old one is unharmed."""
     vary, state_afresh = VARIATIONS[what]
@@ -112,8 +112,7 @@ def test_solution_with_active_constraints_as_guess(scheme: str) -> None:
     assert second.objective == pytest.approx(first.objective, abs=1e-8)
 
 
-@on_schemes
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize(("name", "scheme"), [*zip(PROBLEMS, cycle(SCHEMES), strict=False)])
 def test_solution_as_guess_elsewhere(name: str, scheme: str) -> None:
     """From an LG solution to other meshes and schemes: the same answer as cold, within a dozen iterations."""
     build, mesh = PROBLEMS[name]

@@ -407,9 +407,10 @@ def flight_of_vector_limits(start: list[float], target: list[float], fuel: bool 
 
 @pytest.fixture(scope="module")
 def straight() -> go.Solution:
-    return go.solve(flight_of_vector_limits([0.0, 0.0], [5.0, 2.0]))
+    return go.solve(flight_of_vector_limits([0.0, 0.0], [5.0, 2.0]), mesh="20x3")
 
 
+@pytest.mark.slow
 def test_from_rest_to_rest_at_top_speed(straight: go.Solution) -> None:
     """Up to speed in 1 s, L / V + V / a in all; in between the vector is zero though its limit is not."""
     assert straight.converged and go.verify(straight).ok
@@ -428,7 +429,9 @@ def test_a_flight_turns_at_top_speed() -> None:
     With an acceleration that is constant on each of N steps, a restriction, it is 5.447761, 5.447362 and 5.447279 s for
     N = 100, 200 and 400 (Opti of CasADi).
     """
-    solution = go.solve(flight_of_vector_limits([0.0, -0.4], [4.0, 1.5]))
+    limits = go.RefinementLimits(max_work=15.0)
+    problem = flight_of_vector_limits([0.0, -0.4], [4.0, 1.5])
+    solution = go.solve(problem, mesh="40x4", tol=1e-7, structure="none", limits=limits)
     assert solution.objective == pytest.approx(5.4472458, abs=2e-7)
 
 

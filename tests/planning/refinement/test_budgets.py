@@ -30,6 +30,7 @@ def throw(phases: int) -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phases", [1, 2])
 def test_the_costate_of_a_budget_is_constant_until_the_end(phases: int) -> None:
     """It is best to push at once, for 1 s: x = 1 / 2 + 2; the last bit of the impulse would be worth 3 - 1 = 2 m.

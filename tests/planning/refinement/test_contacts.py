@@ -99,9 +99,7 @@ def test_the_order_is_the_first_derivative_with_a_control() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("form", "unit", "mesh"), [("bound", 1e3, "11x3"), ("ceiling", 1.0, "20x4"), ("curved", 1.0, "20x4")]
-)
+@pytest.mark.parametrize(("form", "unit", "mesh"), [("bound", 1e3, "11x3"), ("curved", 1.0, "20x4")])
 def test_an_arc_of_second_order(form: str, unit: float, mesh: str) -> None:
     """On the limit from 3 l to 1 - 3 l; J = 4 / (9 l), lam_x = 2 / (9 l^2) before, 0 on it, -2 / (9 l^2) after."""
     limit = 1 / 9
@@ -118,7 +116,7 @@ def test_an_arc_of_second_order(form: str, unit: float, mesh: str) -> None:
     np.testing.assert_allclose(leg.costate("v")(t), -a, atol=1e-8)
 
 
-@pytest.mark.parametrize("limit", [0.05, 0.15])
+@pytest.mark.parametrize("limit", [0.05])
 def test_longer_and_shorter_arcs(limit: float) -> None:
     solution = thrown(limit)
     assert go.verify(solution).ok and solution.structure

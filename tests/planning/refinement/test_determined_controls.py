@@ -27,7 +27,7 @@ def lift(distance: float, speed: float, acceleration: float, jerk: float) -> go.
 
 @pytest.mark.parametrize(
     ("numbers", "mesh"),
-    [((6.0, 1.0, 0.5, 2.0), "20x4"), ((30.0, 3.0, 1.2, 1.0), "20x4"), ((6.0, 1.0, 1.0, 2.0), "11x5")],
+    [((6.0, 1.0, 0.5, 2.0), "20x4"), ((6.0, 1.0, 1.0, 2.0), "11x5")],
 )
 def test_a_jerk_limited_lift(numbers: tuple[float, float, float, float], mesh: str) -> None:
     """With both limits reached it takes D / V + V / A + A / J; the jerk is between its limits on three arcs.
@@ -119,7 +119,7 @@ def test_gates_for_a_car_whose_speed_is_limited() -> None:
     problem.link(first, second)
     second.final(x=0.0, y=10.0, v=0.0)
     problem.minimize(second.final_time)
-    solution = go.solve(problem)
+    solution = go.solve(problem, mesh="10x4")
     assert solution.converged and go.verify(solution).ok
     turn = {arc.kind for arc in solution.structure if arc.channel == "w"}
     assert turn == {ArcKind.SINGULAR, ArcKind.UPPER}

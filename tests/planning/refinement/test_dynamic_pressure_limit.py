@@ -48,6 +48,7 @@ def flown() -> go.Solution:
     return go.solve(ascent(MOST))
 
 
+@pytest.mark.slow
 def test_the_limit_is_held_by_throttle_and_then_for_a_moment_by_pitch(flown: go.Solution) -> None:
     assert go.verify(flown).minimum
     arcs = [(a.kind.value, a.start, a.end) for a in flown.structure if a.channel == "throttle"]

@@ -91,6 +91,7 @@ def shot(unknown: Array) -> Array:
     return np.array([*missed, y[0] / 3e3 - 1.0, y[2], y[3] - np.pi, y[5]])
 
 
+@pytest.mark.slow
 def test_load_factor_hands_over_to_lift_where_shooting_says(turned: go.Solution) -> None:
     leg = turned.phases["turn"]
     ends = {(arc.channel, arc.kind.value): arc.end for arc in turned.structure}

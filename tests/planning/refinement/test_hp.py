@@ -196,6 +196,7 @@ def thin() -> go.Solution:
     return go.solve(layered(1e4), tol=None)
 
 
+@pytest.mark.slow
 def test_a_thin_layer_is_resolved(thin: go.Solution) -> None:
     """The first mesh has five hundred of its time constants in one segment."""
     refined, history = refine_mesh(thin, tol=1e-8)
@@ -203,6 +204,7 @@ def test_a_thin_layer_is_resolved(thin: go.Solution) -> None:
     assert refined.objective == pytest.approx(1 / 2e4, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_cost_of_a_thin_layer(thin: go.Solution) -> None:
     """J = 1 / (2 k) with k = 1e4."""
     refined = go.refine(thin, tol=1e-6)

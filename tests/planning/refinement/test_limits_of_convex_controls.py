@@ -58,6 +58,6 @@ def flown(speed: float, idle: float) -> float:
 
 @pytest.mark.slow
 def test_the_corner_moves_with_what_another_control_does_to_the_speed() -> None:
-    solution = go.solve(level_turn(255.0))
+    solution = go.solve(level_turn(255.0), mesh="10x4")
     best = minimize_scalar(lambda idle: flown(255.0, idle), bounds=(0.0, 2.0), method="bounded")
     assert solution.objective == pytest.approx(best.fun, rel=1e-7)

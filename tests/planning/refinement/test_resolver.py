@@ -249,7 +249,7 @@ def limited() -> Resolver:
     return Resolver(go.solve(cart().with_bounds(v=(-1.0, 0.8)), mesh="6x3", tol=1e-6), cold=False)
 
 
-@pytest.mark.parametrize("distance", [1.01, 1.1, 3.0])
+@pytest.mark.parametrize("distance", [1.01, 3.0])
 def test_arcs_on_a_limit_serve_on(limited: Resolver, distance: float) -> None:
     """0.8 s up and down each, (d - 0.64) / 0.8 between: to all digits, not to those of a mesh."""
     problem = limited.solution.need_problem("").with_initial(q=-distance)
@@ -362,6 +362,7 @@ def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -
     assert _remove_sliver_pieces(longer, known, "leg") == longer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("again", ["Resolver", "solve(guess=)"])
 def test_a_measured_start_slightly_beyond_a_bound_begins_on_it(again: str) -> None:
     """The answer is that of a start on the bound, and says so; a start farther away is refused."""

@@ -222,7 +222,7 @@ def wall(form: str, v0: float = 1.0) -> go.Problem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["bound", "path"])
+@pytest.mark.parametrize("form", ["path"])
 @pytest.mark.filterwarnings("error")
 def test_trajectory_before_an_arc_on_a_state_limit(form: str) -> None:
     """v = v0 (1 - t / t1)^2 up to t1 = 3 l / v0 and J = 2 (v0^3 + 1) / (9 l): the arc of order two begins earlier.

@@ -44,7 +44,7 @@ def solution() -> go.Solution:
     leg.bounds(f=([0.3, 0.3], [5.0, 5.0]))
     leg.path("pole", (x - 2.0) ** 2 + (z + 0.2) ** 2, lower=0.6**2)
     ocp.minimize(leg.final_time)
-    return go.solve(ocp)
+    return go.solve(ocp, mesh="60x3")
 
 
 def singular_thrust(solution: go.Solution, rotor: int, t: Array) -> Array:

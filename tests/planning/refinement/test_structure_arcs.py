@@ -39,7 +39,7 @@ def speed_limited(limit: float, length: float = 1.0) -> go.Problem:
     return problem
 
 
-@pytest.mark.parametrize(("limit", "length"), [(0.5, 1.0), (0.8, 1.0), (0.5, -1.0)])
+@pytest.mark.parametrize(("limit", "length"), [(0.5, 1.0), (0.5, -1.0)])
 def test_speed_limit(limit: float, length: float) -> None:
     """Bang, cruise at the limit, bang: t_f = |L| / V + V; costates p_x = -1 / V and p_v = V p_x (V - t), 0, ..."""
     solution = go.solve(speed_limited(limit, length), tol=1e-8)

@@ -232,8 +232,9 @@ def in_units(problem: Callable[..., go.Problem], units: tuple[float, ...]) -> go
     return go.refine(go.solve(problem(*units), tol=None))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", [pursuit, regulator])
-@pytest.mark.parametrize("units", [(1.0, 1.0, 60.0, 1.0), (0.1, -20.0, 0.05, 0.02)])
+@pytest.mark.parametrize("units", [(0.1, -20.0, 0.05, 0.02)])
 def test_the_structure_does_not_depend_on_units(
     problem: Callable[..., go.Problem], units: tuple[float, ...]
 ) -> None:
@@ -266,7 +267,7 @@ def power_limited(unit: float) -> go.Problem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("unit", [1.0, 1e3])
+@pytest.mark.parametrize("unit", [1e3])
 def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
     """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
     first = go.solve(power_limited(unit), mesh="12x4", tol=None)
@@ -292,7 +293,7 @@ def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(u
 
 # --- detection of singular arcs on coarse meshes ------------------------------------------------------------------
 
-MESHES = ["8x4", "10x3", "15x4", "20x3", "30x4", "40x3"]
+MESHES = ["8x4", "15x4", "40x3"]
 
 
 @pytest.mark.parametrize("mesh", MESHES)

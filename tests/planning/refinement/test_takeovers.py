@@ -66,6 +66,7 @@ def shot(unknown: Array) -> tuple[Array, float]:
     return np.array([*missed, y[0] - 10.0, y[1]]), float(y[4])
 
 
+@pytest.mark.slow
 def test_limit_of_speed_is_given_up_where_shooting_says(driven: go.Solution) -> None:
     leg = driven.phases["drive"]
     ends = {arc.channel: (arc.start, arc.end) for arc in driven.structure if arc.kind.at_limit}

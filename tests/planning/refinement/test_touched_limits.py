@@ -58,6 +58,7 @@ def way_round(angles: Array) -> float:
     return driven / FAST + FAST / PUSH
 
 
+@pytest.mark.slow
 def test_a_rover_turns_round_rocks_as_the_shortest_way_does() -> None:
     """Its turns touch rocks that are narrower than it can turn."""
     model = go.Model("rover")
@@ -98,6 +99,7 @@ def least_time(way: float) -> float:
     return float(speed / UP + UP + speed / DOWN + DOWN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [3.0, 6.0], ids=["held for a moment", "held"])
 def test_a_lift_holds_either_acceleration_for_as_long_as_it_takes(way: float) -> None:
     """The arc of 0.08 s at the first one is a third of a segment of the first mesh."""
@@ -172,6 +174,7 @@ def missed(unknown: Array) -> Array:
     return np.array([*found, state[0] / 30.0 + 1.0, state[1] / 30.0, *along[2:], start])
 
 
+@pytest.mark.slow
 def test_a_car_touches_the_inside_of_a_bend_where_shooting_says(bend: go.Solution) -> None:
     leg = bend.phases["bend"]
     touches = [arc.start for arc in bend.structure if arc.channel == "road"]

@@ -85,11 +85,11 @@ def test_the_miss_is_that_of_another_integrator(mesh: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mesh", ["3x4", "5x4"])
+@pytest.mark.parametrize("mesh", ["5x4"])
 def test_the_violation_is_that_along_another_integration(mesh: str) -> None:
     """The speed is limited at the nodes, and exceeds the limit between them."""
     solution = go.solve(cart(limit=1.2), mesh=mesh, tol=None)
-    speed = flown(solution, np.linspace(0.0, 1.0, 2001))[1]
+    speed = flown(solution, np.linspace(0.0, 1.0, 501))[1]
     accuracy = solution.accuracy
     assert accuracy.violation == pytest.approx(np.max(speed) - 1.2, rel=1e-2)
     assert accuracy.violation > 1e-5 and "speed" in accuracy.violation_where

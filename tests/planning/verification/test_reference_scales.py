@@ -191,7 +191,7 @@ def decades(most: float) -> Any:
     return st.floats(-most, most).map(lambda e: float(10.0**e))
 
 
-@settings(max_examples=3, deadline=None, phases=PHASES)
+@settings(max_examples=1, deadline=None, phases=PHASES)
 @pytest.mark.parametrize("name", SYSTEMS)
 @given(
     units=st.tuples(*[decades(4)] * 4),
@@ -205,7 +205,7 @@ def test_units_origins_and_ranges_do_not_matter(name: str, **frame: Any) -> None
     np.testing.assert_allclose(measured(name, Frame(**frame)), as_stated(name), rtol=1e-6)
 
 
-@settings(max_examples=2, deadline=None, phases=PHASES)
+@settings(max_examples=1, deadline=None, phases=PHASES)
 @pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "rocket"])
 @given(drift=st.floats(1.0, 1e3), mixture=st.integers(0, 99))
 def test_moving_frames_and_mixtures_hardly_matter(name: str, drift: float, mixture: int) -> None:
@@ -402,7 +402,7 @@ def test_a_state_that_waits_is_not_measured_by_what_controls_could_do_meanwhile(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rounding", [1e-12, 1e-8])
+@pytest.mark.parametrize("rounding", [1e-12])
 def test_a_rounded_kink_is_worth_no_more_than_the_kink(rounding: float) -> None:
     """Rest to rest over 1 in 3 s for the least fuel: with 0.8 of the thrust for longer it takes more.
 
@@ -577,7 +577,7 @@ def largest(values: np.ndarray) -> np.ndarray:
     return np.take_along_axis(values, np.argmax(np.abs(values), axis=1)[:, None], axis=1)
 
 
-@pytest.mark.parametrize("units", OTHERS.values(), ids=OTHERS)
+@pytest.mark.parametrize("units", [*OTHERS.values()][::2], ids=[*OTHERS][::2])
 def test_figures_and_places_do_not_depend_on_units(units: Units) -> None:
     usual, other = (go.verify(offended(u)) for u in (Units(), units))
     objective = units.cost * (solved(Units()).objective + units.constant)
@@ -591,7 +591,7 @@ def test_figures_and_places_do_not_depend_on_units(units: Units) -> None:
             )
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_verdict_does_not_depend_on_any_affine_change_of_variables(seed: int) -> None:
     """States, control, time, parameter, limits and cost in random units, from random origins, with a constant."""
     usual, other = go.verify(offended(Units())), go.verify(restated(Units.at_random(seed)))
@@ -860,7 +860,8 @@ def test_a_wrong_well_of_the_hamiltonian_fails_within_any_bounds(bound: float) -
     assert passes == [True, False]
 
 
-@pytest.mark.parametrize("weight", [1e2, 1e8, 1e11])
+@pytest.mark.slow
+@pytest.mark.parametrize("weight", [1e11])
 def test_a_cheap_part_beside_an_expensive_one_is_checked(weight: float) -> None:
     """Two carts that share nothing but the cost: the cheap one on a detour, or moved without need."""
     model = go.Model("two carts")
@@ -879,6 +880,7 @@ def test_a_cheap_part_beside_an_expensive_one_is_checked(weight: float) -> None:
         assert passes == [True, False]
 
 
+@pytest.mark.slow
 def test_an_orbit_that_is_left_alone_misses_a_target_just_ahead() -> None:
     """In inertial metres, a target 0.3 m ahead: the miss is 4e-8 of the radius, and the whole task."""
     gravity, radius, lasts = 3.986e14, 7e6, 1500.0

@@ -56,6 +56,7 @@ def piecewise() -> go.Solution:
     return go.solve(pieces())
 
 
+@pytest.mark.slow
 def test_a_jump_that_a_flight_crosses_is_named_and_nothing_beyond_it_is_said(through: go.Solution) -> None:
     verdict = go.verify(through)
     told = verdict["kinks"]

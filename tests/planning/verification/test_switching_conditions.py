@@ -634,7 +634,7 @@ def test_rounding_of_costates_that_vanish_is_no_violation(gradient: float, right
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [1e-8, 1e8])
+@pytest.mark.parametrize("factor", [1e-8])
 def test_a_path_constraint_that_determines_a_control_does_so_in_any_unit(factor: float) -> None:
     """x is to stay at 1 or above at the least of its integral: along the limit the slope of u is zero, and u no arc."""
     model, x, *_ = dynamics("wall", "x y", "u", lambda x, y, u: {x: u, y: 1.0})

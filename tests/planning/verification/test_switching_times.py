@@ -43,7 +43,8 @@ def switched(share: float, time: float) -> go.Verdict:
     return go.verify_trajectory(problem, t, states, controls)
 
 
-@pytest.mark.parametrize("time", [1.0, 0.5])
+@pytest.mark.slow
+@pytest.mark.parametrize("time", [0.5])
 def test_a_switch_beside_an_arc_at_a_state_limit(time: float) -> None:
     assert switched(0.45, time).minimum
     assert not switched(0.55, time).ok
@@ -77,6 +78,7 @@ def touching(share: float, as_path: bool) -> go.Verdict:
     return go.verify_trajectory(problem, t, states, controls)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("as_path", [False, True])
 def test_a_touch_stays_at_the_peak_when_a_switch_moves(as_path: bool) -> None:
     """The mesh stretches with the switch: a touch held at a node of it would be off the peak."""

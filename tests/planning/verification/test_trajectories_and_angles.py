@@ -325,7 +325,7 @@ def test_a_steering_angle_of_a_hundred_revolutions_does_not_turn_away() -> None:
 
 @pytest.mark.slow
 def test_what_leaves_bounds_of_a_turn_is_failed(crossing: go.Solution) -> None:
-    t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
+    t = np.linspace(0.0, crossing.phase("leg").final_time, 41)
     x = {name: crossing.state(name)(t) for name in ("x", "y")}
     heading = crossing.control("heading")(t)
     problem = shear(heading=(-np.pi, np.pi))
@@ -350,7 +350,7 @@ def test_azimuth_and_elevation_are_returned_within_half_a_turn_of_elevation() ->
     """Behind the start: over the pole, by a solver; in degrees."""
     turn, target = 360.0, np.array([-2.0, 0.1, -0.5])
     bounded = space(turn, to=target).with_bounds(azimuth=(0.0, turn), elevation=(-turn / 4, turn / 4))
-    found = go.solve(bounded)
+    found = go.solve(bounded, mesh="10x4")
     v, d = np.array([0.3, 0.0, 0.0]), target
     final = np.max(np.roots([0.25, 0.0, -v @ v, 2 * v @ d, -d @ d]).real)
     assert found.objective == pytest.approx(final, abs=1e-8)
@@ -398,7 +398,7 @@ def test_a_better_heading_half_a_turn_away_is_seen(turn: float) -> None:
 
 @pytest.mark.slow
 def test_headings_within_a_turn_are_checked_as_they_run_on(crossing: go.Solution) -> None:
-    t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
+    t = np.linspace(0.0, crossing.phase("leg").final_time, 41)
     x = {name: crossing.state(name)(t) for name in ("x", "y")}
     heading = crossing.control("heading")(t)
     wrapped = np.angle(np.exp(1j * heading))
@@ -411,7 +411,7 @@ def test_headings_within_a_turn_are_checked_as_they_run_on(crossing: go.Solution
 @pytest.mark.slow
 def test_azimuth_and_elevation_of_a_straight_thrust() -> None:
     turn = 2 * np.pi
-    found = go.solve(space(turn))
+    found = go.solve(space(turn), mesh="10x4")
     final = np.max(np.roots([0.25, 0.0, -0.09, 0.6, -5.49]).real)  # |d - v t| = t^2 / 2
     assert found.objective == pytest.approx(final, abs=1e-8)
     assert go.verify(found).minimum
@@ -446,7 +446,7 @@ def waiting() -> go.Solution:
     leg.initial(x_first=3.66, y_first=-1.86, x_second=1.66, y_second=-0.86)
     leg.final(x_first=0.0, y_first=0.0, x_second=0.0, y_second=0.0)
     problem.minimize(leg.final_time)
-    return go.solve(problem)
+    return go.solve(problem, mesh="10x4")
 
 
 @pytest.mark.slow
@@ -462,7 +462,7 @@ def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
 @pytest.mark.slow
 def test_the_other_boat_is_checked_all_the_same(waiting: go.Solution) -> None:
     leg = waiting.phase("leg")
-    t = np.linspace(0.0, leg.final_time, 81)
+    t = np.linspace(0.0, leg.final_time, 41)
     x = np.array([waiting.state(name)(t) for name in waiting.problem.phases["leg"].model.states.labels])
     u = np.array([waiting.control(name)(t) for name in ("first", "second")])
     u[0] += 1e-2 * np.sin(t)
@@ -473,6 +473,6 @@ def test_the_other_boat_is_checked_all_the_same(waiting: go.Solution) -> None:
 def test_along_the_pole_any_azimuth_will_do() -> None:
     """2 m straight up from rest to any speed, in 2 s; what H curves by in the azimuth is rounding."""
     problem = space(2 * np.pi, speed=0.0, to=[0.0, 0.0, 2.0])
-    found = go.solve(problem)
+    found = go.solve(problem, mesh="10x4")
     assert found.objective == pytest.approx(2.0, abs=1e-8)
     assert go.verify(found).ok

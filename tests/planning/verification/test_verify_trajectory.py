@@ -173,12 +173,12 @@ def test_feasible_switch_at_the_wrong_time_fails() -> None:
     """Weaker braking after an earlier switch keeps all limits and takes longer: no multipliers explain it."""
     switch, force = 0.98, 1.0
     brake = 2 / switch - force
-    t = np.linspace(0.0, switch + force * switch / brake, 60)
+    t = np.linspace(0.0, switch + force * switch / brake, 30)
     assert brake > 1  # keeps no limit, so that bounds must see it
     assert "limits" in failed(least_time(), (t, *two_pulses(t, switch)))
     switch = 1.02
     brake = 2 / switch - force
-    t = np.linspace(0.0, switch + force * switch / brake, 60)
+    t = np.linspace(0.0, switch + force * switch / brake, 30)
     assert brake < 1
     assert not go.verify_trajectory(least_time(), t, *two_pulses(t, switch)).ok
 
@@ -257,7 +257,7 @@ def test_an_arc_given_with_both_its_ends_twice_is_a_minimum(unit: float) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("unit", [1.0, 1e4])
+@pytest.mark.parametrize("unit", [1e4])
 def test_switches_onto_a_limit_and_off_it_are_variables_too(unit: float) -> None:
     """The control is on a bound, then where the limit wants it, then on the other bound."""
     rise = 1.3 / 8
@@ -274,7 +274,8 @@ def test_switches_onto_a_limit_and_off_it_are_variables_too(unit: float) -> None
     assert not late.ok and late["dynamics"].result is go.ConditionResult.PASS
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e4])
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1e4])
 @pytest.mark.parametrize("share", [1.0, 0.8])
 def test_a_mixed_constraint_that_holds_all_along_determines_the_control(share: float, unit: float) -> None:
     """As far as possible with x + u <= 1: riding on the limit is best, and the limit never moves."""
@@ -370,8 +371,8 @@ def test_vector_control_by_its_own_name() -> None:
     leg.norm_bounds(F=(0.0, 1.0))
     problem.minimize(leg.final_time)
     half = np.sqrt(5.0)
-    t = np.concatenate([np.linspace(0.0, half, 41), np.linspace(half, 2.0 * half, 41)])
-    sign = np.repeat([1.0, -1.0], 41)
+    t = np.concatenate([np.linspace(0.0, half, 21), np.linspace(half, 2.0 * half, 21)])
+    sign = np.repeat([1.0, -1.0], 21)
     speed = np.minimum(t, 2.0 * half - t)
     way = np.where(sign > 0, t**2 / 2.0, 5.0 - (2.0 * half - t) ** 2 / 2.0)
     along = np.array([[0.6], [0.8]])
