@@ -277,7 +277,7 @@ def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_sam
     # arc and that the verdict rejects; on halved segments the arc is seen.
     problem = rendezvous.build(case=2)
     options = go.SolverOptions(max_iterations=400)
-    endings = [_Coarse(1, "20x3", options)(problem, k) for k in (41, 59)]
+    endings = (_Coarse(1, "20x3", options)(problem, k) for k in (41, 59))
     # Where a start ends may depend on the machine's rounding, hence two of them.
     coarse = next(e for e in endings if e.objective is not None and abs(e.objective - 26.2288) < 1e-3)
     assert coarse.solution is not None and coarse.objective is not None

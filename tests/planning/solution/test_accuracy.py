@@ -46,17 +46,18 @@ def minimum_time(load: float | None = None) -> go.Problem:
 def flown(solution: go.Solution, times: np.ndarray) -> np.ndarray:
     """States of the applied control by SciPy, restarted at its jumps."""
     leg, x, found = solution.phase(), np.zeros(2), []
-    edges = np.union1d(leg.flown.jumps, times)
-    for left, right in itertools.pairwise(edges):
-        found.append(x)
+    knots = np.union1d(leg.flown.jumps, times[[0, -1]])
+    for left, right in itertools.pairwise(knots):
 
         def rate(t: float, y: np.ndarray, left: float = left, right: float = right) -> list[float]:
             inside = np.clip(t, left + 1e-9 * (right - left), right - 1e-9 * (right - left))
             return [y[1], float(leg.flown(inside)[0])]
 
-        x = solve_ivp(rate, (left, right), x, rtol=1e-10, atol=1e-12).y[:, -1]
-    found.append(x)
-    return np.array(found).T[:, np.searchsorted(edges, times)]
+        within = times[(times >= left) & (times < right)]
+        run = solve_ivp(rate, (left, right), x, t_eval=[*within, right], rtol=1e-10, atol=1e-12)
+        found.append(run.y[:, :-1])
+        x = run.y[:, -1]
+    return np.hstack([*found, x[:, None]])[:, : times.size]
 
 
 def test_a_refined_answer_is_accurate_to_rounding() -> None:
