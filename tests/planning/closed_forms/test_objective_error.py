@@ -14,7 +14,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
-MESHES = ("20x4", "60x3")
+MESHES = ("20x4",)
 
 
 def cart(acceleration: tuple[float, float] = (-np.inf, np.inf)) -> tuple[go.Problem, go.Phase, Any]:

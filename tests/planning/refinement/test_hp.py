@@ -114,7 +114,7 @@ def check(history: History, tol: float) -> None:
 # --- the estimate -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mesh", ["4x4", "6x5", "3x8"])
+@pytest.mark.parametrize("mesh", ["4x4", "3x8"])
 def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
     """Restarted on every segment, DOP853 departs from the polynomials about as far as the estimate says.
 
@@ -174,7 +174,7 @@ def test_estimate_sees_the_overshoot_between_nodes(mesh: str) -> None:
 # --- refinement against closed forms ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
+@pytest.mark.parametrize("scheme", ["LGR"])
 def test_boundary_layer(scheme: str) -> None:
     """The cost to the tolerance, the state to its root (an optimal cost is flat in the state)."""
     first = go.solve(layered(), scheme=scheme, tol=None)  # type: ignore[arg-type]

@@ -85,7 +85,7 @@ def tuned_spring() -> go.Problem:
     return problem
 
 
-@pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
+@pytest.mark.parametrize("scheme", ["LG", "LGL"])
 @pytest.mark.parametrize("bounded", [False, True])
 def test_parameter_state_and_control_with_and_without_active_bounds(scheme: str, bounded: bool) -> None:
     problem = van_der_pol().with_bounds(u=(-0.3, 0.6)) if bounded else van_der_pol()

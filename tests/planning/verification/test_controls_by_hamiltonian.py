@@ -116,9 +116,7 @@ def _well(center: float, width: float, depth: float) -> Callable[[Any], Any]:
     return lambda u: 1 + u[0] ** 2 - depth * ca.exp(-(((u[0] - center) / width) ** 2))
 
 
-@pytest.mark.parametrize(
-    ("center", "width"), [(0.3713, 1e-1), (0.3713, 1e-2), (-0.617, 1e-3), (0.3713, 1e-4), (-0.617, 1e-4)]
-)
+@pytest.mark.parametrize(("center", "width"), [(0.3713, 1e-1), (-0.617, 1e-3), (0.3713, 1e-4)])
 def test_wells_wider_than_the_resolution_are_found(center: float, width: float) -> None:
     """A well of which 2e-4 of the range is below the flown H, beside one that is as narrow but too shallow."""
     condition = go.verify(idle(1, _well(center, width, 1.0)))["minimum principle"]

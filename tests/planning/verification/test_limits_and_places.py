@@ -89,9 +89,7 @@ FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {
 UNITS = {"m, s": (1.0, 1.0), "km, min": (1e-3, 1 / 60), "mm, ms": (1e3, 1e3)}
 
 
-@pytest.mark.parametrize(
-    ("form", "units"), [*((form, "m, s") for form in FORMS), ("inverse", "km, min"), ("square", "mm, ms")]
-)
+@pytest.mark.parametrize(("form", "units"), [*((form, "m, s") for form in FORMS), ("inverse", "km, min")])
 def test_flight_through_a_small_sphere_fails_in_every_form_and_unit(form: str, units: str) -> None:
     """1 m inside of 10 m: a depth of 1 m to first order, as the curvature of the forms allows."""
     through, grazing, outside = (flown_by(*FORMS[form], miss, *UNITS[units]) for miss in (0.0, 9.0, 10.001))
