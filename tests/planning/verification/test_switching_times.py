@@ -116,3 +116,26 @@ def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap
     solution = go.solve(problem, mesh="2x3", tol=None)
     jumps = find_jumps(list(solution.samples().values()))
     assert [jump.beyond for jump in jumps] == ["second"] * count
+
+
+@pytest.mark.parametrize(("pause", "jumps"), [(0.0, 1), (0.5, 0)])
+def test_a_control_jumps_between_phases_that_follow_each_other_without_a_pause(
+    pause: float, jumps: int
+) -> None:
+    """Up at full rate for 1 s, then down: one switch at the boundary, none if the second phase begins later."""
+    problem, legs = go.Problem("up and down"), []
+    for name, start in (("up", 0.0), ("down", 1.0 + pause)):
+        model = go.Model(name)
+        x, u = model.state("x"), model.control("u")
+        model.ode({x: u})
+        leg = problem.phase(name, model)
+        leg.time(start, start + 1.0)
+        leg.initial(x=0.0)
+        leg.bounds(u=(-1.0, 1.0))
+        legs.append(leg)
+    problem.minimize(legs[1].final_state("x") - legs[0].final_state("x"))
+    samples = go.solve(problem, mesh="2x3", tol=None).samples()
+    found = find_jumps(list(samples.values()))
+    assert [(jump.phase, jump.time, jump.channel, jump.beyond) for jump in found] == [
+        ("up", 1.0, 0, "down")
+    ] * jumps
