@@ -26,6 +26,14 @@ def heading(text: str) -> str:
     return f"<p><strong>{escape(text)}</strong></p>"
 
 
+def derivative_unit(unit: str, other: str) -> str:
+    """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N"."""
+    if not other:
+        return unit
+    divisor = f"({other})" if set(other) & set(" /*") else other
+    return f"{unit or '1'}/{divisor}"
+
+
 def preformatted(text: str) -> str:
     """Return lines whose columns stay where they are."""
     return f"<pre>{escape(text)}</pre>"

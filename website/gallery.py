@@ -45,21 +45,6 @@ def pages(pictures: bool) -> dict[str, str]:
     return {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
 
 
-def overview(pictures: bool) -> str:
-    """Return the section of pictures of the page of examples: the controls, or the states of what has none."""
-    return "\n".join(_overview(pictures))
-
-
-def _overview(pictures: bool) -> Iterator[str]:
-    for trade, members in by_trade().items():
-        yield f'### {trade}\n\n<div class="exhibits" markdown>\n'
-        for example in members:
-            title, kind = heading(example), shown(example)[-1]
-            picture = f"![{title}: {kind}](gallery/{example.name}_{kind}.svg)<br>" if pictures else ""
-            yield f"[{picture}{title}](gallery/{example.name}.md)\n"
-        yield "</div>\n"
-
-
 def _page(example: Example, pictures: bool) -> Iterator[str]:
     yield f"# {heading(example)}\n"
     yield module_page(example.statement) + "\n"
@@ -75,6 +60,8 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
         yield "".join(
             f"[![{heading(example)}: {kind}]({f})]({f})\n\n" for kind, f in files.items()
         )  # to look closer
+    elif (ROOT / "docs" / "pictures" / f"{example.name}.png").exists():
+        yield f"![{heading(example)}: solution](../pictures/{example.name}.png)\n"
     for path in sorted(example.path.glob("*.py")) if example.is_system else [example.path]:
         place = path.relative_to(ROOT)
         code = path.read_text(encoding="utf-8")

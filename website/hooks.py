@@ -61,11 +61,12 @@ _ON_THE_SITE = {
 }
 """What the first page says in the repository, where nothing is generated, and on the site."""
 
-_PICTURES = "The site that `mkdocs build` writes shows a picture and the code of every example here.\n"
-"""Of the page of examples in the repository; the site has the pictures in its place."""
-
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
+LONG_LINE = 98
+"""Columns that fit beside the navigation at 1280 pixels."""
+
+_CODE = re.compile(r'(<div class="[^"]*highlight)([^"]*">.*?</div>)', re.DOTALL)
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
@@ -117,8 +118,6 @@ def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
     text = "".join(shown)
     for here, there in _ON_THE_SITE.items() if place == "index.md" else ():
         text = text.replace(here, there)
-    if place == "problems.md" and "config" in more:
-        text = text.replace(_PICTURES, gallery.overview(bool(more["config"].extra["figures"])))
     return text
 
 
@@ -162,7 +161,13 @@ def on_page_content(content: str, **more: Any) -> str:
         latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
         return str(convert(latex, display="inline" if found[1] == "span" else "block"))
 
-    return _FORMULA.sub(formula, content)
+    return _FORMULA.sub(formula, _CODE.sub(_marked_if_long, content))
+
+
+def _marked_if_long(found: re.Match[str]) -> str:
+    """Give a block of code with long lines a class of its own, which makes its letters smaller."""
+    lines = html.unescape(re.sub(r"<[^>]*>", "", found[2])).splitlines()
+    return f"{found[1]}{' long' if max(map(len, lines), default=0) > LONG_LINE else ''}{found[2]}"
 
 
 def on_post_build(config: MkDocsConfig) -> None:

@@ -1,7 +1,7 @@
 """Validate the solver on every problem with a known optimum.
 
     python -m benchmarks.validation.engine [--groups set gallery ...] [--only NAME ...] [--json OUT]
-        [--compare FORMER.json] [--set FILE] [--limit CPU_S]
+        [--compare FORMER.json] [--set FILE] [--limit CPU_S] [--pictures FOLDER]
 
 Groups: ``set``, the problems of a JSON file with references (default ``../shared/ocp/problems.json``); ``gallery``,
 the files and systems of ``problems/`` that the solver was developed with; ``rendezvous``, the ten published rendezvous;
@@ -11,7 +11,8 @@ of CPU time. Imports are not counted.
 
 A row shows whether the objective is right (within the tolerance of the reference), ``ok`` and ``minimum`` of the
 optimality check, CPU seconds, the relative error of the objective and its tolerance, the estimated over the true error
-of the objective (if the solution has an estimate), and the stage of the solver that returned the answer.
+of the objective (if the solution has an estimate), and the stage of the solver that returned the answer. ``--pictures``
+draws each solution for the page of examples (``docs/pictures``).
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,7 @@ from benchmarks.validation.problem_set import solve as problem_set
 from benchmarks.validation.problem_set.reader import read_documents
 from gnc_opt.problem_file import Example, example, examples
 from problems._example import Reference
+from website import thumbnails
 
 SET_FILE = Path("../shared/ocp/problems.json")
 """Default file of the problem set."""
@@ -187,7 +190,7 @@ def group_of(problem: Example) -> str:
 # --- one problem ----------------------------------------------------------------------------------------
 
 
-def measure(case: Case, set_file: Path, limit_s: float) -> Row:
+def measure(case: Case, set_file: Path, limit_s: float, pictures: Path | None = None) -> Row:
     """Solve and check one problem; the process is killed by the system at the limit of CPU time."""
     warnings.simplefilter("ignore")
     begin = time.process_time()
@@ -200,7 +203,10 @@ def measure(case: Case, set_file: Path, limit_s: float) -> Row:
         problem, reference = stated(case)
         row = replace(row, **_reference_fields(reference))
         solution = go.solve(problem, tol=TOLERANCES[case.group], throw=False)
-        return _checked(row, solution, begin)
+        row = _checked(row, solution, begin)
+        if pictures is not None and not case.variant:
+            thumbnails.save(case.name, solution, pictures)
+        return row
     except Exception as error:  # an exception in one problem must not stop the others
         cpu_s = time.process_time() - begin
         return replace(row, cpu_s=cpu_s, note=f"{type(error).__name__}: {error}".split("\n")[0])
@@ -406,6 +412,9 @@ def _parser() -> argparse.ArgumentParser:
         "--limit", type=float, default=CPU_LIMIT_S, metavar="S", help="CPU time of a problem (%(default)s)"
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the rows to this file")
+    parser.add_argument(
+        "--pictures", type=Path, metavar="FOLDER", help="write a small picture of each solution"
+    )
     parser.add_argument("--compare", type=Path, metavar="FILE", help="compare with a file written by --json")
     return parser
 
@@ -416,7 +425,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     former = [] if given.compare is None else read_rows(given.compare)
     print(HEADING)
     rows: list[Row] = []
-    for row in run(cases(given.groups, given.only, given.set), given.set, given.limit):
+    solve = partial(measure, pictures=given.pictures)
+    for row in run(cases(given.groups, given.only, given.set), given.set, given.limit, solve):
         rows.append(row)
         print(row, flush=True)
         if given.json is not None:  # after every problem: an interrupted run leaves what is done

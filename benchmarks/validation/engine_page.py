@@ -1,71 +1,76 @@
-"""The table of realistic problems on the page of examples, from results of `benchmarks.validation.engine`.
+"""The tables of solved problems on the page of examples, from results of `benchmarks.validation.engine`.
 
-    python -m benchmarks.validation.engine_page RESULTS.json
+    python -m benchmarks.validation.engine_page RESULTS.json ...
 
-writes the table between its markers in ``docs/problems.md``: question, reference, whether the objective agrees or its
-relative difference, CPU time, and result of the optimality check; above it, how many agree and pass. Problems without
-a result have empty cells.
+writes them between their markers in ``docs/problems.md``: a table per trade with picture, question, objective,
+reference, CPU time and result of the optimality check; above them, how many agree and pass. Problems without a result
+have empty cells.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
+from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 
-from benchmarks.validation.engine import Row, group_of, read_rows
+from benchmarks.validation.engine import Row, read_rows
 from gnc_opt.problem_file import Example, examples
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
-BEGIN, END = "<!-- table of benchmarks.validation.engine -->", "<!-- end of the table -->"
-_HEADING = "| file | question | reference | agrees | CPU s | check | source of the reference |"
-_AGREES = 3
-_CHECK = 5
-"""Columns."""
+BEGIN, END = "<!-- tables of benchmarks.validation.engine -->", "<!-- end of the tables -->"
+_HEADING = "| | problem | objective | reference | CPU s | check |\n|---|---|---|---|--:|---|"
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Return the table in Markdown, by folder and name."""
+def tables(rows: Sequence[Row]) -> str:
+    """Return the tables in Markdown, by folder and name."""
     known = {row.problem: row for row in rows}
-    chosen = [e for e in examples() if group_of(e) in ("flagship", "further")]
-    chosen.sort(key=lambda e: (e.path.parent.name, e.name))
-    cells = [tuple(_cells(each, known.get(each.name))) for each in chosen]
-    lines = [_counts(cells), "", _HEADING, "|---" * (_HEADING.count("|") - 1) + "|"]
-    lines += ["| " + " | ".join(row) + " |" for row in cells]
+    files = sorted((e for e in examples() if not e.is_system), key=lambda e: (e.path.parent.name, e.name))
+    lines = [_counts([known[e.name] for e in files if e.name in known])]
+    for _, members in groupby(files, key=lambda e: e.path.parent):
+        some = list(members)
+        package = import_module(some[0].import_name.rpartition(".")[0])
+        trade = (package.__doc__ or package.__name__).partition(":")[0]
+        cells = ("| " + " | ".join(_cells(each, known.get(each.name))) + " |" for each in some)
+        lines += ["", f"### {trade}", "", _HEADING, *cells]
     return "\n".join(lines)
 
 
-def _counts(cells: Sequence[tuple[str, ...]]) -> str:
+def _counts(rows: Sequence[Row]) -> str:
     """Return how many problems agree with the reference, and how many have which result of the check."""
-    agree = sum(row[_AGREES] == "yes" for row in cells)
-    found = Counter(row[_CHECK] for row in cells)
-    best, others = found["minimum"], found["ok"]
+    minima, passed = sum(row.minimum for row in rows), sum(row.ok for row in rows)
     return (
-        f"Of {len(cells)} problems, {agree} agree with the reference. The check certifies {best} as a strict local "
-        f"minimum; {others} more pass, and {len(cells) - best - others} are not certified."
+        f"Of {len(rows)} problems, {sum(row.right for row in rows)} agree with the reference. The check certifies "
+        f"{minima} as a strict local minimum; {passed - minima} more pass, and {len(rows) - passed} are not certified."
     )
 
 
 def _cells(problem: Example, row: Row | None) -> Iterator[str]:
-    trade, reference = problem.path.parent.name, problem.module.REFERENCE
-    yield f"[`{problem.name}`](../problems/{trade}/{problem.path.name})"
-    yield problem.title.partition(": ")[2]
-    yield f"{reference.value:.10g} {reference.unit}".rstrip()
-    if row is None or row.relative_error is None:
-        yield from ("", "" if row is None else f"{row.cpu_s:.1f}", "" if row is None else "not solved")
-    else:
-        yield "yes" if row.right else f"no: {row.relative_error:.0e}"
-        yield f"{row.cpu_s:.1f}"
-        yield "minimum" if row.minimum else "ok" if row.ok else "not ok"
-    yield reference.source.replace("independent Radau collocation", "Radau")
+    file = f"../problems/{problem.path.parent.name}/{problem.path.name}"
+    name, colon, question = problem.title.partition(":")
+    reference = problem.module.REFERENCE
+    yield f"[![{problem.name}](pictures/{problem.name}.png)]({file})"
+    yield f"[{name}]({file}){colon}{question}"
+    yield "" if row is None or row.objective is None else _objective(row, reference.unit)
+    yield f"{reference.value:.10g}"
+    yield "" if row is None else f"{row.cpu_s:.1f}"
+    yield "" if row is None else "minimum" if row.minimum else "ok" if row.ok else "**not ok**"
+
+
+def _objective(row: Row, unit: str) -> str:
+    """Return the objective with the digits that the tolerance of the reference allows, and its distance."""
+    digits = max(0, -math.floor(math.log10(row.tolerance or 1.0)))
+    text = f"{round(row.objective or 0.0, digits):.10g} {unit}".rstrip()
+    return text if row.right else f"{text}, **differs by {100.0 * (row.relative_error or 0.0):.2g} %**"
 
 
 def write(rows: Sequence[Row], page: Path = PAGE) -> None:
-    """Put the table between its markers on the page."""
+    """Put the tables between their markers on the page."""
     text = page.read_text(encoding="utf-8")
-    found = f"{BEGIN}\n\n{table(rows)}\n\n{END}"
+    found = f"{BEGIN}\n\n{tables(rows)}\n\n{END}"
     page.write_text(
         re.sub(f"{re.escape(BEGIN)}.*?{re.escape(END)}", lambda _: found, text, flags=re.DOTALL),
         encoding="utf-8",
@@ -73,10 +78,12 @@ def write(rows: Sequence[Row], page: Path = PAGE) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the table."""
+    """Write the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("results", type=Path, metavar="RESULTS.json", help="written by the engine's --json")
-    write(read_rows(parser.parse_args(arguments).results))
+    parser.add_argument(
+        "results", type=Path, nargs="+", metavar="RESULTS.json", help="written by the engine's --json"
+    )
+    write([row for path in parser.parse_args(arguments).results for row in read_rows(path)])
     return 0
 
 

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.plot.style import QUIET, derivative_unit, line_style, variable_name_text
+from gnc_opt.plot.style import QUIET, line_style, variable_name_text
+from gnc_opt.text_formatting import derivative_unit
 from gnc_opt.tolerances import ROUNDING, magnitude
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
@@ -21,6 +23,10 @@ BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 
 
 HAMILTONIAN_ROUNDING_SHARE = 1e-7
 """Shares of the Hamiltonian up to this are the solver's rounding."""
+
+
+MOST_ROWS = 3
+"""Axes in one column: three fit the first page of a printed report."""
 
 
 def component_legend_labels(signal: Any) -> list[str]:
@@ -64,6 +70,17 @@ def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
+
+
+def label_times(figure: Figure) -> None:
+    """Label the time axis below the last axes of each column."""
+    columns: dict[int, list[Axes]] = {}
+    for ax in figure.axes:
+        columns.setdefault(ax.get_subplotspec().colspan.start, []).append(ax)
+    for column in columns.values():
+        column[-1].set_xlabel("time (s)")
+        column[-1].tick_params(labelbottom=True)
+        figure.align_ylabels(column)
 
 
 def sample_densely(

@@ -18,11 +18,13 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
+    MOST_ROWS,
     component_legend_labels,
     draw_components,
     draw_phase_boundaries,
     find_zero_crossings,
     hamiltonian_unit,
+    label_times,
     sample_densely,
     select_phases,
     select_variable_names,
@@ -32,21 +34,18 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    derivative_unit,
     legend_above,
     legend_on_top,
     new_figure,
     variable_name_text,
 )
+from gnc_opt.text_formatting import derivative_unit
 from gnc_opt.tolerances import AT_LIMIT
 
 _FLOWN: dict[str, Any] = {"color": COLORS[0], "linewidth": 2.0}
 _POLYNOMIAL: dict[str, Any] = {"color": COLORS[1], "linewidth": 0.7}
 _SWITCHING: dict[str, Any] = {"color": COLORS[2], "linewidth": 1.2}
 _SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
-
-MOST_ROWS = 3
-"""Controls in one column of axes: three fit the first page of a printed report."""
 
 
 def plot_controls(
@@ -110,7 +109,7 @@ def plot_controls(
                 ax.remove()
         for ax in figure.axes:
             draw_phase_boundaries(ax, legs)
-        _label_times(figure)
+        label_times(figure)
         legend_on_top(figure, _control_legend_handles(columns == 2))
     return figure
 
@@ -125,17 +124,6 @@ def _control_axes_grid(rows: int, columns: int) -> tuple[Figure, Any]:
     for ax in np.ravel(grid[rows:]):
         ax.remove()
     return figure, grid[:rows]
-
-
-def _label_times(figure: Figure) -> None:
-    """Label the time axis below the last axes of each column."""
-    columns: dict[int, list[Axes]] = {}
-    for ax in figure.axes:
-        columns.setdefault(ax.get_subplotspec().colspan.start, []).append(ax)
-    for column in columns.values():
-        column[-1].set_xlabel("time (s)")
-        column[-1].tick_params(labelbottom=True)
-        figure.align_ylabels(column)
 
 
 def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -> None:

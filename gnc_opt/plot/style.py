@@ -120,14 +120,6 @@ def variable_name_text(name: str) -> str:
     return f"${symbol}{lowered}${index}"
 
 
-def derivative_unit(unit: str, other: str) -> str:
-    """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N"."""
-    if not other:
-        return unit
-    divisor = f"({other})" if set(other) & set(" /*") else other
-    return f"{unit or '1'}/{divisor}"
-
-
 def number_text(value: float, digits: int = 6) -> str:
     """Return a number with the minus sign of the axes' labels."""
     return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")

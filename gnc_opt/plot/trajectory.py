@@ -16,12 +16,14 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
+    MOST_ROWS,
     component_legend_labels,
     cost_unit,
     data_range,
     draw_components,
     draw_phase_boundaries,
     hamiltonian_unit,
+    label_times,
     sample_densely,
     select_phases,
     select_variable_names,
@@ -31,13 +33,13 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    derivative_unit,
     legend_above,
     legend_on_top,
     new_figure,
     number_text,
     variable_name_text,
 )
+from gnc_opt.text_formatting import derivative_unit
 
 _AT_POINTS: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3.2, "linestyle": "none"}
 _ALONG_FLOWN: dict[str, Any] = {"color": COLORS[5], "linewidth": 0.9}
@@ -166,9 +168,13 @@ def _draw_state_axes(
     legs = select_phases(solution, phase)
     names = select_variable_names(legs, "states", names)
     with apply_style():
-        figure = new_figure(0.5 + 2.1 * len(names))
-        axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-        for ax, name in zip(axes, names, strict=True):
+        columns = 1 if len(names) <= MOST_ROWS else 2
+        rows = -(-len(names) // columns)
+        figure = new_figure(0.5 + 2.1 * rows)
+        axes = figure.subplots(rows, columns, sharex=True, squeeze=False).T.ravel()
+        for ax in axes[len(names) :]:
+            ax.remove()
+        for ax, name in zip(axes, names, strict=False):
             for leg in legs:
                 if name in leg.states:
                     signal = signal_of(leg, name)
@@ -179,8 +185,7 @@ def _draw_state_axes(
             draw_phase_boundaries(ax, legs)
             if max(leg.states[name].size for leg in legs if name in leg.states) > 1:
                 legend_above(ax)
-        axes[-1].set_xlabel("time (s)")
-        figure.align_ylabels(list(axes))
+        label_times(figure)
     return figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from gnc_opt.report.html_document import (
     write_page,
 )
 from gnc_opt.report.solution_page import TRAJECTORY_CAPTION
+from gnc_opt.simulation.campaign_text import campaign_notes, campaign_rows
 from gnc_opt.text_formatting import preformatted, table
 
 if TYPE_CHECKING:
@@ -133,7 +135,7 @@ def write_campaign_report(
     files = save_figures(folder, _draw_campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
-        "Overview": preformatted(str(campaign)),
+        "Overview": _results_table(campaign),
         "Parameters": _drawn_parameters_table(campaign),
         "Motion": motion,
         "Distributions": figure_html(
@@ -162,6 +164,12 @@ def write_campaign_report(
     saved = campaign.save(folder / "campaign.npz")
     page = write_page(folder, html_document(title, headline, sections))
     return [page, saved, statistics, *files.values()]
+
+
+def _results_table(campaign: Campaign) -> str:
+    titles, *rows = campaign_rows(campaign)
+    notes = "".join(f"<p>{escape(note)}</p>" for note in campaign_notes(campaign))
+    return table((titles[0], "unit", *titles[2:]), rows) + notes
 
 
 def _drawn_parameters_table(campaign: Campaign) -> str:

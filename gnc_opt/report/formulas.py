@@ -199,6 +199,8 @@ def name_mathml(label: str, *, dotted: bool = False) -> str:
     """Return a name such as ``r_L[0]`` or ``omega`` as MathML, with subscript and index; dotted: its rate."""
     name, _, index = label.partition("[")
     base, _, subscript = name.partition("_")
+    if len(base) > 1 and base not in _GREEK:
+        base, subscript = name, ""
     text = f"<mi>{escape(_GREEK.get(base, base))}</mi>"
     if dotted:
         text = f"<mover accent='true'>{text}<mo>˙</mo></mover>"

@@ -108,9 +108,9 @@ th, td { padding: .2rem 1rem .2rem 0; text-align: left; vertical-align: top; bor
 th, figcaption { color: var(--quiet); font-weight: normal; }
 .formulas td { border: 0; padding: .25rem .8rem .25rem 0; vertical-align: baseline; line-height: 2; }
 .formulas td:first-child { text-align: right; }
-figure { margin: 0 0 1.5rem; } figcaption { font-size: .9rem; }
+figure { margin: 1rem 0 1.5rem; } figcaption { font-size: .9rem; }
 img { display: block; width: 100%; height: auto; background: #fff; }
-math { font-size: 1.12em; font-family: "STIX Two Math", "Latin Modern Math", "Cambria Math", math; }
+math { font-size: 1.12em; math-style: normal; font-family: "STIX Two Math", "Latin Modern Math", "Cambria Math", math; }
 #overview figure:first-of-type img { width: auto; max-width: 100%; max-height: 38rem; margin: 0 auto; }
 code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 #stage { height: min(36rem, 75vh); } #film { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; }

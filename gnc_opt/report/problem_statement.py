@@ -249,7 +249,7 @@ def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interv
         sign = "=" if lower == upper else "≤"
         after = inline_formula(f"<mo>{sign}</mo>" + number_mathml(upper)) if np.isfinite(upper) else ""
         lines.append((escape(label), f"{before} {middle} {after}"))
-    return _auxiliary_formulas(writer) + _formula_table(lines)
+    return _formula_table(lines) + _auxiliary_formulas(writer)
 
 
 def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
@@ -265,7 +265,7 @@ def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str
             else _join_breakable_terms(writer.split_terms(value))
         )
         lines.append((inline_formula(label), inline_formula("<mo>=</mo>") + " " + right))
-    return _auxiliary_formulas(writer) + _formula_table(lines)
+    return _formula_table(lines) + _auxiliary_formulas(writer)
 
 
 def _auxiliary_formulas(writer: Formulas) -> str:
@@ -275,7 +275,7 @@ def _auxiliary_formulas(writer: Formulas) -> str:
         for name, formula in writer.auxiliary[writer.shown :]
     ]
     writer.shown = len(writer.auxiliary)
-    return _formula_table(found)
+    return ("<p>where</p>" if found else "") + _formula_table(found)
 
 
 def _omitted_expressions_note(rows: Sequence[Sequence[Any]]) -> str:

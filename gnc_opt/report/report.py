@@ -99,5 +99,5 @@ def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, 
     yield "costates", trajectory.plot_costates(solution)
     if solution.problem is not None:
         yield "hamiltonian", trajectory.plot_hamiltonian(solution)
-    if solution.history is not None:
+    if solution.history is not None and len(solution.history.passes) > 1:
         yield "refinement", plot_refinement(solution.history)

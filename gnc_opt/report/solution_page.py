@@ -9,7 +9,6 @@ from pathlib import Path
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import (
-    known_quality,
     left_tables,
     mesh_text,
     objective_text,
@@ -17,8 +16,7 @@ from gnc_opt.planning.solution.summary import (
 from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe, violation_text
 from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import problem_statement_html
-from gnc_opt.text_formatting import table
-from gnc_opt.tolerances import EQUAL
+from gnc_opt.text_formatting import derivative_unit, table
 
 TRAJECTORY_CAPTION = (
     "Trajectory in space: circle at the start, square at the end, vehicle drawn at equal intervals of time."
@@ -97,7 +95,9 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
     failing = "".join(f"<p>{escape(text)}</p>" for text in open_conditions_html(verdict))
-    return failing + table(("check", "result", "largest violation", "at"), verdict_table_rows(verdict))
+    return failing + table(
+        ("check", "result", "violation or margin", "largest at"), verdict_table_rows(verdict)
+    )
 
 
 def verdict_table_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
@@ -126,12 +126,6 @@ def _solve_facts_table(solution: Solution) -> str:
     rows += [(f"parameter {name}", f"{solution.parameter(name)}") for name in solution.free_parameters.names]
     if solution.problem is not None and solution.status.solved:
         rows.append(("accuracy", solution.accuracy.text))
-    quality = known_quality(solution)
-    if quality is not None:
-        rows.append(("defect between nodes", f"{quality.max_defect:.2g} relative: {quality.defect_location}"))
-        if quality.max_bound_violation > EQUAL:
-            violation = f"{quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
-            rows.append(("limits exceeded by", violation))
     rows.append(("mesh", mesh_text(solution)))
     rows += [("table left", str(found)) for found in left_tables(solution)]
     return table(("", ""), rows)
@@ -144,7 +138,13 @@ def _conditions_table(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
     rows = [
-        (c.name, c.result.value.lower(), violation_text(c.value), f"{c.tolerance:.0e}", c.location_text)
+        (
+            c.name,
+            c.result.value.lower(),
+            violation_text(c.value),
+            violation_text(c.tolerance),
+            c.location_text,
+        )
         for c in verdict.conditions
     ]
     meanings = "".join(
@@ -152,15 +152,15 @@ def _conditions_table(verdict: Verdict | None) -> str:
         for c in verdict.conditions
         if c.result is not ConditionResult.PASS
     )
-    return table(("condition", "result", "violation", "tolerance", "largest at"), rows) + meanings
+    return table(("condition", "result", "violation or margin", "tolerance", "largest at"), rows) + meanings
 
 
 def _arcs_table(solution: Solution) -> str:
-    rows = [
-        (arc.phase, arc.channel, arc.kind.value, f"{arc.start:.12g}", f"{arc.end:.12g}")
-        for arc in solution.structure
-    ]
-    return table(("phase", "channel", "arc", "from (s)", "to (s)"), rows)
+    channels: dict[tuple[str, str], list[str]] = {}
+    for arc in solution.structure:
+        channels.setdefault((arc.phase, arc.channel), []).append(f"{arc.kind.value} to {arc.end:.8g}")
+    rows = [(phase, channel, ", ".join(arcs)) for (phase, channel), arcs in channels.items()]
+    return table(("phase", "control or constraint", "arcs, each to its end (s)"), rows)
 
 
 def _refinement_table(history: History | None) -> str:
@@ -187,28 +187,28 @@ def _refinement_table(history: History | None) -> str:
 
 
 def _multipliers_table(solution: Solution) -> str:
+    cost_unit = "" if solution.problem is None else solution.problem.cost_unit
     rows = [
-        (f"constraint {label}", _format_number(value), "")
+        (f"constraint {label}", f"{value:.6g}", "", "")
         for label, value in zip(solution.constraint_labels, solution.constraint_multipliers, strict=True)
     ]
     rows += [
-        (f"limits of {label}", _format_number(value), "")
+        (f"limits of {label}", f"{value:.6g}", "", "")
         for label, value in zip(solution.free_parameters.labels, solution.parameter_multipliers, strict=True)
     ]
     for name, leg in solution.phases.items():
-        ends = zip(leg.states.labels, leg.lam(leg.initial_time), leg.lam(leg.final_time, "left"), strict=True)
+        ends = leg.lam(leg.initial_time), leg.lam(leg.final_time, "left")
+        where = f", phase {name}" * (len(solution.phases) > 1)
         rows += [
-            (f"costate of {label}, phase {name}", _format_number(a), _format_number(b))
-            for label, a, b in ends
+            (f"costate of {label}{where}", f"{a:.6g}", f"{b:.6g}", derivative_unit(cost_unit, unit))
+            for label, unit, a, b in zip(leg.states.labels, leg.states.units, *ends, strict=True)
         ]
-    return table(("multiplier of", "value, or at the start", "at the end"), rows)
-
-
-def _format_number(value: float) -> str:
-    return f"{value:.9g}"
+    return table(("multiplier", "value, or at the start", "at the end", "unit"), rows)
 
 
 def _software_versions_table(solution: Solution, command: str | None) -> str:
-    rows = [(key.replace("_", " "), str(value)) for key, value in solution.provenance.items()]
+    rows = [
+        (k.replace("_", " "), str(v)) for k, v in solution.provenance.items() if k not in ("scheme", "mesh")
+    ]
     rows.append(("last solve", solution.statistics.text))
     return command_html(command) + table(("", ""), rows)

@@ -37,6 +37,18 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
     lines = [f"campaign of {runs} runs{interrupted}, seed {campaign.seed}: {counts or 'none has ended'}"]
     if not runs:
         return lines[0]
+    rows = campaign_rows(campaign)
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        cells = [
+            c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append(("  " + "  ".join(cells)).rstrip())
+    return "\n".join([*lines, *(f"  {note}" for note in campaign_notes(campaign))])
+
+
+def campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
+    """Return titles and rows of the table: percentiles, maximum, limit and pass rate of every printed measure."""
     rows = [["at the end", "", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed"]]
     for name in select_printed_measures(campaign):
         values = [campaign.percentile(name, level).value for level in LEVELS] + [campaign.maximum(name)]
@@ -46,24 +58,22 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
         rows.append([name, campaign.unit(name), *(_format_value(v) for v in values), limit, passed])
     if campaign.limits:
         rows.append(["all limits", *[""] * (len(LEVELS) + 3), str(campaign.pass_rate())])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        cells = [
-            c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append(("  " + "  ".join(cells)).rstrip())
-    note = f"  intervals: {100 * CONFIDENCE:g} % confidence"
+    return rows
+
+
+def campaign_notes(campaign: CampaignStatistics) -> list[str]:
+    """Return the confidence of the intervals, the events, and the causes of failure."""
+    note = f"intervals: {100 * CONFIDENCE:g} % confidence"
     if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
-        content = share_below_maximum(runs)
+        content = share_below_maximum(len(campaign))
         note += f"; with that confidence {100 * content:.2f} % of all runs stay below each maximum"
-    lines.append(note)
-    return "\n".join([*lines, *_event_lines(campaign), *_failure_cause_lines(campaign)])
+    return [note, *_event_lines(campaign), *_failure_cause_lines(campaign)]
 
 
 def _event_lines(campaign: CampaignStatistics) -> list[str]:
     """Return one line on the events, if the loop has any."""
     told = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
-    return [f"  events: {told}"] if told else []
+    return [f"events: {told}"] if told else []
 
 
 def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
@@ -77,9 +87,9 @@ def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
     lines = []
     for cause, indices in ordered[:LISTED]:
         more = ", ..." if len(indices) > LISTED else ""
-        lines.append(f"  {len(indices)} {cause} (run {', '.join(map(str, indices[:LISTED]))}{more})")
+        lines.append(f"{len(indices)} {cause} (run {', '.join(map(str, indices[:LISTED]))}{more})")
     rest = sum(len(indices) for _, indices in ordered[LISTED:])
-    return [*lines, f"  {rest} for other causes"] if rest else lines
+    return [*lines, f"{rest} for other causes"] if rest else lines
 
 
 def _format_value(value: float) -> str:

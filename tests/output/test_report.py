@@ -353,13 +353,17 @@ def test_page_gives_objective_name_and_command(parsed: Parsed, smeared: go.Solut
 def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     solution = go.solve(rest_to_rest(), tol=1e-8)
     page, *files = write_report(solution, go.verify(solution), tmp_path)
+    assert "refinement.svg" not in {file.name for file in files}  # one iteration: nothing to compare
+    assert solution.history is not None
+    twice = dataclasses.replace(solution.history, passes=2 * solution.history.passes)
+    files = write_report(dataclasses.replace(solution, history=twice), None, tmp_path / "twice")
     assert "refinement.svg" in {file.name for file in files}
     words = Parsed(page.read_text(encoding="utf-8")).words
-    assert solution.history is not None and f"{solution.history.passes[-1].objective:.12g}" in words
-    switch = words.index("lower")
-    assert [float(word) for word in words[switch + 1 : switch + 3]] == pytest.approx([0.0, 1.0], abs=1e-8)
-    costate = words[words.index("costate of q, phase leg") + 1]
-    assert float(costate) == pytest.approx(1.0, abs=1e-7)
+    assert f"{solution.history.passes[-1].objective:.12g}" in words
+    assert "lower to 1, upper to 2" in words
+    costate = words.index("costate of q")
+    assert float(words[costate + 1]) == pytest.approx(1.0, abs=1e-7)
+    assert words[costate + 3] == "s"  # s per unit of q, which has none
 
 
 def test_what_is_maximised_is_shown_as_it_was_stated(capsys: pytest.CaptureFixture[str]) -> None:

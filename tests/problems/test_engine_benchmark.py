@@ -59,9 +59,14 @@ def test_a_problem_is_stopped_at_its_limit_and_the_next_one_is_solved(tmp_path: 
     assert right.true is not None and right.true < 1e-8
 
 
-def test_the_page_shows_every_realistic_problem() -> None:
+def test_the_page_shows_every_problem_with_picture_and_result() -> None:
     text = engine_page.PAGE.read_text(encoding="utf-8")
     written = text[text.index(engine_page.BEGIN) : text.rindex(engine_page.END)]
     for each in examples():
-        listed = f"| [`{each.name}`]" in written
-        assert listed == (engine.group_of(each) in ("flagship", "further"))
+        place = f"problems/{each.path.parent.name}/{each.path.name})"
+        rows = [line for line in written.splitlines() if place in line]
+        assert len(rows) == (not each.is_system), each.name
+        for row in rows:
+            assert f"(pictures/{each.name}.png)" in row
+            assert (engine_page.PAGE.parent / "pictures" / f"{each.name}.png").exists()
+            assert all(cell.strip() for cell in row.strip("| ").split(" | "))

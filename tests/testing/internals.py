@@ -109,7 +109,7 @@ from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, rec
 from gnc_opt.planning.verification.verify_trajectory import _build_solution
 from gnc_opt.plot.motion_scene import scene_html
 from gnc_opt.plot.motion_view import motion_time_span, sample_motion
-from gnc_opt.plot.style import derivative_unit, number_text, unit_text, variable_name_text
+from gnc_opt.plot.style import number_text, unit_text, variable_name_text
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml
 from gnc_opt.report.html_document import html_document
 from gnc_opt.report.problem_statement import problem_statement_html
@@ -138,3 +138,4 @@ from gnc_opt.simulation.quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.run import Logged, compute_settling_time
 from gnc_opt.simulation.signals import Places, link_blocks
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, accurate_step_count
+from gnc_opt.text_formatting import derivative_unit

@@ -300,9 +300,9 @@ def most_severe(conditions: Iterable[Condition]) -> Condition:
 
 def violation_text(value: float) -> str:
     """Return two digits of a violation, "-" for none; a negative one is the margin of a sufficient condition."""
-    if math.isnan(value):
-        return "-"
-    return f"margin {-value:.1e}" if value < 0.0 else f"{value + 0.0:.1e}"
+    if math.isnan(value) or value == 0.0:
+        return "0" if value == 0.0 else "-"
+    return f"margin {-value:.1e}" if value < 0.0 else f"{value:.1e}"
 
 
 def _table_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
