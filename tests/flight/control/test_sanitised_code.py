@@ -125,7 +125,7 @@ def test_a_unit_keeps_to_its_memory_and_gives_the_law(tmp_path, design):
     assert np.array_equal(found[:, commands:], told)
 
 
-@pytest.mark.parametrize("design", [lambda: follower(DT), lambda: holder(DT), limited])
+@pytest.mark.parametrize("design", [lambda: holder(DT), limited])
 def test_single_precision_keeps_to_its_memory(tmp_path, design):
     controller = design()
     options = {"precision": "float32"}

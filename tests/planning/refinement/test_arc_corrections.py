@@ -429,9 +429,9 @@ def test_a_flight_turns_at_top_speed() -> None:
     With an acceleration that is constant on each of N steps, a restriction, it is 5.447761, 5.447362 and 5.447279 s for
     N = 100, 200 and 400 (Opti of CasADi).
     """
-    limits = go.RefinementLimits(max_work=15.0)
+    limits = go.RefinementLimits(max_work=7.0)
     problem = flight_of_vector_limits([0.0, -0.4], [4.0, 1.5])
-    solution = go.solve(problem, mesh="40x4", tol=1e-7, structure="none", limits=limits)
+    solution = go.solve(problem, mesh="30x3", tol=1e-7, structure="none", limits=limits)
     assert solution.objective == pytest.approx(5.4472458, abs=2e-7)
 
 

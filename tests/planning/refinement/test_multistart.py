@@ -216,7 +216,7 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
 
 @pytest.mark.slow
 def test_both_ways_past_a_pillar_are_found() -> None:
-    found = search(pillar(), refine=False, n=12, mesh="20x3")
+    found = search(pillar(), refine=False, n=6, mesh="20x3")
     assert [m.objective for m in found.minima][:2] == pytest.approx(ways_past_the_pillar(), abs=2e-3)
 
 
@@ -265,7 +265,7 @@ def aircraft() -> go.Problem:
 @pytest.mark.slow
 def test_the_aircraft_is_freed_from_its_local_minimum() -> None:
     # The straight line leads to 5.73 s; the best known minimum is 3.7808558 s (Sager). The mesh is worth 1e-3 s.
-    found = search(aircraft(), n=16, seed=1, mesh="20x3", refine=False)
+    found = search(aircraft(), n=6, seed=1, mesh="20x3", refine=False)
     assert found.best.objective == pytest.approx(3.7808558, abs=5e-3)
     (own,) = (m for m in found.minima if 0 in m.starts)
     assert own.objective > 5.5
