@@ -417,20 +417,6 @@ def exact_states(duration: float) -> go.Problem:
     return problem
 
 
-def bounded_height(height: float = 1 / 9, as_path: bool = False) -> go.Problem:
-    """Bryson & Denham: for height <= 1/6 the state bound acts for 3 height <= t <= 1 - 3 height."""
-    model, q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
-    problem, leg = one_phase("height", model, initial=0.0, final=1.0)
-    leg.initial(q=0.0, v=1.0)
-    leg.final(q=0.0, v=-1.0)
-    if as_path:
-        leg.path("height", q, upper=height)
-    else:
-        leg.bounds(q=(None, height))
-    problem.minimize(leg.integral(a**2 / 2))
-    return problem
-
-
 def hypersensitive(final_time: float) -> go.Problem:
     model, x, u = dynamics("cubic", "x", "u", lambda x, u: {x: -(x**3) + u})
     problem, leg = one_phase("hyper-sensitive", model, initial=0.0, final=final_time)
@@ -485,9 +471,3 @@ def test_the_error_is_of_second_order_in_the_costates() -> None:
         solution = go.solve(exact_states(4.0), mesh=go.Mesh.uniform(segments, 3), tol=None)
         errors.append(float(np.max(estimate_errors(solution)["leg"].errors.costates)))
     assert all(old / new > 4**2 for old, new in itertools.pairwise(errors))
-
-
-@pytest.mark.slow
-def test_state_constraints_still_converge() -> None:
-    solution, history = refine_mesh(go.solve(bounded_height(), tol=None), tol=1e-8)
-    assert history.converged and solution.objective == pytest.approx(4.0, rel=1e-7)

@@ -124,9 +124,9 @@ def test_kink_of_a_saturated_regulator() -> None:
 def test_kink_does_not_depend_on_the_first_mesh() -> None:
     times = [
         junctions(go.refine(go.solve(saturated_regulator(), mesh=mesh, tol=None)), "u")
-        for mesh in ("7x3", "12x4", "31x2")
+        for mesh in ("7x3", "31x2")
     ]
-    np.testing.assert_allclose(times, times[0] * np.ones((3, 1)), atol=1e-8)
+    np.testing.assert_allclose(times, times[0] * np.ones((2, 1)), atol=1e-8)
 
 
 def test_kink_on_a_mixed_constraint() -> None:

@@ -62,7 +62,7 @@ def test_initial_values_are_predicted_too() -> None:
 def test_where_a_solution_vanishes() -> None:
     """Less than 2 s cannot be done."""
     problem = rest_to_rest()
-    found = go.continuation(lambda t: problem.with_time(final=t), [4.0, 1.5], smallest=0.02, mesh="10x4")
+    found = go.continuation(lambda t: problem.with_time(final=t), [3.0, 1.5], smallest=0.02, mesh="10x4")
     assert found.status is go.ContinuationStatus.BRANCH_ENDED and not found.complete
     assert 2.0 - 1e-3 < found.values[-1] < 2.05
     assert found.events[-1].startswith("no solution beyond 2.0") and "infeasible" in found.events[-1]
