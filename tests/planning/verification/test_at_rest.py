@@ -168,30 +168,6 @@ def test_a_flight_that_needs_no_control_has_reference_scales() -> None:
     assert not go.verify_trajectory(problem, t, pushed, {"a": 0 * t - 0.02}).ok
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ahead", [1.0])
-def test_doing_nothing_in_an_orbit_reaches_no_target_ahead(ahead: float) -> None:
-    """The end is missed by metres, 1e-7 of the radius: all that the control is for."""
-    radius, lasts = 7e6, 1500.0
-    rate = np.sqrt(3.986e14 / radius**3)
-    model = go.Model("orbit")
-    r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
-    model.ode({r: v, v: -3.986e14 * r / ca.sumsqr(r) ** 1.5 + a})
-    problem, leg = one_phase("ahead", model, 0.0, lasts)
-    angle = rate * lasts + ahead / radius
-    leg.initial(r=[radius, 0.0], v=[0.0, radius * rate])
-    leg.final(
-        r=[radius * np.cos(angle), radius * np.sin(angle)],
-        v=[-radius * rate * np.sin(angle), radius * rate * np.cos(angle)],
-    )
-    problem.minimize(leg.integral(ca.sumsqr(a)))
-    t = np.linspace(0.0, lasts, 241)
-    cosine, sine = np.cos(rate * t), np.sin(rate * t)
-    states = np.array([radius * cosine, radius * sine, -radius * rate * sine, radius * rate * cosine])
-    verdict = go.verify_trajectory(problem, t, states, np.zeros((2, t.size)))
-    assert verdict["boundary conditions"].result is go.ConditionResult.FAIL
-
-
 @pytest.mark.parametrize(("unit", "origin"), [(1.0, 0.0), (1e4, 0.0), (1.0, 1e5)])
 @pytest.mark.parametrize(("coupling", "best"), [(1.5, True), (2.5, False)])
 def test_a_constant_push_without_limits_has_a_reference_scale(
