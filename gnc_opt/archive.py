@@ -48,15 +48,15 @@ class Packing:
             Something in it is of a class that is not listed; the message names the place.
         """
         if isinstance(value, np.ndarray):
-            return {"array": _put(value, place, arrays)}
+            return {"array": _store_array(value, place, arrays)}
         if isinstance(value, Enum):
-            return {"type": self._name(value, place), "value": value.value}
+            return {"type": self._get_type_name(value, place), "value": value.value}
         if is_dataclass(value):
             members = {
                 name: self.pack(getattr(value, name), _join(place, name), arrays)
                 for name in self.stored_fields(type(value))
             }
-            return {"type": self._name(value, place), "fields": members}
+            return {"type": self._get_type_name(value, place), "fields": members}
         if isinstance(value, Mapping):
             if not all(isinstance(key, str) for key in value):
                 raise GncOptError(f"'{place}' cannot be saved: its keys are not all names.")
@@ -65,7 +65,7 @@ class Packing:
             return self._pack_sequence(value, place, arrays)
         if isinstance(value, (float, np.floating)):
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
-        return _plain(value.item() if isinstance(value, np.generic) else value, place)
+        return _to_plain_value(value.item() if isinstance(value, np.generic) else value, place)
 
     def unpack(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
         """Return the value of a tree that `pack` made."""
@@ -92,8 +92,8 @@ class Packing:
         return kind(**{key: self.unpack(item, arrays) for key, item in tree["fields"].items()})
 
     def _pack_sequence(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
-        if _pieces(value):
-            whole = _put(np.concatenate(value, axis=-1), place, arrays)
+        if _are_stackable_arrays(value):
+            whole = _store_array(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
         trees = [self.pack(item, _join(place, str(i)), arrays) for i, item in enumerate(value)]
         if not all(is_dataclass(item) for item in value):
@@ -102,23 +102,23 @@ class Packing:
         numbers = {text: i for i, text in enumerate(dict.fromkeys(texts))}
         if len(numbers) == len(trees):
             return trees
-        which = _put(np.array([numbers[text] for text in texts]), place, arrays)
+        which = _store_array(np.array([numbers[text] for text in texts]), place, arrays)
         return {"alike": [json.loads(text) for text in numbers], "which": which}
 
-    def _name(self, value: Any, place: str) -> str:
+    def _get_type_name(self, value: Any, place: str) -> str:
         if type(value) not in self.classes:
-            raise _unknown(value, place)
+            raise _make_type_error(value, place)
         return type(value).__name__
 
 
-def _pieces(value: tuple[Any, ...] | list[Any]) -> bool:
+def _are_stackable_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
     """Whether these are arrays that can lie side by side."""
     if not value or not all(isinstance(item, np.ndarray) and item.ndim for item in value):
         return False
     return len({(item.dtype, item.shape[:-1]) for item in value}) == 1
 
 
-def _put(array: Array, place: str, arrays: Arrays) -> str:
+def _store_array(array: Array, place: str, arrays: Arrays) -> str:
     """Store an array; return the name it got, which is a safe name of a file."""
     if array.dtype.hasobject:
         raise GncOptError(f"'{place}' cannot be saved: it is an array of Python objects.")
@@ -129,13 +129,13 @@ def _put(array: Array, place: str, arrays: Arrays) -> str:
     return name
 
 
-def _plain(value: Any, place: str) -> Any:
+def _to_plain_value(value: Any, place: str) -> Any:
     if value is None or isinstance(value, (str, bool, int)):
         return value
-    raise _unknown(value, place)
+    raise _make_type_error(value, place)
 
 
-def _unknown(value: Any, place: str) -> GncOptError:
+def _make_type_error(value: Any, place: str) -> GncOptError:
     return GncOptError(f"'{place}' cannot be saved: files do not hold a {type(value).__name__}.")
 
 
@@ -169,7 +169,7 @@ class FileFormat:
             The result holds something that files do not.
         """
         arrays: Arrays = {}
-        header: dict[str, Any] = {"format": self._name, "version": self.version}
+        header: dict[str, Any] = {"format": self._format_name, "version": self.version}
         if written_by is not None:
             header["written_by"] = written_by
         header[self.noun] = self.packing.pack(result, "", arrays)
@@ -187,7 +187,7 @@ class FileFormat:
             The file is damaged, of another format, or of another version.
         """
         header, arrays = _read_archive(path, self.noun)
-        if not isinstance(header, dict) or header.get("format") != self._name:
+        if not isinstance(header, dict) or header.get("format") != self._format_name:
             raise GncOptError(f"'{path}' is an archive, but not a {self.noun} of gnc_opt.")
         version = header.get("version")
         if version not in (self.version, *self.alike):
@@ -201,13 +201,13 @@ class FileFormat:
             values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)
         except Exception as error:  # whatever it is, this tree does not describe a result
-            raise _damaged(path, self.noun) from error
+            raise _make_damage_error(path, self.noun) from error
         if not isinstance(result, self.kind):
-            raise _damaged(path, self.noun)
+            raise _make_damage_error(path, self.noun)
         return result, values
 
     @property
-    def _name(self) -> str:
+    def _format_name(self) -> str:
         return f"gnc_opt {self.noun}"
 
 
@@ -218,19 +218,19 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
     target = Path(path)
     target = target if target.suffix else target.with_suffix(".npz")
     entries: dict[str, Any] = {"header": np.array(json.dumps(header, allow_nan=False)), **arrays}
-    with written_whole(target) as stream:
+    with write_atomically(target) as stream:
         np.savez_compressed(stream, **entries)
     return target
 
 
 @contextlib.contextmanager
-def written_whole(target: Path) -> Iterator[IO[bytes]]:
+def write_atomically(target: Path) -> Iterator[IO[bytes]]:
     """A stream to a new file that replaces the old one after a complete write, and is deleted otherwise."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
             yield stream
-        os.chmod(name, 0o666 & ~_umask())
+        os.chmod(name, 0o666 & ~_get_umask())
         os.replace(name, target)
     except BaseException as error:
         with contextlib.suppress(OSError):
@@ -243,16 +243,16 @@ def written_whole(target: Path) -> Iterator[IO[bytes]]:
 def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
     with Path(path).open("rb") as stream:
         try:
-            entries = _entries(stream)
+            entries = _read_verified_arrays(stream)
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
         except _NoArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
         except Exception as error:  # zipfile, zlib, NumPy and JSON each have their own
-            raise _damaged(path, noun) from error
+            raise _make_damage_error(path, noun) from error
     return header, entries
 
 
-def _damaged(path: str | Path, noun: str) -> GncOptError:
+def _make_damage_error(path: str | Path, noun: str) -> GncOptError:
     return GncOptError(f"'{path}' is damaged: its content does not make up a {noun}; save it again.")
 
 
@@ -260,7 +260,7 @@ class _NoArchive(Exception):
     """The file is not a zip archive."""
 
 
-def _entries(stream: BinaryIO) -> dict[str, Array]:
+def _read_verified_arrays(stream: BinaryIO) -> dict[str, Array]:
     """Return all arrays of an archive after looking at every checksum: NumPy may stop reading before the last byte."""
     if not zipfile.is_zipfile(stream):
         raise _NoArchive
@@ -273,7 +273,7 @@ def _entries(stream: BinaryIO) -> dict[str, Array]:
         return {name: arrays[name] for name in arrays.files}
 
 
-def _umask() -> int:
+def _get_umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask

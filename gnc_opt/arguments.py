@@ -22,11 +22,11 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
+def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
     """Decorate a function whose `TypeError` for an unknown keyword then names the nearest valid one."""
 
     @functools.wraps(function)
-    def call(*arguments: P.args, **keywords: P.kwargs) -> T:
+    def call_with_suggestion(*arguments: P.args, **keywords: P.kwargs) -> T:
         try:
             return function(*arguments, **keywords)
         except TypeError as error:
@@ -39,7 +39,7 @@ def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
             remedy = f"it is now {now!r}." if now in known else did_you_mean(unknown, known)
             raise TypeError(f"{text}: {remedy}") from None
 
-    return call
+    return call_with_suggestion
 
 
 class Strict:
@@ -51,7 +51,7 @@ class Strict:
         super().__init_subclass__()
         for name, value in list(vars(cls).items()):
             if isinstance(value, FunctionType) and not name.startswith("_"):
-                setattr(cls, name, suggesting_keywords(value))
+                setattr(cls, name, suggest_keywords(value))
 
     def __dir__(self) -> list[str]:
         return [name for name in object.__dir__(self) if not name.startswith("_")]
@@ -67,19 +67,19 @@ class Strict:
                 f"'{name}' of {_called(self)} follows from its declarations: change those."
             )
         else:
-            raise _unknown(self, name)
+            raise _make_attribute_error(self, name)
 
     if not TYPE_CHECKING:  # a type checker must go on refusing misspelt attributes by itself
 
         def __getattr__(self, name: str) -> Any:
             if name.startswith("__"):  # Python asks for its protocols, and expects most of them to be missing
                 raise AttributeError(name)
-            raise _unknown(self, name)
+            raise _make_attribute_error(self, name)
 
 
-def _unknown(instance: Strict, name: str) -> UnknownAttributeError:
+def _make_attribute_error(instance: Strict, name: str) -> UnknownAttributeError:
     public = [known for known in dir(type(instance)) if not known.startswith("_")]
-    owners = [c.__name__ for c in _leaves(Strict) if not name.startswith("_") and hasattr(c, name)]
+    owners = [c.__name__ for c in _find_leaf_classes(Strict) if not name.startswith("_") and hasattr(c, name)]
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else did_you_mean(name, public)
     return UnknownAttributeError(f"{_called(instance)} has no '{name}': {remedy}")
 
@@ -92,10 +92,10 @@ def _called(instance: Strict) -> str:
         return kind
 
 
-def _leaves(kind: type) -> list[type]:
+def _find_leaf_classes(kind: type) -> list[type]:
     """The classes below a class that have none below themselves: those that users meet."""
     below: list[type] = kind.__subclasses__()
-    return [leaf for c in below for leaf in _leaves(c)] if below else [kind]
+    return [leaf for c in below for leaf in _find_leaf_classes(c)] if below else [kind]
 
 
 ErrorType = type[GncOptError]
@@ -177,7 +177,7 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
         return value.copy()
     if isinstance(value, ca.DM):
         value = value.full()
-    if _symbolic(value):
+    if _contains_symbols(value):
         raise error(f"{what} is the expression {shown(value)} where numbers are needed: give numbers.")
     try:
         array = np.asarray(value)
@@ -189,8 +189,8 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
     raise error(f"{what} is {shown(value)}, which is not a number or an array of numbers.")
 
 
-def _symbolic(value: Any) -> bool:
+def _contains_symbols(value: Any) -> bool:
     """Whether CasADi symbols hide in a value; to NumPy they would answer with warnings."""
     if isinstance(value, (list, tuple)):
-        return any(_symbolic(entry) for entry in value)
+        return any(_contains_symbols(entry) for entry in value)
     return isinstance(value, (ca.SX, ca.MX))

@@ -50,14 +50,14 @@ class ExitCode(IntEnum):
 
 
 def solve_command(args: argparse.Namespace) -> ExitCode:
-    from gnc_opt.planning.direct.solve_failure import failure_message
+    from gnc_opt.planning.direct.solve_failure import format_failure
     from gnc_opt.planning.refinement.work_budget import RefinementLimits
     from gnc_opt.planning.solver import solve
 
-    _check_targets(args)
-    console = _console(args)
-    with _warnings_as_lines():
-        file, problem = _build(args)
+    _check_output_paths(args)
+    console = _select_console(args)
+    with _format_warnings():
+        file, problem = _load_and_build(args)
         solution = solve(
             problem,
             mesh=args.mesh or file.mesh,
@@ -71,11 +71,11 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
             throw=False,
         )
         checked = solution.status.solved and not (args.fast or args.no_verify)
-        verdict = _verify(solution) if checked else None
+        verdict = _verify_solution(solution) if checked else None
     if args.quiet and not solution.status.solved:
-        print(f"gnc-opt: {failure_message(solution)}", file=sys.stderr)
-    _show(console, solution, verdict, args.conditions)
-    _write(args, console, file, solution, verdict)
+        print(f"gnc-opt: {format_failure(solution)}", file=sys.stderr)
+    _print_solution(console, solution, verdict, args.conditions)
+    _write_outputs(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)
 
 
@@ -83,12 +83,12 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.study import multistart
     from gnc_opt.report import search_dict, write_json
 
-    _check_targets(args)
+    _check_output_paths(args)
     options = dict(parse_setting(text) for text in args.set)
-    with _warnings_as_lines():
+    with _format_warnings():
         file = load_problem_file(args.file)
         found = multistart(
-            partial(_built_problem, args.file, options),
+            partial(_build_problem_from_file, args.file, options),
             n=args.n,
             seed=args.seed,
             mesh=args.mesh or file.mesh,
@@ -98,7 +98,7 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
             executor="serial" if args.serial else None,
             progress=not args.quiet,
         )
-    _say(_console(args), str(found))
+    _print_text(_select_console(args), str(found))
     if args.json == "-":
         print(json_text(search_dict(found)), end="")
     elif args.json is not None:
@@ -108,16 +108,16 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
     return ExitCode.OK if found.minima else ExitCode.NOT_SOLVED
 
 
-def _built_problem(path: str, options: dict[str, Any]) -> Problem:
+def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
     """Build a file's problem, in this process or another one."""
     return load_problem_file(path).build(options)
 
 
 def check_command(args: argparse.Namespace) -> ExitCode:
-    with _warnings_as_lines():
-        file, problem = _build(args)
+    with _format_warnings():
+        file, problem = _load_and_build(args)
         problem.check()
-    _say(_console(args), _description(file, problem))
+    _print_text(_select_console(args), _describe_problem(file, problem))
     return ExitCode.OK
 
 
@@ -138,13 +138,13 @@ def examples_command(args: argparse.Namespace) -> int:
     return ExitCode.OK
 
 
-def _build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
+def _load_and_build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
     options = dict(parse_setting(text) for text in args.set)
     file = load_problem_file(args.file)
     return file, file.build(options)
 
 
-def _verify(solution: Solution) -> Verdict:
+def _verify_solution(solution: Solution) -> Verdict:
     from gnc_opt.planning.verification import verify
 
     return verify(solution)
@@ -166,7 +166,7 @@ def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> 
     return ExitCode.CONDITIONS_FAIL
 
 
-def _console(args: argparse.Namespace) -> Console:
+def _select_console(args: argparse.Namespace) -> Console:
     """Where people read: standard output, or standard error if that carries JSON."""
     from rich.console import Console
 
@@ -176,20 +176,20 @@ def _console(args: argparse.Namespace) -> Console:
     return console
 
 
-def _say(console: Console, text: Any) -> None:
+def _print_text(console: Console, text: Any) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
-def _show(console: Console, solution: Solution, verdict: Verdict | None, conditions: bool) -> None:
+def _print_solution(console: Console, solution: Solution, verdict: Verdict | None, conditions: bool) -> None:
     """Print the summary, the iterations of a refinement that did not converge, and the optimality check."""
-    _say(console, str(solution))
+    _print_text(console, str(solution))
     if solution.history is not None and not solution.history.converged:
-        _say(console, str(solution.history))
+        _print_text(console, str(solution.history))
     if verdict is not None:
-        _say(console, verdict.table() if conditions else str(verdict))
+        _print_text(console, verdict.table() if conditions else str(verdict))
 
 
-def _write(
+def _write_outputs(
     args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
 ) -> None:
     from gnc_opt.report import summary_dict, write_json
@@ -201,10 +201,10 @@ def _write(
         write_json(args.json, solution, verdict)
     if args.report is not None:
         paths = write_report(solution, verdict, args.report, view=file.view, command=args.command)
-        _say(console, f"report: {paths[0]}")
+        _print_text(console, f"report: {paths[0]}")
 
 
-def _description(file: ProblemFile, problem: Problem) -> str:
+def _describe_problem(file: ProblemFile, problem: Problem) -> str:
     lines = [f"{problem.name}: no error in the statement"]
     for leg in problem.phases.values():
         states, controls = leg.model.states, leg.model.controls
@@ -223,7 +223,7 @@ def _description(file: ProblemFile, problem: Problem) -> str:
     return "\n".join(lines)
 
 
-def _check_targets(args: argparse.Namespace) -> None:
+def _check_output_paths(args: argparse.Namespace) -> None:
     """Refuse places that cannot be written to before the work starts, not after it."""
     if args.json not in (None, "-"):
         target = Path(args.json)
@@ -234,7 +234,7 @@ def _check_targets(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _warnings_as_lines() -> Iterator[None]:
+def _format_warnings() -> Iterator[None]:
     """Show gnc_opt's warnings as one line each, without the place in the code; leave others alone."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

@@ -61,7 +61,7 @@ def shown(value: object) -> str:
     return " ".join(reprlib.repr(value).split())
 
 
-def in_words(error: BaseException) -> str:
+def format_error(error: BaseException) -> str:
     """Return an error of any kind on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
@@ -85,7 +85,7 @@ def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> U
     return UnknownNameError(f"{where} has no {what} '{name}': {did_you_mean(name, known)}")
 
 
-def right_symbol(name: str, known: Sequence[str]) -> str:
+def suggest_symbol(name: str, known: Sequence[str]) -> str:
     """Say which symbol is meant by one of another model: its namesake here, or `did_you_mean`."""
     own = name if name in known else name.rpartition("_")[0]
     if own not in known:

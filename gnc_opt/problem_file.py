@@ -149,7 +149,7 @@ class ProblemFile:
     def build(self, options: Mapping[str, Any]) -> Problem:
         """Return the problem for these options; raise `ProblemFileError` for wrong ones, or if ``build`` fails."""
         self._check_options(options)
-        with _blaming(self.path, "build()"):
+        with _name_failing_line(self.path, "build()"):
             problem = self.module.build(**options)
         if not isinstance(problem, Problem):
             raise ProblemFileError(
@@ -185,8 +185,8 @@ def load_problem_file(path: str | Path) -> ProblemFile:
     ProblemFileError
         No such file, not Python, an error while it runs, no ``build``, or a package hidden by another module.
     """
-    source = _source(Path(path))
-    module = _imported(source) if source.is_dir() else _executed(source)
+    source = _resolve_source_path(Path(path))
+    module = _import_package(source) if source.is_dir() else _execute_file(source)
     if not callable(getattr(module, "build", None)):
         functions = [n for n, v in vars(module).items() if inspect.isfunction(v) and not n.startswith("_")]
         raise ProblemFileError(
@@ -195,7 +195,7 @@ def load_problem_file(path: str | Path) -> ProblemFile:
     return ProblemFile(source, module)
 
 
-def _source(path: Path) -> Path:
+def _resolve_source_path(path: Path) -> Path:
     """Return the file, or the folder of the package, that a path names."""
     if path.is_file():
         return path.parent if path.name == _INIT else path
@@ -208,25 +208,25 @@ def _source(path: Path) -> Path:
     )
 
 
-def _executed(file: Path) -> ModuleType:
+def _execute_file(file: Path) -> ModuleType:
     folder = file.resolve().parent
-    _search(_holder(folder), folder.parent, folder)
+    _prepend_import_paths(_find_import_root(folder), folder.parent, folder)
     spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
-    with _blaming(file, "the file"):
+    with _name_failing_line(file, "the file"):
         spec.loader.exec_module(module)
     return module
 
 
-def _imported(folder: Path) -> ModuleType:
+def _import_package(folder: Path) -> ModuleType:
     """Import a package under its own name: its modules import each other by it."""
-    holder = _holder(folder.resolve())
+    holder = _find_import_root(folder.resolve())
     names = folder.resolve().relative_to(holder).parts
-    _search(holder)
-    with _blaming(folder, "the package"):
+    _prepend_import_paths(holder)
+    with _name_failing_line(folder, "the package"):
         outermost = importlib.import_module(names[0])
         if str(holder / names[0]) not in (str(Path(p).resolve()) for p in getattr(outermost, "__path__", [])):
             raise ProblemFileError(
@@ -236,12 +236,12 @@ def _imported(folder: Path) -> ModuleType:
         return importlib.import_module(".".join(names))
 
 
-def _holder(folder: Path) -> Path:
+def _find_import_root(folder: Path) -> Path:
     """Return the nearest folder above that is no package: modules of a package have their names from there."""
     return next((above for above in folder.parents if not (above / _INIT).is_file()), folder)
 
 
-def _search(*folders: Path) -> None:
+def _prepend_import_paths(*folders: Path) -> None:
     """Let modules be imported from these folders, the last one first."""
     for folder in folders:
         if str(folder) not in sys.path:
@@ -274,7 +274,7 @@ def _parse_value(value: str, text: str) -> Any:
 
 
 @contextmanager
-def _blaming(path: Path, what: str) -> Iterator[None]:
+def _name_failing_line(path: Path, what: str) -> Iterator[None]:
     """Turn whatever a user's code raises into one sentence that names the line."""
     try:
         yield
@@ -283,11 +283,11 @@ def _blaming(path: Path, what: str) -> Iterator[None]:
     except SystemExit as error:
         raise ProblemFileError(f"{path}: {what} ends the program (exit code {error.code}).") from error
     except Exception as error:
-        place = _place(path, error)
-        raise ProblemFileError(f"{place}: {_reason(error)}") from error
+        place = _find_failing_line(path, error)
+        raise ProblemFileError(f"{place}: {_format_reason(error)}") from error
 
 
-def _reason(error: Exception) -> str:
+def _format_reason(error: Exception) -> str:
     """Return the error message, with its type if not from gnc_opt, and the replacement of an expression."""
     if isinstance(error, GncOptError):
         return str(error)
@@ -298,7 +298,7 @@ def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(message.split())} {remedy}"
 
 
-def _place(path: Path, error: BaseException) -> str:
+def _find_failing_line(path: Path, error: BaseException) -> str:
     """Name the last line of the file, or of any file of the package, that the error passed through."""
     passed = [(f.filename, f.lineno) for f in traceback.extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError) and error.filename:

@@ -24,7 +24,7 @@ def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
 
     On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
     """
-    console = _standard_error() if console is None else console
+    console = _make_console() if console is None else console
     meter = _Meter(name, console)
     try:
         yield meter.show
@@ -68,7 +68,7 @@ class _Meter:
 @contextmanager
 def refinement_meter(name: str, tolerance: float, console: Console | None = None) -> Iterator[ShowPass]:
     """Show each iteration of a refinement to a tolerance when it is done; yields ``show(record)``."""
-    console = _standard_error() if console is None else console
+    console = _make_console() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
     count = 0
     with console.status("solving") as status:
@@ -121,7 +121,7 @@ def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowR
 @contextmanager
 def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
     """One bar; yields ``advance(count, note)``, whose note stands behind the bar."""
-    console = _standard_error() if console is None else console
+    console = _make_console() if console is None else console
     columns = (
         TextColumn("{task.description}", style="bold"),
         BarColumn(),
@@ -138,7 +138,7 @@ def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[i
         yield advance
 
 
-def _standard_error() -> Console:
+def _make_console() -> Console:
     """Return standard error; notebooks write over a line as terminals do, which needs no widgets of theirs."""
     notebook = Console().is_jupyter
     return Console(stderr=True, force_jupyter=False, force_terminal=True if notebook else None)

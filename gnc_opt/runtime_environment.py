@@ -14,7 +14,7 @@ from typing import Any
 from gnc_opt.errors import GncOptError
 
 
-def imported(package: str, extra: str) -> Any:
+def import_optional(package: str, extra: str) -> Any:
     """Return a package that an extra of gnc_opt brings; raise `GncOptError` with the install command."""
     try:
         module = import_module(package)
@@ -39,12 +39,12 @@ def package_version(name: str) -> str:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Let BLAS and LAPACK use one thread meanwhile, and as many as before afterwards; a decorator, too."""
-    with _libraries().limit(limits=1, user_api="blas"):
+    with _get_thread_controller().limit(limits=1, user_api="blas"):
         yield
 
 
 @cache
-def _libraries() -> Any:
+def _get_thread_controller() -> Any:
     import scipy.linalg  # noqa: F401  (brings a library of its own, which must be there to be found)
     from threadpoolctl import ThreadpoolController
 

@@ -9,10 +9,10 @@ from html import escape
 from typing import Any
 
 
-def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table that scrolls by itself where the screen is narrow, or nothing if it has no rows."""
-    lines = "".join(f"<tr>{_cells('td', row)}</tr>" for row in rows)
-    head = f"<thead><tr>{_cells('th', titles)}</tr></thead>" if any(titles) else ""
+    lines = "".join(f"<tr>{_format_cells('td', row)}</tr>" for row in rows)
+    head = f"<thead><tr>{_format_cells('th', titles)}</tr></thead>" if any(titles) else ""
     return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
@@ -21,7 +21,7 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def heading(text: str) -> str:
+def html_heading(text: str) -> str:
     """Return a paragraph that stands out."""
     return f"<p><strong>{escape(text)}</strong></p>"
 
@@ -34,7 +34,7 @@ def derivative_unit(unit: str, other: str) -> str:
     return f"{unit or '1'}/{divisor}"
 
 
-def preformatted(text: str) -> str:
+def html_preformatted(text: str) -> str:
     """Return lines whose columns stay where they are."""
     return f"<pre>{escape(text)}</pre>"
 
@@ -45,29 +45,29 @@ class Printed:
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        return preformatted(str(self))
+        return html_preformatted(str(self))
 
 
-def _cells(tag: str, values: Iterable[object]) -> str:
+def _format_cells(tag: str, values: Iterable[object]) -> str:
     return "".join(f"<{tag}>{escape(str(value))}</{tag}>" for value in values)
 
 
-def plain_json(value: Any) -> Any:
+def convert_to_json(value: Any) -> Any:
     """Return JSON values: NumPy numbers and arrays unpacked, non-finite numbers as None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {key: plain_json(item) for key, item in value.items()}
+        return {key: convert_to_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain_json(item) for item in value]
+        return [convert_to_json(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
 
 def json_text(content: Any, indent: int | None = 2) -> str:
-    """Return `plain_json` of content as text with a trailing newline."""
-    return json.dumps(plain_json(content), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+    """Return `convert_to_json` of content as text with a trailing newline."""
+    return json.dumps(convert_to_json(content), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 GREEK_NAMES = (

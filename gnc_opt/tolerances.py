@@ -71,19 +71,19 @@ PLAUSIBLE = 1e15
 metres."""
 
 
-def magnitude(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
+def nonzero_magnitude(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
     """Return magnitudes to divide by: the given ones, or others where those have `BRANCH_ENDED`."""
     sizes = np.asarray(values, dtype=float)
     return np.where(sizes > BRANCH_ENDED, sizes, otherwise)
 
 
-def alike(found: Array, expected: Array) -> bool:
+def are_equal(found: Array, expected: Array) -> bool:
     """Whether two matrices of a linearization are equal within `CONSTANT`; false for NaN."""
     change = np.max(np.abs(found - expected), initial=0.0)
     return bool(change <= CONSTANT * np.max(np.abs(expected), initial=0.0))
 
 
-def dependent(singular_values: ArrayLike) -> bool:
+def are_dependent(singular_values: ArrayLike) -> bool:
     """Whether singular values (largest first) are those of a matrix with dependent rows or columns."""
     values = np.asarray(singular_values)
     return bool(values[-1] <= ROUNDING * values[0])

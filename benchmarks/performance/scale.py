@@ -56,7 +56,7 @@ def rendezvous_of(segments: int) -> dict[str, Any]:
     options = go.SolverOptions(max_iterations=ITERATIONS)
     attempt = Attempt.prepare(problem, meshes, "LG", None, options)
     point = attempt.point(attempt.start)
-    attempt.solver.set_up(point)
+    attempt.solver.create_solver(point)
     middle = time.process_time()
     found = attempt.solver.solve(point)
     each = (time.process_time() - middle) / found.iterations

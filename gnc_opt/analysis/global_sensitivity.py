@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 
 from gnc_opt.analysis.scenario import Scenario, run_in_workers
-from gnc_opt.arguments import expect, read_integer, read_probability, suggesting_keywords
+from gnc_opt.arguments import expect, read_integer, read_probability, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign_batch import MOST_PER_BATCH
@@ -105,7 +105,7 @@ class SobolIndices(Printed):
         return "\n".join(lines)
 
 
-@suggesting_keywords
+@suggest_keywords
 def sobol_indices(
     scenario: Scenario,
     measure: str,

@@ -24,7 +24,7 @@ import numpy as np
 from gnc_opt.analysis.deviation_propagation import Scatter, Sources
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.arguments import Strict, expect, read_integer, suggesting_keywords
+from gnc_opt.arguments import Strict, expect, read_integer, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.variables import Layout
@@ -152,7 +152,7 @@ class LinearCovariance(Strict, Printed):
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def linear_covariance(
     scenario: Scenario,
     *,

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arguments import Strict
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import heading, table
+from gnc_opt.text_formatting import html_heading, html_table
 from gnc_opt.tolerances import ROUNDING
 
 REPORT_VALUE_WIDTH = 44
@@ -89,7 +89,7 @@ class DesignReport(Strict):
 
     def _repr_html_(self) -> str:
         rows = [(fact.name, _format_value(fact), fact.unit, fact.remark) for fact in self.facts]
-        return heading(self.title) + table(("quantity", "value", "unit", "remark"), rows)
+        return html_heading(self.title) + html_table(("quantity", "value", "unit", "remark"), rows)
 
 
 def _entry_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gnc_opt.archive import written_whole
+from gnc_opt.archive import write_atomically
 from gnc_opt.control.c_export.export import CCode, export_c, flight_controller
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -259,6 +259,6 @@ def _compile_library(compiler: str, sources: Path, code: CCode, name: str) -> by
 
 
 def _write_archive(file: Path, members: Mapping[str, bytes]) -> None:
-    with written_whole(file) as stream, zipfile.ZipFile(stream, "w") as archive:
+    with write_atomically(file) as stream, zipfile.ZipFile(stream, "w") as archive:
         for name in sorted(members):
             archive.writestr(zipfile.ZipInfo(name, _SAME_DATE), members[name], zipfile.ZIP_DEFLATED)

@@ -43,7 +43,7 @@ from gnc_opt.control.sliding_mode import read_switching
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import one_thread
-from gnc_opt.tolerances import dependent
+from gnc_opt.tolerances import are_dependent
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
 
@@ -147,7 +147,7 @@ def _projected_surface(
     b = ca.densify(ca.simplify(pair.substitute_reference(ca.jacobian(pair.rate(e), pair.u))))
     first = pair.evaluate_along_reference(reference, np.array([reference.initial_time]), b)[0]
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
-    if first.shape[0] < first.shape[1] or dependent(singular):
+    if first.shape[0] < first.shape[1] or are_dependent(singular):
         raise DesignError(
             f"the controls of model '{pair.model.name}' act alike on its states: B has the singular values {singular}; "
             "allocate them first, and design for independent controls."

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
+from gnc_opt.arguments import read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, Limits, authority_margin_fact, clip, read_limits
 from gnc_opt.control.controller import Controller, initial_state_function, law
@@ -39,7 +39,7 @@ from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.runtime_environment import one_thread
-from gnc_opt.tolerances import alike
+from gnc_opt.tolerances import are_equal
 
 
 def regulator_facts(
@@ -80,7 +80,7 @@ def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Rep
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def design_lqr(
     model: Model,
     reference: Reference | ArrayLike,
@@ -189,7 +189,7 @@ def require_constant_linearization(deviation: ErrorDynamics, reference: Referenc
     a, b = pairs[-1]
     for t, pair in zip(times, pairs, strict=True):
         for what, found, last in (("A", pair[0], a), ("B", pair[1], b)):
-            if not alike(found, last):
+            if not are_equal(found, last):
                 change = np.max(np.abs(found - last))
                 raise DesignError(
                     f"{what} of '{deviation.model.name}' changes along the reference, by {change:.3g} between "

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
+from gnc_opt.arguments import read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.active_set_qp import (
     ProgrammeCode,
@@ -54,7 +54,7 @@ from gnc_opt.errors import ArgumentError, DesignError, shown, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.runtime_environment import one_thread
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_equal
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
@@ -66,7 +66,7 @@ _DAQP = {"primal_tol": 1e-11, "dual_tol": 1e-12}
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def design_mpc(
     model: Model,
     reference: Reference | ArrayLike,
@@ -194,7 +194,7 @@ class _Windows:
     def constant(self) -> bool:
         """Whether every step of the reference is like the last."""
         last = self.gains.steps[-1]
-        return all(alike(s.a, last.a) and alike(s.b, last.b) for s in self.gains.steps)
+        return all(are_equal(s.a, last.a) and are_equal(s.b, last.b) for s in self.gains.steps)
 
     def __call__(self, first: int) -> tuple[Array, Array, Array, Array]:
         steps, costs = self.gains.steps, self.gains.costs

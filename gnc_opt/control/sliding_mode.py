@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers, read_positive, suggesting_keywords
+from gnc_opt.arguments import read_numbers, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, Limits, authority_margin_fact, read_limits, saturate
 from gnc_opt.control.controller import Controller
@@ -248,7 +248,7 @@ Slopes: TypeAlias = float | Sequence[Any] | Mapping[str, Any]
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def design_sliding_mode(
     model: Model,
     reference: Reference | ArrayLike,

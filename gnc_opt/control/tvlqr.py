@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, suggesting_keywords
+from gnc_opt.arguments import expect, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Limits, authority_margin_fact, read_limits
 from gnc_opt.control.controller import Controller, initial_state_function, law
@@ -49,7 +49,7 @@ class GainSchedule:
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def design_tvlqr(
     model: Model,
     reference: Reference,

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_numbers, suggesting_keywords
+from gnc_opt.arguments import expect, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport
@@ -123,7 +123,7 @@ class Estimator:
         return memory[: self.memory.size]
 
 
-@suggesting_keywords
+@suggest_keywords
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     """Return the controller that feeds back an estimate.
 

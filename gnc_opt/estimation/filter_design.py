@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_label, read_positive, suggesting_keywords
+from gnc_opt.arguments import expect, read_integer, read_label, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -28,7 +28,7 @@ from gnc_opt.tolerances import EQUAL
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def design_ekf(
     model: Model,
     x0: ArrayLike | Mapping[str, ArrayLike],
@@ -78,7 +78,7 @@ def design_ekf(
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def design_ukf(
     model: Model,
     x0: ArrayLike | Mapping[str, ArrayLike],

@@ -128,11 +128,11 @@ def _terminal_derivatives(prediction: Prediction, tau: Array) -> tuple[Optimum, 
     outputs = [psi, slope, ca.jacobian(psi, times), ca.jacobian(slope, times)]
     function = ca.Function("derivatives", [times, nu], outputs)
 
-    def evaluate_derivatives(multipliers: Array) -> list[Array]:
+    def slopes(multipliers: Array) -> list[Array]:
         return [np.asarray(each.full()) for each in function(tau, multipliers)]
 
-    nu = np.linalg.lstsq(evaluate_derivatives(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
-    psi, slope, S, H = evaluate_derivatives(nu)
+    nu = np.linalg.lstsq(slopes(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
+    psi, slope, S, H = slopes(nu)
     psi, slope, H = psi[:, 0], slope[:, 0], 0.5 * (H + H.T)
     kernel = scipy.linalg.null_space(S)
     curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)
@@ -269,7 +269,7 @@ def _read_regulated_end(last: float, reserve: float, plan: SwitchingPlan) -> Reg
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
         raise ArgumentError(
-            f"the last part of {length:g} s is no part of a flight of {duration:g} s: shorten it."
+            f"the last part of {length:g} s is no part of a flight of {duration:g} s: shown it."
         )
     return RegulatedEnd(length, reserve)
 

@@ -27,7 +27,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.feedforward import ReferenceSchedule
 from gnc_opt.control.reference import Reference
-from gnc_opt.errors import ArgumentError, GncOptError, in_words, shown
+from gnc_opt.errors import ArgumentError, GncOptError, format_error, shown
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.measured_start import with_start_on_bounds
@@ -253,8 +253,8 @@ class Replanner:
                 raise
             except Exception as error:
                 raise ArgumentError(
-                    f"follow= of the Replanner failed for its own plan, {in_words(error)}: let it return a schedule, "
-                    "schedule(times, dt) -> (n_signals, n_times)."
+                    f"follow= of the Replanner failed for its own plan, {format_error(error)}: let it return a "
+                    "schedule, schedule(times, dt) -> (n_signals, n_times)."
                 ) from error
             if not np.allclose(found[:, 0], own, rtol=1e-6, atol=1e-9):
                 raise ArgumentError(

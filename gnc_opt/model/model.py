@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import Strict, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ModelError, right_symbol
+from gnc_opt.errors import ModelError, suggest_symbol
 from gnc_opt.model.casadi_import import express_derivative, read_named_values, read_variables
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.function_evaluation import check_arguments, evaluate
@@ -635,6 +635,6 @@ class Model(Strict):
         if foreign:
             raise ModelError(
                 f"{what} uses '{foreign[0]}', which is not a symbol of this model: "
-                f"{right_symbol(foreign[0], self._variables.names)}"
+                f"{suggest_symbol(foreign[0], self._variables.names)}"
             )
         return expression

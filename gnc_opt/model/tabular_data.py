@@ -14,7 +14,7 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.runtime_environment import imported
+from gnc_opt.runtime_environment import import_optional
 from gnc_opt.text_formatting import json_text
 
 
@@ -86,14 +86,14 @@ class Records:
 
     def to_pandas(self) -> Any:
         """Return a DataFrame with one column per component; units and attributes are in ``attrs``."""
-        pandas = imported("pandas", "data")
+        pandas = import_optional("pandas", "data")
         frame = pandas.DataFrame(self.columns, index=pandas.Index(self.points, name=self.axis.name))
         frame.attrs = {**self.about, "units": self.units}
         return frame
 
     def to_xarray(self) -> Any:
         """Return a Dataset; vectors have a dimension for their components, each variable its unit."""
-        xarray = imported("xarray", "data")
+        xarray = import_optional("xarray", "data")
         axis = self.axis.name
         variables = {}
         for variable, values in self.quantities:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import ErrorType, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, ModelError, ProblemError, in_words, shown, unknown_name
+from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_error, shown, unknown_name
 from gnc_opt.model.expressions import holds_nan
 
 
@@ -268,7 +268,7 @@ def call_user_function(
     try:
         found = ca.SX(function(*arguments))
     except Exception as error:  # whatever a function of the user's raises
-        raise ArgumentError(f"{what} cannot be evaluated: {in_words(error)}; {remedy}.") from error
+        raise ArgumentError(f"{what} cannot be evaluated: {format_error(error)}; {remedy}.") from error
     if found.shape != (size, 1):
         raise ArgumentError(f"{what} returns the shape {found.shape} where ({size}, 1) is needed: {remedy}.")
     return found

@@ -7,9 +7,9 @@ from dataclasses import replace
 from enum import Enum
 from typing import Literal
 
-from gnc_opt.arguments import expect, read_positive, suggesting_keywords
+from gnc_opt.arguments import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.direct.solve_failure import SolveError, failure_message
+from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.measured_start import with_start_on_bounds
@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import MOVED_START
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, family_of
+from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, get_family
 from gnc_opt.runtime_environment import one_thread
 
 
@@ -178,7 +178,7 @@ DEFAULT_TOLERANCE = 1e-6
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def solve(
     problem: Problem,
     *,
@@ -245,7 +245,7 @@ def solve(
     2.000000 converged
     """
     expect(problem, Problem, "what solve() got", "write solve(problem), or solve(solution.problem)")
-    family_of(scheme)
+    get_family(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
         within_bounds, moved = with_start_on_bounds(problem)
@@ -286,7 +286,7 @@ def solve(
     if guess is not None:
         solution = said(solution, SolveMethod.WARM)
     if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
-        raise SolveError(failure_message(solution), solution)
+        raise SolveError(format_failure(solution), solution)
     if tol is None or not solution.status.solved:
         return solution
 

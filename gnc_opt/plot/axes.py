@@ -16,7 +16,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.style import QUIET, line_style, variable_name_text
 from gnc_opt.text_formatting import derivative_unit
-from gnc_opt.tolerances import ROUNDING, magnitude
+from gnc_opt.tolerances import ROUNDING, nonzero_magnitude
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
 """Look of a bound's line."""
@@ -66,7 +66,7 @@ def _line_y_data(line: Line2D) -> Array:
 def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
     """Show all phases, with a dotted line between one and the next, and noise as zero."""
     reach = max((float(np.nanmax(np.abs(y), initial=0.0)) for y in map(_line_y_data, ax.lines)), default=0.0)
-    set_minimum_y_range(ax, ROUNDING * float(magnitude(reach)))
+    set_minimum_y_range(ax, ROUNDING * float(nonzero_magnitude(reach)))
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")

@@ -29,7 +29,7 @@ from gnc_opt.plot.motion_view import (
     motion_time_span,
     sample_motion,
 )
-from gnc_opt.runtime_environment import imported
+from gnc_opt.runtime_environment import import_optional
 
 _INSTANTS = (41, 241)
 """Fewest and most instants of a motion."""
@@ -46,7 +46,7 @@ def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, 
     """
     data = _scene_dict(shown, view, regular or {})
     try:
-        plotly = Path(imported("plotly", "report").__file__).parent / "package_data" / "plotly.min.js"
+        plotly = Path(import_optional("plotly", "report").__file__).parent / "package_data" / "plotly.min.js"
     except GncOptError as error:
         return f"<p>Not shown in 3-D: {escape(str(error))}</p>"
     script = resources.files(__package__).joinpath("scene.js").read_text(encoding="utf-8")

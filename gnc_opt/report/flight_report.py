@@ -23,7 +23,7 @@ from gnc_opt.report.html_document import (
 )
 from gnc_opt.report.solution_page import TRAJECTORY_CAPTION
 from gnc_opt.simulation.campaign_text import campaign_notes, campaign_rows
-from gnc_opt.text_formatting import preformatted, table
+from gnc_opt.text_formatting import html_preformatted, html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,12 +69,12 @@ def write_run_report(
     motion = "" if view is None else _scene_section({title: run}, view)
     files = save_figures(folder, _draw_run_figures(run, view))
     sections = {
-        "Overview": figure_html(files, "trajectory", TRAJECTORY_CAPTION) + preformatted(str(run)),
+        "Overview": figure_html(files, "trajectory", TRAJECTORY_CAPTION) + html_preformatted(str(run)),
         "Motion": motion,
         "States": figure_html(files, "states", "States of the plant over time."),
         "Controls": figure_html(files, "controls", "Commands and applied controls over time."),
         "Errors": figure_html(files, "errors", "Errors of the states relative to the reference over time."),
-        "Parameters": table(
+        "Parameters": html_table(
             ("parameter", "value", "unit"),
             zip(
                 run.layouts["parameter"].labels,
@@ -83,7 +83,7 @@ def write_run_report(
                 strict=True,
             ),
         ),
-        "Software": command_html(command) + table(("", ""), [("seed", run.seed)]),
+        "Software": command_html(command) + html_table(("", ""), [("seed", run.seed)]),
     }
     headline = status_label_html(str(run.outcome), "good" if run.outcome.ok else "bad")
     page = write_page(folder, html_document(title, headline, sections))
@@ -149,9 +149,9 @@ def write_campaign_report(
             "envelope_",
             "1st, 50th and 99th percentile of the runs over time, with their intervals of 95 % confidence.",
         ),
-        "Failures": table(("run", "cause"), failures),
+        "Failures": html_table(("run", "cause"), failures),
         "Software": command_html(command)
-        + table(("", ""), [("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]),
+        + html_table(("", ""), [("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]),
     }
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open"
@@ -180,7 +180,7 @@ def _drawn_parameters_table(campaign: Campaign) -> str:
         spread = [f"{f(drawn):.4g}" for f in (np.std, np.min, np.max)] if varies else ["fixed", "", ""]
         rows.append((not varies, (label, f"{np.mean(drawn):.6g}", *spread, unit)))
     titles = ("parameter", "mean", "standard deviation", "smallest", "largest", "unit")
-    return table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
+    return html_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
 
 
 def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str) -> str:

@@ -13,7 +13,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import known_quality, left_tables
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart import Multistart
-from gnc_opt.text_formatting import json_text, plain_json
+from gnc_opt.text_formatting import convert_to_json, json_text
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     quality = known_quality(solution)
     spent = solution.statistics
     return dict(
-        plain_json(
+        convert_to_json(
             {
                 "schema": SCHEMA,
                 "problem": solution.problem_name,

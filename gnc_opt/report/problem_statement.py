@@ -21,7 +21,7 @@ from gnc_opt.report.formulas import (
     name_mathml,
     number_mathml,
 )
-from gnc_opt.text_formatting import table
+from gnc_opt.text_formatting import html_table
 
 _TIME = "<mi>t</mi>"
 
@@ -99,7 +99,7 @@ def _free_parameters_section(problem: Problem) -> str:
             zip(problem.parameters.labels, problem.parameters.units, strict=True)
         )
     ]
-    return "<h3>Free parameters</h3>" + table(("parameter", "range", "unit"), rows) if rows else ""
+    return "<h3>Free parameters</h3>" + html_table(("parameter", "range", "unit"), rows) if rows else ""
 
 
 # --- phases -----------------------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
         "<h4>Dynamics</h4>",
         refer_if_repeated(_dynamics_section(problem, leg)),
         "<h4>States, controls and times</h4>",
-        table(
+        html_table(
             ("", "initial value", "final value", "limits", "unit"),
             [
                 *_state_table_rows(leg),
@@ -171,7 +171,7 @@ def _model_parameters_table(problem: Problem, leg: Phase) -> str:
         (name, "free" if name.split(" [")[0] in problem.parameters else _format_numbers(values[rows]), unit)
         for name, rows, unit in _iterate_variables(leg.model.parameters)
     ]
-    return table(("parameter", "value", "unit"), rows)
+    return html_table(("parameter", "value", "unit"), rows)
 
 
 def _dynamics_section(problem: Problem, leg: Phase) -> str:

@@ -16,7 +16,7 @@ from gnc_opt.planning.solution.summary import (
 from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe, violation_text
 from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import problem_statement_html
-from gnc_opt.text_formatting import derivative_unit, table
+from gnc_opt.text_formatting import derivative_unit, html_table
 
 TRAJECTORY_CAPTION = (
     "Trajectory in space: circle at the start, square at the end, vehicle drawn at equal intervals of time."
@@ -91,11 +91,11 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
     if not solution.status.solved:
         rows = [("what to do", solution.status.remedy)]
         rows += [(f"violated: {v.name}", f"by {v.amount:.2g} of its scale") for v in solution.violations]
-        return table(("", ""), rows)
+        return html_table(("", ""), rows)
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
     failing = "".join(f"<p>{escape(text)}</p>" for text in open_conditions_html(verdict))
-    return failing + table(
+    return failing + html_table(
         ("check", "result", "violation or margin", "largest at"), verdict_table_rows(verdict)
     )
 
@@ -128,7 +128,7 @@ def _solve_facts_table(solution: Solution) -> str:
         rows.append(("accuracy", solution.accuracy.text))
     rows.append(("mesh", mesh_text(solution)))
     rows += [("table left", str(found)) for found in left_tables(solution)]
-    return table(("", ""), rows)
+    return html_table(("", ""), rows)
 
 
 # --- further sections -------------------------------------------------------------------------------------
@@ -152,7 +152,7 @@ def _conditions_table(verdict: Verdict | None) -> str:
         for c in verdict.conditions
         if c.result is not ConditionResult.PASS
     )
-    return table(("condition", "result", "violation or margin", "tolerance", "largest at"), rows) + meanings
+    return html_table(("condition", "result", "violation or margin", "tolerance", "largest at"), rows) + meanings
 
 
 def _arcs_table(solution: Solution) -> str:
@@ -160,7 +160,7 @@ def _arcs_table(solution: Solution) -> str:
     for arc in solution.structure:
         channels.setdefault((arc.phase, arc.channel), []).append(f"{arc.kind.value} to {arc.end:.8g}")
     rows = [(phase, channel, ", ".join(arcs)) for (phase, channel), arcs in channels.items()]
-    return table(("phase", "control or constraint", "arcs, each to its end (s)"), rows)
+    return html_table(("phase", "control or constraint", "arcs, each to its end (s)"), rows)
 
 
 def _refinement_table(history: History | None) -> str:
@@ -183,7 +183,7 @@ def _refinement_table(history: History | None) -> str:
         *("iteration", "segments", "points", "error", "objective", "solver iterations", "time (s)"),
         "changes",
     )
-    return f"<p>{escape(history.message)}</p>" + table(titles, rows)
+    return f"<p>{escape(history.message)}</p>" + html_table(titles, rows)
 
 
 def _multipliers_table(solution: Solution) -> str:
@@ -203,7 +203,7 @@ def _multipliers_table(solution: Solution) -> str:
             (f"costate of {label}{where}", f"{a:.6g}", f"{b:.6g}", derivative_unit(cost_unit, unit))
             for label, unit, a, b in zip(leg.states.labels, leg.states.units, *ends, strict=True)
         ]
-    return table(("multiplier", "value, or at the start", "at the end", "unit"), rows)
+    return html_table(("multiplier", "value, or at the start", "at the end", "unit"), rows)
 
 
 def _software_versions_table(solution: Solution, command: str | None) -> str:
@@ -211,4 +211,4 @@ def _software_versions_table(solution: Solution, command: str | None) -> str:
         (k.replace("_", " "), str(v)) for k, v in solution.provenance.items() if k not in ("scheme", "mesh")
     ]
     rows.append(("last solve", solution.statistics.text))
-    return command_html(command) + table(("", ""), rows)
+    return command_html(command) + html_table(("", ""), rows)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.errors import GncOptError, in_words
+from gnc_opt.errors import GncOptError, format_error
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory import Trajectory
 from gnc_opt.model.variables import Layout
@@ -151,7 +151,7 @@ class ActiveReference:
             rows = planner.rows(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
         except Exception as error:  # in flight any failure of a solver or design keeps the old plan
-            return Replan(t, begin, time.perf_counter() - begun, in_words(error))
+            return Replan(t, begin, time.perf_counter() - begun, format_error(error))
         self.schedule[:, first:] = rows
         self._plan, self._path = plan, path
         way, cost = str(plan.provenance.get("way", "")), float(plan.objective)

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.errors import GncOptError, in_words
+from gnc_opt.errors import GncOptError, format_error
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
@@ -182,7 +182,7 @@ class CampaignTask:
             return [Flown(batch, P, self.flight.final(P, [[self.seed, index] for index in batch]))]
         except Exception as error:  # whatever a dispersion or a solver in the loop does, no run is lost
             if len(batch) == 1:
-                return [Flown(batch, None, None, in_words(error))]
+                return [Flown(batch, None, None, format_error(error))]
             return [flown for half in split_batch(batch) for flown in self.fly(half)]
 
 
@@ -221,5 +221,5 @@ def batch_results(done: Done[Batch, list[Flown]]) -> list[Flown]:
         return done.answer
     assert done.error is not None
     died = isinstance(done.error, WorkerDied)
-    why = str(done.error) if died else in_words(done.error)
+    why = str(done.error) if died else format_error(done.error)
     return [Flown(done.item, None, None, why, died)]

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
-from gnc_opt.text_formatting import plain_json
+from gnc_opt.text_formatting import convert_to_json
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Of the percentiles that are printed and written."""
@@ -123,7 +123,7 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
         "passed": _pass_rate_dict(campaign.pass_rate()) if runs else None,
         "share_below_maximum": share_below_maximum(runs) if runs else None,
     }
-    return dict(plain_json(content))
+    return dict(convert_to_json(content))
 
 
 def _measure_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive, suggesting_keywords
+from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, GncOptError, in_words
+from gnc_opt.errors import ArgumentError, GncOptError, format_error
 from gnc_opt.model.variables import as_vector
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import (
@@ -106,7 +106,7 @@ def _evaluate_user_measure(name: str, function: MeasureFunction, campaign: Campa
         values = np.asarray(function(campaign), dtype=float)
     except (TypeError, ValueError) as error:
         raise ArgumentError(
-            f"the measure '{name}' gives no numbers ({in_words(error)}): return one per run, ({len(campaign)},)."
+            f"the measure '{name}' gives no numbers ({format_error(error)}): return one per run, ({len(campaign)},)."
         ) from error
     if values.shape != (len(campaign),):
         raise ArgumentError(
@@ -115,7 +115,7 @@ def _evaluate_user_measure(name: str, function: MeasureFunction, campaign: Campa
     return values
 
 
-@suggesting_keywords
+@suggest_keywords
 def monte_carlo(
     loop: ClosedLoop,
     n: int,
@@ -230,7 +230,7 @@ def _share_task(mission: CampaignTask, executor: Executor | Literal["serial"] | 
     remedy = 'define dispersions of your own at the top of a module, or use executor="serial"'
     shared = Shared.picklable(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):
-        shared.packed()  # refused also where processes inherit it: a campaign that flies here flies on any machine
+        shared.pack_parcel()  # refused also where processes inherit it: a campaign that flies here flies on any machine
     return shared
 
 

@@ -22,7 +22,7 @@ from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from gnc_opt.arguments import expect
 from gnc_opt.errors import GncOptError
-from gnc_opt.workers.processes import Object, OwnProcesses, Parcel, Shared, opened
+from gnc_opt.workers.processes import Object, OwnProcesses, Parcel, Shared, open_parcel
 
 MOST_CRASHES = 8
 """After so many items in a row that each killed a process of its own, no more are tried."""
@@ -115,7 +115,7 @@ class WorkerPool(Generic[Object]):
             self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
             sends = shared.maker is not None and not isinstance(executor, ThreadPoolExecutor)
             if sends or isinstance(executor, ProcessPoolExecutor):  # that hangs at times where it cannot send
-                self._parcel = shared.packed()
+                self._parcel = shared.pack_parcel()
 
     def __enter__(self) -> WorkerPool[Object]:
         return self
@@ -124,7 +124,7 @@ class WorkerPool(Generic[Object]):
         self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
     ) -> None:
         if self._own is not None:
-            self._own.end(at_once=self.interrupted or kind is not None)
+            self._own.end_processes(at_once=self.interrupted or kind is not None)
 
     def run(
         self,
@@ -150,22 +150,22 @@ class WorkerPool(Generic[Object]):
         items = list(items)
         ledger = _Ledger(items, show)
         try:
-            left = self._do_all(task, list(enumerate(items)), ledger)
+            left = self._run_parallel(task, list(enumerate(items)), ledger)
             if left and self._own is None:
                 self._own = OwnProcesses(self._shared)
-                left = self._do_all(task, left, ledger)
+                left = self._run_parallel(task, left, ledger)
             again: list[tuple[Place, Item]] = [((number,), item) for number, item in left]
-            self._do_again(task, again, split, ledger)
+            self._rerun_items(task, again, split, ledger)
         except KeyboardInterrupt:
             self.interrupted = True
             if self._own is None:
-                ledger.cancel()
+                ledger.cancel_tasks()
             else:  # not future by future: executors whose processes end stumble over cancelled ones
-                self._own.end(at_once=True)
-            ledger.collect()
-        return ledger.in_order()
+                self._own.end_processes(at_once=True)
+            ledger.collect_results()
+        return ledger.sorted_results()
 
-    def _do_all(
+    def _run_parallel(
         self,
         task: Task[Object, Item, Answer],
         items: Sequence[tuple[int, Item]],
@@ -174,38 +174,38 @@ class WorkerPool(Generic[Object]):
         """Do numbered items side by side; return those that a dead process left behind."""
         left: list[tuple[int, Item]] = []
 
-        def settle(number: int, error: BaseException | None) -> None:
+        def record_result(number: int, error: BaseException | None) -> None:
             future = ledger.futures.pop(
                 number
             )  # as long as it is held a Dask cluster keeps the task and its answer
             if isinstance(error, BrokenExecutor):
                 left.append((number, ledger.items[number]))
             else:
-                ledger.keep((number,), _done(ledger.items[number], future, error))
+                ledger.store_result((number,), _make_result(ledger.items[number], future, error))
 
-        waiting, pending, room = deque(items), dict[Future[Answer], int](), _room(self._executor)
+        waiting, pending, room = deque(items), dict[Future[Answer], int](), _count_task_slots(self._executor)
         idle, deserted = 0, False
         while waiting or pending:
             while waiting and len(pending) < room:
                 number, item = waiting.popleft()
-                future = _gone() if deserted else self._submit(task, item)
+                future = _gone() if deserted else self._submit_task(task, item)
                 ledger.futures[number] = future
                 if future.done():
-                    settle(number, _error(future))
+                    record_result(number, _get_error(future))
                 else:
                     pending[future] = number
             ended, _ = wait(pending, timeout=NO_WORKERS_MAX_WAIT_S, return_when=FIRST_COMPLETED)
-            idle = idle + 1 if pending and not ended and _deserted(self._executor) else 0
+            idle = idle + 1 if pending and not ended and _has_lost_workers(self._executor) else 0
             if idle == 2:  # workers may have been on their way back
                 deserted, ended = True, set(pending)
             for future in ended:
                 number = pending.pop(future)
                 if deserted:
                     future.cancel()
-                settle(number, _gone().exception() if deserted else _error(future))
+                record_result(number, _gone().exception() if deserted else _get_error(future))
         return sorted(left, key=lambda numbered: numbered[0])
 
-    def _do_again(
+    def _rerun_items(
         self,
         task: Task[Object, Item, Answer],
         left: Sequence[tuple[Place, Item]],
@@ -218,30 +218,30 @@ class WorkerPool(Generic[Object]):
             place, item = waiting.pop()
             if crashes == MOST_CRASHES:
                 why = f"not tried: the {crashes} before it killed their process"
-                ledger.keep(place, Done(item, error=WorkerDied(why)))
+                ledger.store_result(place, Done(item, error=WorkerDied(why)))
                 continue
-            self._own.renew(1)
-            future = self._submit(task, item)
-            done = _done(item, future, _error(future))
+            self._own.restart_processes(1)
+            future = self._submit_task(task, item)
+            done = _make_result(item, future, _get_error(future))
             died = isinstance(done.error, WorkerDied)
             parts = split(item) if died else ()
             if parts:
                 waiting += [((*place, i), part) for i, part in reversed(list(enumerate(parts)))]
                 continue
             crashes = crashes + 1 if died else 0
-            ledger.keep(place, done)
+            ledger.store_result(place, done)
         if left and self._own is not None:
-            self._own.end()  # the next run begins with as many processes as ever
+            self._own.end_processes()  # the next run begins with as many processes as ever
 
-    def _submit(self, task: Task[Object, Item, Answer], item: Item) -> Future[Answer]:
+    def _submit_task(self, task: Task[Object, Item, Answer], item: Item) -> Future[Answer]:
         try:
             if self._own is not None:
-                return self._own.submit(task, item)
-            return self._executor.submit(_do_in_turn, task, self._parcel, item)
+                return self._own.submit_task(task, item)
+            return self._executor.submit(_run_task_in_turn, task, self._parcel, item)
         except BrokenExecutor as error:
-            return _failed(error)
+            return _make_failed_future(error)
         except Exception:
-            if not _deserted(self._executor):
+            if not _has_lost_workers(self._executor):
                 raise
             return _gone()
 
@@ -255,21 +255,21 @@ class _Ledger(Generic[Item, Answer]):
     futures: dict[int, Future[Answer]] = field(default_factory=dict)
     done: dict[Place, Done[Item, Answer]] = field(default_factory=dict)
 
-    def keep(self, place: Place, done: Done[Item, Answer]) -> None:
+    def store_result(self, place: Place, done: Done[Item, Answer]) -> None:
         self.done[place] = done
         self.show(done)
 
-    def cancel(self) -> None:
+    def cancel_tasks(self) -> None:
         for future in self.futures.values():
             future.cancel()
 
-    def collect(self) -> None:
+    def collect_results(self) -> None:
         """Store answers that have not been read yet."""
         for number, future in self.futures.items():
-            if (number,) not in self.done and future.done() and _error(future) is None:
+            if (number,) not in self.done and future.done() and _get_error(future) is None:
                 self.done[number,] = Done(self.items[number], future.result())
 
-    def in_order(self) -> list[Done[Item, Answer]]:
+    def sorted_results(self) -> list[Done[Item, Answer]]:
         return [self.done[place] for place in sorted(self.done)]
 
 
@@ -285,7 +285,7 @@ class _Serial(Executor):
         return future
 
 
-def _done(item: Item, future: Future[Answer], error: BaseException | None) -> Done[Item, Answer]:
+def _make_result(item: Item, future: Future[Answer], error: BaseException | None) -> Done[Item, Answer]:
     if isinstance(error, KeyboardInterrupt):  # the task itself obeyed Ctrl-C
         raise error
     if error is None:
@@ -294,7 +294,7 @@ def _done(item: Item, future: Future[Answer], error: BaseException | None) -> Do
     return Done(item, error=WorkerDied("its process died") if died else error)
 
 
-def _error(future: Future[Any]) -> BaseException | None:
+def _get_error(future: Future[Any]) -> BaseException | None:
     """Return what a future ended with, or will end with."""
     try:
         return future.exception()
@@ -302,17 +302,17 @@ def _error(future: Future[Any]) -> BaseException | None:
         return error
 
 
-def _failed(error: BaseException) -> Future[Any]:
+def _make_failed_future(error: BaseException) -> Future[Any]:
     future: Future[Any] = Future()
     future.set_exception(error)
     return future
 
 
 def _gone() -> Future[Any]:
-    return _failed(WorkerDied("the cluster has no workers left"))
+    return _make_failed_future(WorkerDied("the cluster has no workers left"))
 
 
-def _deserted(executor: Executor) -> bool:
+def _has_lost_workers(executor: Executor) -> bool:
     """Whether an executor is that of a Dask cluster that has no workers, or no scheduler any more."""
     client: Any = getattr(executor, "_client", None)
     if not hasattr(client, "scheduler_info"):
@@ -320,7 +320,7 @@ def _deserted(executor: Executor) -> bool:
     return getattr(client, "status", "running") != "running" or not client.scheduler_info().get("workers")
 
 
-def _room(executor: Executor) -> int:
+def _count_task_slots(executor: Executor) -> int:
     """Return how many tasks an executor may have at a time: each holds what all of them share."""
     client: Any = getattr(executor, "_client", None)
     threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else (os.cpu_count() or 1)
@@ -330,6 +330,6 @@ def _room(executor: Executor) -> int:
 _TURN = threading.RLock()
 
 
-def _do_in_turn(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
+def _run_task_in_turn(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
     with _TURN:  # a compiled function serves one thread at a time
-        return task(opened(parcel), item)
+        return task(open_parcel(parcel), item)

@@ -50,14 +50,14 @@ class Shared(Generic[Object]):
     @classmethod
     def picklable(cls, value: Object, name: str, remedy: str) -> Shared[Object]:
         """Return an object that travels by itself."""
-        return cls(value, name, remedy, partial(_itself, value))
+        return cls(value, name, remedy, partial(_return_value, value))
 
     @property
     def here(self) -> Here[Object]:
         """The parcel that stays in this process and in those that inherit its memory."""
-        return Here(self.value, self._refusal(""))
+        return Here(self.value, self._make_pickle_error(""))
 
-    def packed(self) -> bytes:
+    def pack_parcel(self) -> bytes:
         """Return the parcel for other processes.
 
         Raises
@@ -66,13 +66,13 @@ class Shared(Generic[Object]):
             The object cannot be sent.
         """
         if self.maker is None:
-            raise self._refusal("")
+            raise self._make_pickle_error("")
         try:
             return pickle.dumps(self.maker)
         except Exception as error:
-            raise self._refusal(f" ({error})") from error
+            raise self._make_pickle_error(f" ({error})") from error
 
-    def _refusal(self, why: str) -> GncOptError:
+    def _make_pickle_error(self, why: str) -> GncOptError:
         return GncOptError(f"{self.name} cannot be sent to another process{why}: {self.remedy}.")
 
 
@@ -87,17 +87,17 @@ class Here(Generic[Object]):
         raise self.error
 
 
-def opened(parcel: Parcel[Any]) -> Any:
+def open_parcel(parcel: Parcel[Any]) -> Any:
     """Return the object of a parcel; one that was sent is made once per process."""
-    return parcel.value if isinstance(parcel, Here) else _made(parcel)
+    return parcel.value if isinstance(parcel, Here) else _unpickle_once(parcel)
 
 
 @lru_cache(maxsize=4)
-def _made(parcel: bytes) -> Any:
+def _unpickle_once(parcel: bytes) -> Any:
     return pickle.loads(parcel)()
 
 
-def _itself(value: Object) -> Object:
+def _return_value(value: Object) -> Object:
     return value
 
 
@@ -107,7 +107,7 @@ _OBJECT: list[Any] = []
 """In a process of ours: the shared object."""
 
 
-def processes_fork() -> bool:
+def is_fork_default() -> bool:
     """Whether new processes are copies of this one, with everything it has in memory."""
     return os.name == "posix" and os.uname().sysname == "Linux"
 
@@ -116,13 +116,13 @@ class OwnProcesses:
     """Processes that have a shared object; new ones take the place of those that died."""
 
     def __init__(self, shared: Shared[Any]) -> None:
-        self._context: Any = multiprocessing.get_context("fork" if processes_fork() else None)
-        self._parcel: Here[Any] | Path = shared.here if processes_fork() else self._written(shared)
+        self._context: Any = multiprocessing.get_context("fork" if is_fork_default() else None)
+        self._parcel: Here[Any] | Path = shared.here if is_fork_default() else self._write_parcel(shared)
         self._executor: ProcessPoolExecutor | None = None
 
-    def _written(self, shared: Shared[Any]) -> Path:
+    def _write_parcel(self, shared: Shared[Any]) -> Path:
         """Return a file with the packed object: an argument of more than 64 kB may block a process."""
-        packed = shared.packed()
+        packed = shared.pack_parcel()
         try:
             folder = tempfile.mkdtemp(prefix="gnc_opt-")
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -135,31 +135,31 @@ class OwnProcesses:
             ) from error
         return path
 
-    def submit(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
+    def submit_task(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
         """Have a task done by one of them, as many as there are processors."""
         if self._executor is None:
-            self.renew(os.cpu_count() or 1)
+            self.restart_processes(os.cpu_count() or 1)
         assert self._executor is not None
-        return self._executor.submit(_do, task, item)
+        return self._executor.submit(_run_task, task, item)
 
-    def renew(self, count: int) -> None:
+    def restart_processes(self, count: int) -> None:
         """Let new processes take the place of those there are."""
-        self.end()
+        self.end_processes()
         self._executor = ProcessPoolExecutor(
-            count, self._context, initializer=_begin, initargs=(self._parcel,)
+            count, self._context, initializer=_initialise_process, initargs=(self._parcel,)
         )
 
-    def end(self, at_once: bool = False) -> None:
+    def end_processes(self, at_once: bool = False) -> None:
         """End them; ``at_once`` also during a task, whose result is no longer needed."""
         if self._executor is None:
             return
         if at_once:
-            _kill(self._executor)
+            _kill_processes(self._executor)
         self._executor.shutdown(cancel_futures=True)
         self._executor = None
 
 
-def _kill(executor: Any) -> None:
+def _kill_processes(executor: Any) -> None:
     """End the processes of an executor at once; for what it needs the public interface comes with Python 3.14."""
     for process in list((executor._processes or {}).values()):
         process.terminate()
@@ -172,16 +172,16 @@ def _kill(executor: Any) -> None:
 # --- in the processes -------------------------------------------------------------------------------------
 
 
-def _begin(parcel: Here[Any] | Path) -> None:
+def _initialise_process(parcel: Here[Any] | Path) -> None:
     """Get the object; Ctrl-C is the parent's business, and the processors are shared already."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"
-    _OBJECT[:] = [opened(parcel.read_bytes() if isinstance(parcel, Path) else parcel)]
+    _OBJECT[:] = [open_parcel(parcel.read_bytes() if isinstance(parcel, Path) else parcel)]
 
 
-def _end_with_parent() -> None:
+def _exit_with_parent() -> None:
     """End at once when the parent process is gone for any reason."""
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -189,5 +189,5 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _do(task: Callable[[Any, Any], Any], item: Any) -> Any:
+def _run_task(task: Callable[[Any, Any], Any], item: Any) -> Any:
     return task(_OBJECT[0], item)

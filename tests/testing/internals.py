@@ -39,8 +39,8 @@ from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import (
     HELD_TIME_FACTORS,
     SolveLimits,
-    feasibility_starts,
-    knows_trajectory,
+    generate_feasibility_starts,
+    has_trajectory_guess,
     solve_mesh,
 )
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
@@ -91,19 +91,22 @@ from gnc_opt.planning.solution.variation_scales import control_spans
 from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution
 from gnc_opt.planning.transcription.arc_constraints import (
+    build_smoothness_rows,
     check_segments,
     hold_controls,
     hold_paths,
     hold_states,
-    smooth_rows,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
-from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
+from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, get_family
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
-from gnc_opt.planning.verification.bang_bang_second_order import check_strict_switches, why_not_applicable
+from gnc_opt.planning.verification.bang_bang_second_order import (
+    check_strict_switches,
+    explain_inapplicability,
+)
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_parts
 from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
 from gnc_opt.planning.verification.verify_trajectory import _build_solution

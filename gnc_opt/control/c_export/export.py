@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_name, read_numbers, suggesting_keywords
+from gnc_opt.arguments import expect, read_name, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, write_c_statements
 from gnc_opt.control.c_export.schedule_table import FlightTable, tabulate_schedule
@@ -63,7 +63,7 @@ class CCode:
     command_error: Array | None = None
 
 
-@suggesting_keywords
+@suggest_keywords
 def export_c(
     controller: Controller,
     directory: str | Path,

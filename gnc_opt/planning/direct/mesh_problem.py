@@ -77,7 +77,7 @@ class Attempt:
         transcription = transcribe(problem, meshes, scheme)
         suited = _with_careful_pivoting(options, transcription)
         reused = repr(suited) in transcription.built
-        solver = _solver(transcription, suited)
+        solver = _make_solver(transcription, suited)
         start = program_start(transcription, problem, guess)
         scales = scale_variables(transcription, problem, start.x)
         scaling = Scaling(scales, *scale_rows(transcription, problem, start.x, scales))
@@ -165,7 +165,7 @@ def _with_careful_pivoting(options: SolverOptions, transcription: Transcription)
     return options
 
 
-def _solver(transcription: Transcription, options: SolverOptions) -> NlpSolver:
+def _make_solver(transcription: Transcription, options: SolverOptions) -> NlpSolver:
     key = repr(options)
     if key not in transcription.built:
         transcription.built[key] = NlpSolver(transcription.nlp, options)

@@ -42,7 +42,7 @@ def minimum_norm_multipliers(transcription: Transcription, point: NlpPoint, resu
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
     jacobian = to_scipy_sparse(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
-    along = fixed & _along_phases(transcription)
+    along = fixed & _mask_phase_states(transcription)
     r = _null_space_part(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
     left = jacobian.T @ r
     if np.max(np.abs(r)) < NULL_SPACE_MIN_SHARE * largest or np.max(
@@ -55,7 +55,7 @@ def minimum_norm_multipliers(transcription: Transcription, point: NlpPoint, resu
     return replace(result, lam_g=lam_g, lam_x=lam_x)
 
 
-def _along_phases(transcription: Transcription) -> Mask:
+def _mask_phase_states(transcription: Transcription) -> Mask:
     """Which variables are states within a phase (n_variables,): fixed ones are on an arc of their limit."""
     found: Mask = np.zeros(transcription.n_variables, dtype=bool)
     for part in transcription.parts.values():

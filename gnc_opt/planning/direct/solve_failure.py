@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.direct.solve_mesh import knows_trajectory
+from gnc_opt.planning.direct.solve_mesh import has_trajectory_guess
 from gnc_opt.planning.nlp import Status
 from gnc_opt.planning.problem.check_functions import singular_norms
 from gnc_opt.planning.problem.problem import Problem
@@ -33,7 +33,7 @@ class SolveError(GncOptError, RuntimeError):
         return type(self), (str(self), replace(self.solution, problem=None))
 
 
-def failure_message(solution: Solution) -> str:
+def format_failure(solution: Solution) -> str:
     """Return what a failed solve raises: status, worst constraint, remedy, what to guess, and norms to declare."""
     worst = "all constraints hold at the last iterate"
     if solution.violations:
@@ -47,22 +47,22 @@ def failure_message(solution: Solution) -> str:
     return (
         f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"
-        + (guess_to_give(problem) if problem and solution.status in GUESS_HELPS else "")
+        + (suggest_guess(problem) if problem and solution.status in GUESS_HELPS else "")
         + "".join(f" And {text}." for text in norms)
         + (f" And {missing}" if problem and (missing := missing_bounds_text(problem)) else "")
     )
 
 
-def guess_to_give(problem: Problem) -> str:
+def suggest_guess(problem: Problem) -> str:
     """Return which kind of guess can help, and the states of unknown size; empty where a trajectory is given."""
-    if knows_trajectory(problem):
+    if has_trajectory_guess(problem):
         return ""
     hint = (
         " Guesses that help are trajectories: one that go.guess_from_simulation() flies, waypoints over time in "
         "with_guess(phase, times, ...) (about a centre on an arc, not a straight line; or state the problem in polar "
         "coordinates), or a simpler problem's solution in go.guess_from_solution()."
     )
-    names = _without_size(problem)
+    names = _find_unsized_states(problem)
     if not names:
         return hint
     listed = ", ".join(f"'{name}'" for name in names)
@@ -72,7 +72,7 @@ def guess_to_give(problem: Problem) -> str:
     )
 
 
-def _without_size(problem: Problem) -> list[str]:
+def _find_unsized_states(problem: Problem) -> list[str]:
     """Return the states of which neither a bound, nor an end, nor a guess is known in any phase."""
     told: dict[str, bool] = {}
     for leg in problem.phases.values():

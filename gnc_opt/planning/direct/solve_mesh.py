@@ -140,12 +140,12 @@ def solve_mesh(
     if limits.warm_iterations is None:
         return task.solve(guess)
     if limits.warm_iterations == 0:
-        return task.along(guess)
-    found = task.brief(limits.warm_iterations).solve(guess)
-    task = task.after(found)
-    if found.status not in TRAJECTORY_ONLY or task.is_spent:
+        return task.solve_from_trajectory(guess)
+    found = task.limit_iterations(limits.warm_iterations).solve(guess)
+    task = task.deduct_iterations(found)
+    if found.status not in TRAJECTORY_ONLY or task.is_exhausted:
         return found
-    return task.along(guess, after=found)
+    return task.solve_from_trajectory(guess, after=found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ class _Task:
     progress: bool
     limits: SolveLimits
 
-    def after(self, found: Solution) -> _Task:
+    def deduct_iterations(self, found: Solution) -> _Task:
         """Return the task with the iterations that are left after those of a solution."""
         if self.limits.iterations is None:
             return self
@@ -167,11 +167,11 @@ class _Task:
         return replace(self, limits=replace(self.limits, iterations=left))
 
     @property
-    def is_spent(self) -> bool:
+    def is_exhausted(self) -> bool:
         """Whether no iterations or no CPU time are left."""
         return self.limits.iterations == 0 or time.thread_time() > self.limits.cpu_deadline
 
-    def along(self, guess: Solution, *, after: Solution | None = None) -> Solution:
+    def solve_from_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
         """Solve from the trajectory of a solution, without its multipliers."""
         start, cold = (
             guess_from_solution(self.problem, guess),
@@ -180,7 +180,7 @@ class _Task:
         found = replace(self, problem=start, options=cold).solve(after=after)
         return replace(found, problem=self.problem.frozen())
 
-    def brief(self, iterations: int) -> _Task:
+    def limit_iterations(self, iterations: int) -> _Task:
         """Return the task with so many iterations at most."""
         fewer = min(iterations, self.options.max_iterations)
         return replace(self, options=replace(self.options, max_iterations=fewer))
@@ -191,12 +191,12 @@ class _Task:
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
         )
         point = attempt.point(attempt.start)
-        attempt.solver.set_up(point)  # the limit is on solving, not on setting up
+        attempt.solver.create_solver(point)  # the limit is on solving, not on setting up
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.limits.deadline, attempt.solver.deadline() - earlier_s)
         allowance = _Allowance(None, self.limits)
         tries = _Tries(attempt, allowance, deadline)
-        tries.run(point, search=guess is None and not knows_trajectory(self.problem))
+        tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
         result = tries.result()
         if allowance.spent and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
@@ -227,11 +227,11 @@ class _Tries:
     spent: list[NlpResult] = field(default_factory=list)
     whole: list[NlpResult] = field(default_factory=list)
 
-    def run(self, point: NlpPoint, *, search: bool) -> None:
+    def solve_from_point(self, point: NlpPoint, *, search: bool) -> None:
         """Solve from a point, then by other numerics; where it is no trajectory (search), from other points."""
         options = self.attempt.solver.options
         ipopt = options.solver == "ipopt"
-        cold = ipopt and point.way == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
+        cold = ipopt and point.start_kind == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
         search = search and cold
         first = self._solve(point, most=WARM_MAX_ITERATIONS if search else None)
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
@@ -241,10 +241,10 @@ class _Tries:
             return
         lost = first.status is Status.ITERATION_LIMIT
         most = TRY_MAX_ITERATIONS if search else None
-        self._solve(point.cold(), "adaptive", most=most if lost else None)
+        self._solve(point.drop_multipliers(), "adaptive", most=most if lost else None)
         if self._ended or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
-        for start in self._simulated():
+        for start in self._simulate_guess():
             self._solve(self.attempt.point(start), most=most)
         if not self._ended:
             self._solve_constraints_first()
@@ -284,7 +284,7 @@ class _Tries:
             self.whole.append(found)
         return found
 
-    def _simulated(self) -> Iterator[ProgramStart]:
+    def _simulate_guess(self) -> Iterator[ProgramStart]:
         flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
             yield program_start(self.attempt.transcription, flown, None)
@@ -292,7 +292,7 @@ class _Tries:
     def _solve_constraints_first(self) -> None:
         """Solve from points that meet the constraints, until an ending is none of `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
-        for place in feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
+        for place in generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
             point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
             met = self._solve(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
@@ -339,17 +339,17 @@ class _Patience:
         return self.lost or spent
 
 
-def _free_times(transcription: Transcription) -> Indices:
+def _find_free_times(transcription: Transcription) -> Indices:
     """Return the places of the times among the variables."""
     places = np.concatenate([part.times for part in transcription.parts.values()])
     return np.unique(places[places < transcription.n_variables])
 
 
-def feasibility_starts(
+def generate_feasibility_starts(
     transcription: Transcription, problem: Problem, start: Array
 ) -> Iterator[FeasibilityStart]:
     """Yield starts: the guess with free times, with times held at multiples of the guess, random ones."""
-    times, box = _free_times(transcription), transcription.variable_interval(problem)
+    times, box = _find_free_times(transcription), transcription.variable_interval(problem)
     yield FeasibilityStart(start, times[:0])
     tried: list[Array] = []
     for stretch in HELD_TIME_FACTORS if times.size else ():
@@ -365,7 +365,7 @@ def feasibility_starts(
         yield FeasibilityStart(start_from_guess(transcription, twin), times[:0])
 
 
-def knows_trajectory(problem: Problem) -> bool:
+def has_trajectory_guess(problem: Problem) -> bool:
     """Whether the problem's guess is a trajectory over time, not merely end values: then its failure is the user's."""
     guesses = [leg.numbers.guess for leg in problem.phases.values()]
     return any(

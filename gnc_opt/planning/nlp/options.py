@@ -126,7 +126,7 @@ def nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) ->
         quiet
         | plugin
         | _derivative_options(problem, options.solver)
-        | _flatten(options.extra, options.solver)
+        | _flatten_options(options.extra, options.solver)
     )
 
 
@@ -195,7 +195,7 @@ def _derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
     return {name: function for name, function in given.items() if function is not None}
 
 
-def _flatten(extra: Mapping[str, object], solver: str) -> dict[str, object]:
+def _flatten_options(extra: Mapping[str, object], solver: str) -> dict[str, object]:
     """Write a nested `{solver: {name: value}}` as `{"solver.name": value}`."""
     flat: dict[str, object] = {}
     for name, value in extra.items():

@@ -83,7 +83,7 @@ class SolveWatch:
     count: int = 0
     error: BaseException | None = None
 
-    def see(self, x: Array, f: float, g: Array) -> None:
+    def record_iterate(self, x: Array, f: float, g: Array) -> None:
         """Note one iterate; sets `stop`, never raises."""
         try:
             if self.callback is not None:
@@ -122,7 +122,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
         run = self.run
         if run is not None:
             x, f, g = (_buffer_view(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g")))
-            run.see(x, float(f[0]), g)
+            run.record_iterate(x, float(f[0]), g)
             _buffer_view(res[0], 1)[0] = float(run.stop)
         return 0
 

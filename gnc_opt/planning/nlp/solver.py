@@ -79,11 +79,11 @@ class NlpPoint:
     lam_g0: npt.ArrayLike | None = None
 
     @property
-    def way(self) -> Start:
+    def start_kind(self) -> Start:
         """How to start from it: warm if there are multipliers, else cold."""
         return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
 
-    def cold(self) -> NlpPoint:
+    def drop_multipliers(self) -> NlpPoint:
         """Return the point without its multipliers."""
         return replace(self, lam_x0=None, lam_g0=None)
 
@@ -194,20 +194,20 @@ class NlpSolver:
         arguments = point.arguments(self.problem)
         box_x = Box.of("x", arguments["lbx"], arguments["ubx"])
         box_g = Box.of("g", arguments["lbg"], arguments["ubg"])
-        self.set_up(point, way)  # the limit is on solving, not on setting up
+        self.create_solver(point, way)  # the limit is on solving, not on setting up
         end = self.deadline() if deadline is None else deadline
-        return self._run(way or point.way, arguments, SolveWatch(box_x, box_g, callback, end))
+        return self._run_solver(way or point.start_kind, arguments, SolveWatch(box_x, box_g, callback, end))
 
-    def set_up(self, point: NlpPoint, way: Start | None = None) -> None:
+    def create_solver(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for such a start, if it has not been needed before."""
-        self._solver_for_start(way or point.way)
+        self._solver_for_start(way or point.start_kind)
 
     def deadline(self) -> float:
         """Return when a solve that starts now has to end, as `time.perf_counter` counts."""
         limit = self.options.max_wall_time
         return math.inf if limit is None else time.perf_counter() + limit
 
-    def _run(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
+    def _run_solver(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
         solver = self._solver_for_start(start)
         overdetermined = int(run.box_x.fixed.sum() + run.box_g.fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
@@ -220,7 +220,7 @@ class NlpSolver:
         wall_time = time.perf_counter() - begin
         if run.error is not None:
             raise run.error
-        return self._result(raw, solver.stats(), run, arguments, wall_time)
+        return self._build_result(raw, solver.stats(), run, arguments, wall_time)
 
     def _solver_for_start(self, start: Start) -> Any:
         """The `nlpsol` Function for one kind of start, created at first use."""
@@ -237,7 +237,7 @@ class NlpSolver:
                 ) from error
         return self._instances[key]
 
-    def _result(
+    def _build_result(
         self,
         raw: Mapping[str, Any],
         stats: Mapping[str, Any],
@@ -245,7 +245,7 @@ class NlpSolver:
         arguments: Mapping[str, Array],
         wall: float,
     ) -> NlpResult:
-        status = _stopped_status(status_from_stats(stats), run)
+        status = _classify_stopped_status(status_from_stats(stats), run)
         started = run.count > 0 or status not in _NEVER_STARTED
         x, lam_x, lam_g = (_flat_vector(raw[name]) for name in ("x", "lam_x", "lam_g"))
         f, g = float(raw["f"]), _flat_vector(raw["g"])
@@ -285,7 +285,7 @@ def _swallow_stderr(active: bool) -> Iterator[None]:
         yield
 
 
-def _stopped_status(status: Status, run: SolveWatch) -> Status:
+def _classify_stopped_status(status: Status, run: SolveWatch) -> Status:
     """INTERRUPTED if the run requested a stop before the solver had finished, for any plugin's name of it."""
     return Status.INTERRUPTED if run.stop and not status.solved else status
 

@@ -202,7 +202,7 @@ def _hold_constraints(
         return problem
     rows = StateConstraints(problem, s)
     kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
-    along = np.any(rows.near(rows.values(s.times, s.x, s.u)), axis=0)
+    along = np.any(rows.is_near_limits(rows.values(s.times, s.x, s.u)), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
             if not np.all(along[junction.constraint, s.segments == k]):  # no arc that begins or ends there
@@ -227,7 +227,7 @@ def _find_pushing_constraints(rows: StateConstraints, boundaries: Sequence[int])
     s = rows.samples
     times = s.leg.breaks[list(boundaries)]
     point = times, s.leg.x(times), s.leg.flown(times)
-    near, pushes = rows.near(rows.values(*point)), rows.pushes(*point)
+    near, pushes = rows.is_near_limits(rows.values(*point)), rows.pushes(*point)
     pushing = [
         here & (sign * pushes > ACTIVE * s.cost_scale) for here, sign in zip(near, (-1, 1), strict=True)
     ]
@@ -264,7 +264,7 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
             order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-            elif order == 1 and (side := _side_of_departure(rows, int(row), boundaries[k])):
+            elif order == 1 and (side := _find_departure_side(rows, int(row), boundaries[k])):
                 found.append(Junction(int(row), boundaries[k], kind, 0, side))
     return tuple(found) + _find_limit_changes(problem, rows)
 
@@ -277,7 +277,7 @@ def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junct
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
     if not paths or not leg.mesh.movable:
         return ()
-    at_path = rows.near(rows.values(s.times, s.x, s.u))
+    at_path = rows.is_near_limits(rows.values(s.times, s.x, s.u))
     at_bound = np.any(s.at_control_bounds, axis=0)
     found: dict[int, Junction] = {}
     for row in paths:
@@ -285,12 +285,12 @@ def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junct
         limits = [at_bound[owners[row][0]], *others]
         for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
             for k in leg.mesh.movable:
-                if side := _side_of_other_limit(s, near, limits, k):
+                if side := _find_side_of_other_limit(s, near, limits, k):
                     found.setdefault(k, Junction(row, k, kind, 0, side))
     return tuple(found.values())
 
 
-def _side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
     """The side, -1 or 1, on which another limit holds a control up to where a constraint does; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
@@ -300,10 +300,10 @@ def _side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], bounda
     return 0
 
 
-def _side_of_departure(rows: StateConstraints, row: int, boundary: int) -> int:
+def _find_departure_side(rows: StateConstraints, row: int, boundary: int) -> int:
     """The side, -1 or 1, to which a constraint leaves its limit at a boundary without a slope; 0 if it does not."""
     s, breaks = rows.samples, rows.samples.leg.breaks
-    along = np.any(rows.near(rows.values(s.times, s.x, s.u))[:, row], axis=0)
+    along = np.any(rows.is_near_limits(rows.values(s.times, s.x, s.u))[:, row], axis=0)
     held = [bool(np.all(along[s.segments == k])) for k in (boundary - 1, boundary)]
     if held[0] == held[1]:
         return 0

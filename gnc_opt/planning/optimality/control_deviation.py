@@ -12,7 +12,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
-    required_control_sizes,
+    estimate_required_controls,
 )
 from gnc_opt.tolerances import EQUAL, NOTABLE, TINY
 
@@ -62,7 +62,7 @@ def _constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> A
 
 def _resting_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero."""
-    asked, rounding = required_control_sizes(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
+    asked, rounding = estimate_required_controls(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
     # Where the effect of a control vanishes at its value only, as that of an angle of 180 degrees, it is not rounding.

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.functions import build_end_value_function
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import NOTABLE, magnitude
+from gnc_opt.tolerances import NOTABLE, nonzero_magnitude
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
 """Violations shorter than this share of a phase count by their mean over it: the loss of cost is size times
@@ -42,10 +42,10 @@ def average_over_time(times: Array, violation: Array) -> Array:
 
 def exclude_switches(times: Array, inside: Mask) -> Mask:
     """Where controls are between their bounds (m, n_times) for longer than a switch, smeared by a polynomial, takes."""
-    return holds_for_share(times, inside, SMEARED)
+    return lasts_for_share(times, inside, SMEARED)
 
 
-def holds_for_share(times: Array, here: Mask, share: float) -> Mask:
+def lasts_for_share(times: Array, here: Mask, share: float) -> Mask:
     """Where something holds (m, n_times) for longer than a share of the phase."""
     arcs = here.copy()
     for row in arcs:
@@ -93,9 +93,9 @@ class Magnitudes:
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
             values += [np.atleast_1d(v) for v in leg.end_arguments]
             spans += [s.state_scale, s.state_scale, *(np.where(b.fixed, 0.0, s.span) for b in bounds)]
-            spans += [integral_spans(s), np.zeros(leg.parameters.size)]
+            spans += [compute_integral_spans(s), np.zeros(leg.parameters.size)]
         values.append(solution.parameter_values)
-        spans.append(parameter_scale(solution))
+        spans.append(compute_parameter_scales(solution))
         moves = [
             (k, int(i), step)
             for k, span in enumerate(spans)
@@ -115,7 +115,7 @@ class Magnitudes:
         return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1])
 
 
-def integral_spans(s: PhaseSamples) -> Array:
+def compute_integral_spans(s: PhaseSamples) -> Array:
     """Return by how much the flight can change each integral of a phase (n_integrals,).
 
     An integrand counts by what it is above its least, or below its largest, value along the phase; by its size if the
@@ -145,15 +145,15 @@ def _clip_to_trajectory(values: Array, box: tuple[Array, Array] | None, i: int) 
     return values if box is None else np.clip(values, box[0][i], box[1][i])
 
 
-def parameter_scale(solution: Solution) -> Array:
+def compute_parameter_scales(solution: Solution) -> Array:
     """Return a tenth of the range of each free parameter, or its size where it has none (n_parameters,)."""
     box = solution.need_problem("verify").parameter_interval()
     extent = box.upper - box.lower
-    size = magnitude(np.abs(solution.parameter_values))
+    size = nonzero_magnitude(np.abs(solution.parameter_values))
     return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
 
 
-def state_variations(s: PhaseSamples) -> Array:
+def compute_state_variations(s: PhaseSamples) -> Array:
     """By what states may be varied (n,): what they move along a phase, or their size if nothing moves them.
 
     A constant that is stated as a state, whose value is free, moves by rounding only.

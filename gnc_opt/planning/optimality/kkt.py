@@ -18,7 +18,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.optimality.nlp_point import ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.planning.optimality.nlp_point import ProgramPoint, compute_quadrature_weights, saddle_matrix
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
@@ -233,15 +233,15 @@ class NullSpace:
         """Number of variations."""
         return int(self.unit.shape[1])
 
-    def in_shares(self, hessian: Any) -> Any:
+    def project_hessian(self, hessian: Any) -> Any:
         """Return a Hessian with respect to all scaled variables as one with respect to the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
-    def variables(self, variation: Array) -> Array:
+    def expand_variation(self, variation: Array) -> Array:
         """Return the change of all scaled variables."""
         return np.asarray(self.unit @ variation)
 
-    def factorised(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
+    def factorise_hessian(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
         """Return the saddle matrix of a Hessian and of the rows, and what solves with it, but for rounding."""
         n, m = self.size, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
@@ -250,18 +250,18 @@ class NullSpace:
         return matrix, factorise_symmetric(matrix - slack)
 
     @cached_property
-    def of_identity(self) -> tuple[Any, Callable[[Array], Array]]:
+    def identity_factors(self) -> tuple[Any, Callable[[Array], Array]]:
         """The same for the identity, by which variations are projected."""
-        return self.factorised(scipy.sparse.eye_array(self.size))
+        return self.factorise_hessian(scipy.sparse.eye_array(self.size))
 
     def projected_inverse(self, hessian: Any) -> Callable[[Array], Array]:
         """Return the inverse of a Hessian restricted to the null space."""
-        return self._restricted(*self.factorised(hessian))
+        return self._restricted(*self.factorise_hessian(hessian))
 
     @property
     def projection(self) -> Callable[[Array], Array]:
         """Projection of variations to the null space."""
-        return self._restricted(*self.of_identity)
+        return self._restricted(*self.identity_factors)
 
     def _restricted(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
         rows = np.zeros(self.jacobian.shape[0])
@@ -269,20 +269,20 @@ class NullSpace:
         def inverse(vector: Array) -> Array:
             right = np.concatenate([vector, rows])
             solved = solve(right)
-            solved = solved + solve(right - matrix @ solved)  # without the slack of `factorised`
+            solved = solved + solve(right - matrix @ solved)  # without the slack of `factorise_hessian`
             return np.asarray(solved[: vector.size])
 
         return inverse
 
 
-def curvature_along(hessian: Any, direction: Array) -> tuple[float, float]:
+def compute_curvature(hessian: Any, direction: Array) -> tuple[float, float]:
     """Return the curvature along a direction, and in shares of the terms that add up to it."""
     value = float(direction @ (hessian @ direction))
     terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
     return value, value / max(terms, TINY)
 
 
-def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:
+def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:
     """Return approximate eigenvalues (k,) and eigenvectors (n, k) of a symmetric operator, from ``start`` (n,)."""
     size = float(np.linalg.norm(start))
     if not size > 0:
@@ -298,7 +298,7 @@ def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tupl
             image = image - space[: k + 1].T @ (space[: k + 1] @ image)
         length = float(np.linalg.norm(image))
         if length <= NEGLIGIBLE * max(map(abs, diagonal)) or (
-            k % 10 == 9 and _are_ends_found(diagonal, beside, length)
+            k % 10 == 9 and is_spectrum_converged(diagonal, beside, length)
         ):
             break
         beside.append(length)
@@ -308,7 +308,7 @@ def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tupl
     return values, space[:n].T @ vectors
 
 
-def _are_ends_found(diagonal: list[float], beside: list[float], length: float) -> bool:
+def is_spectrum_converged(diagonal: list[float], beside: list[float], length: float) -> bool:
     """Whether both ends of the spectrum are found, by the last components of their eigenvectors."""
     values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
     return bool(
@@ -330,7 +330,7 @@ def unit_variations(squares: Array) -> Any:
 
 def variation_weights(transcription: Transcription) -> Array:
     """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
-    weights, _ = quadrature_weights(transcription)
+    weights, _ = compute_quadrature_weights(transcription)
     for part in transcription.parts.values():
         collocation = part.collocation
         # States at inner boundaries follow from the points: their rows count by the adjacent segments.

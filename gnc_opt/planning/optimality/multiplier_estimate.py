@@ -197,14 +197,14 @@ def estimate_multipliers(
         @ scipy.sparse.diags_array(1 / _replace_zeros_by_one(atoms.sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
-    pushing = row_limits.with_more(_Limits(atoms.at_lower, atoms.at_upper))
+    pushing = row_limits.append_limits(_Limits(atoms.at_lower, atoms.at_upper))
     restarts = {name: _find_restart_boundaries(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = _adjoint_rows(transcription, restarts), _basis_columns(transcription, restarts)
     basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
     scaled = _select_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
-    return Iterate(x, np.where(limits.anywhere, -residual, 0.0), lam_g)
+    return Iterate(x, np.where(limits.at_any_limit, -residual, 0.0), lam_g)
 
 
 class _Limits:
@@ -217,18 +217,18 @@ class _Limits:
     def of(cls, box: Interval, values: Array, slack: Array) -> _Limits:
         return cls((values <= box.lower + slack) | box.fixed, (values >= box.upper - slack) | box.fixed)
 
-    def with_more(self, other: _Limits) -> _Limits:
+    def append_limits(self, other: _Limits) -> _Limits:
         """These, then others."""
         return _Limits(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
 
     @property
-    def anywhere(self) -> Mask:
+    def at_any_limit(self) -> Mask:
         return self.lower | self.upper
 
     def wrong(self, multipliers: Array, size: float) -> Mask:
         """Multipliers with a sign that the limit cannot exert."""
         sign = np.where(np.abs(multipliers) > _WRONG * size, np.sign(multipliers), 0.0)
-        return self.anywhere & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
+        return self.at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,8 +259,8 @@ class _CostateForm:
         cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, pushing: _Limits
     ) -> _CostateForm | None:
         """Eliminate; None where the adjoint equation is singular to rounding."""
-        loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.anywhere & ~basis)
-        freed, rows = np.flatnonzero(limits.anywhere & exact), np.flatnonzero(exact)
+        loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.at_any_limit & ~basis)
+        freed, rows = np.flatnonzero(limits.at_any_limit & exact), np.flatnonzero(exact)
         kept = np.flatnonzero(basis)
         matrix = scipy.sparse.csr_array(matrix)
         above, below = matrix[rows], matrix[loose]
@@ -317,7 +317,7 @@ def _select_multipliers(
     form = _CostateForm.of(matrix, gradient, exact, basis, limits, row_limits)
     if form is None:  # nothing explains the trajectory
         return np.zeros(matrix.shape[1])
-    imposed, pushing = ~limits.anywhere, row_limits.anywhere.copy()
+    imposed, pushing = ~limits.at_any_limit, row_limits.at_any_limit.copy()
     unknowns = np.zeros(form.matrix.shape[1])
     size = float(np.max(np.abs(form.right), initial=TINY))
     for _ in range(_ROUNDS):
@@ -328,7 +328,7 @@ def _select_multipliers(
         wrong = row_limits.wrong(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
         if not (np.any(pulling) or np.any(wrong)):
             break
-        if not np.any(imposed & limits.anywhere) and np.all(pushing == row_limits.anywhere):
+        if not np.any(imposed & limits.at_any_limit) and np.all(pushing == row_limits.at_any_limit):
             right = _multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
             if right is not None:
                 return form.multipliers(right)
@@ -340,8 +340,8 @@ def _multipliers_with_right_signs(
     form: _CostateForm, first: Array, limits: _Limits, row_limits: _Limits, size: float
 ) -> Array | None:
     """Unknowns with the right signs, by a linear programme, where they are not unique and others explain all too."""
-    n_rows = limits.anywhere.size
-    left, imposed = form.residual(first, n_rows), ~limits.anywhere
+    n_rows = limits.at_any_limit.size
+    left, imposed = form.residual(first, n_rows), ~limits.at_any_limit
     if (
         not np.max(np.abs(left[imposed]), initial=0.0) <= _WRONG * size
     ):  # they explain nothing whatever their signs
@@ -349,7 +349,7 @@ def _multipliers_with_right_signs(
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
     matrix[form._loose], right[form._loose] = form.matrix, form.right
     matrix[form.freed, form.columns.size + np.arange(form.freed.size)] = -1.0
-    bound = limits.anywhere
+    bound = limits.at_any_limit
     # Of an active limit the residual -(g + A y) is the multiplier: not negative at upper ones, not positive at lower.
     only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
     one_sided = np.vstack([matrix[only_upper], -matrix[only_lower]])

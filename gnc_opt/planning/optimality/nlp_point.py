@@ -113,7 +113,7 @@ class ProgramPoint:
         lam = lam_g / row_scales * objective
         box = _scale_interval(transcription.variable_interval(problem), scales)
         row_box = _scale_interval(transcription.row_interval(problem), 1 / row_scales)
-        weights, row_weights = quadrature_weights(transcription)
+        weights, row_weights = compute_quadrature_weights(transcription)
         p = transcription.parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
         variables = ProgramLimits.of(
@@ -148,7 +148,7 @@ class ProgramPoint:
         lam[rows] += np.linalg.lstsq(by_state.T, -left, rcond=RANK)[0]
         return replace(self, lam=lam)
 
-    def moved(self, step: Array) -> ProgramPoint:
+    def take_step(self, step: Array) -> ProgramPoint:
         """Return the point after a step of the free variables and of the multipliers of held rows, stacked."""
         free, held = ~self.variables.active, self.rows.active
         x, lam, n = self.x.copy(), self.lam.copy(), int(np.sum(free))
@@ -190,9 +190,9 @@ class ProgramPoint:
     @cached_property
     def hessian(self) -> Any:
         """Of the Lagrangian, sparse (n_variables, n_variables)."""
-        return self.hessian_of(1.0, self.lam)
+        return self.evaluate_hessian(1.0, self.lam)
 
-    def hessian_of(self, objective: float, multipliers: Array) -> Any:
+    def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
         """Of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
         upper = to_scipy_sparse(self.transcription.nlp.hess_lag(self.x, self.numbers, objective, multipliers))
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
@@ -211,7 +211,7 @@ class ProgramPoint:
     @cached_property
     def multiplier_densities(self) -> tuple[Array, Array]:
         """Multipliers of the limits of variables and of rows, those along a phase as densities in its fraction."""
-        weights, row_weights = quadrature_weights(self.transcription)
+        weights, row_weights = compute_quadrature_weights(self.transcription)
         return -self.gradient / weights, self.lam / row_weights
 
 
@@ -220,7 +220,7 @@ def saddle_matrix(hessian: Any, jacobian: Any) -> Any:
     return scipy.sparse.block_array([[hessian, jacobian.T], [jacobian, None]], format="csc")
 
 
-def quadrature_weights(transcription: Transcription) -> tuple[Array, Array]:
+def compute_quadrature_weights(transcription: Transcription) -> tuple[Array, Array]:
     """Weights (shares of the phase) of variables and rows along a phase, by which sums are integrals; 1 elsewhere."""
     variables, rows = np.ones(transcription.n_variables), np.ones(transcription.n_constraints)
     for part in transcription.parts.values():

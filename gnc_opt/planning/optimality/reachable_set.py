@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
-from gnc_opt.tolerances import RANK, ROUNDING, magnitude
+from gnc_opt.tolerances import RANK, ROUNDING, nonzero_magnitude
 
 CELLS = 40
 """Cells of a phase, at least, in which its linearised dynamics are constant."""
@@ -60,12 +60,12 @@ class Ellipsoid:
         values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
         return cls(radius, axes, np.sqrt(np.clip(values, ROUNDING, None)))
 
-    def displacement(self, moved: Array) -> Array:
+    def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) in shares of the ellipsoid (...)."""
         parts = np.tensordot(self.axes.T, _divide_by_scale(moved, self.radius), 1)
         return np.asarray(np.linalg.norm(parts / _as_column(self.shares, parts), axis=0))
 
-    def change(self, gradient: Array) -> Array:
+    def maximise_change(self, gradient: Array) -> Array:
         """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
         scaled = np.asarray(gradient) * _as_column(self.radius, gradient)
         parts = np.tensordot(self.axes.T, scaled, 1)
@@ -118,7 +118,7 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
     if not s.has_length:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
     n, n_integrals = start.shape[0], leg.integrals.size
-    edges, parts = cell_edges(leg.breaks), -(-CELLS // leg.mesh.segments)
+    edges, parts = compute_cell_edges(leg.breaks), -(-CELLS // leg.mesh.segments)
     middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     x, u = leg.x(middles), leg.flown(middles)
     with np.errstate(all="ignore"):
@@ -156,7 +156,7 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
 
 def end_response(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end with respect to the controls (n, m, n_cells) at centres of cells, and these."""
-    edges = cell_edges(s.leg.breaks)
+    edges = compute_cell_edges(s.leg.breaks)
     times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     at = times, s.leg.x(times), s.leg.flown(times)
     by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
@@ -177,7 +177,7 @@ def matrix_exponentials(matrices: Array) -> Array:
     return np.asarray(scipy.linalg.expm(matrices * reduced[:, None, None]))
 
 
-def cell_edges(breaks: Array) -> Array:
+def compute_cell_edges(breaks: Array) -> Array:
     """Return the edges of the cells of a phase with given mesh boundaries: segments in equal parts."""
     parts = -(-CELLS // (breaks.size - 1))
     shares = np.arange(parts) / parts
@@ -199,7 +199,7 @@ def phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
     if not s.has_length:  # nothing moves: sizes have to do
-        along = end = magnitude(size)
+        along = end = nonzero_magnitude(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)
@@ -235,7 +235,7 @@ def _start_covariance(
     return covariance
 
 
-def start_links(
+def find_start_links(
     problem: Problem, solution: Solution, samples: list[PhaseSamples]
 ) -> dict[str, dict[str, Array]]:
     """Return how the start of each phase follows the ends of earlier ones (n, n_other), by linear constraints."""

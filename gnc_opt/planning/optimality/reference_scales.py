@@ -44,13 +44,13 @@ from gnc_opt.planning.optimality.control_deviation import (
 from gnc_opt.planning.optimality.reachable_set import (
     Ellipsoid,
     Reach,
-    cell_edges,
+    compute_cell_edges,
     end_response,
+    find_start_links,
     interval_width,
     link_jacobians,
     phase_reach,
     reach_gramians,
-    start_links,
 )
 from gnc_opt.planning.problem.functions import build_end_value_function, end_gradients
 from gnc_opt.planning.problem.problem import Problem
@@ -127,7 +127,7 @@ class Scales:
         problem = solution.need_problem("verify")
         lasting = [s for s in samples if s.has_length]
         ends, order = EndPoints.of(solution, samples), sorted(samples, key=lambda s: s.leg.initial_time)
-        links = start_links(problem, solution, order)
+        links = find_start_links(problem, solution, order)
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
         gramians = reach_gramians(links, order, deviations, {})
         reach = {s.leg.name: phase_reach(s, gramians[s.leg.name]) for s in samples}
@@ -167,14 +167,14 @@ class Scales:
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         return cls(phases, cost, changed, parameters, ends, reach, links, ends.constraints(reach, parameters))
 
-    def miss_of_cheap_controls(self, s: PhaseSamples, gap: Array) -> float:
+    def estimate_cheap_control_error(self, s: PhaseSamples, gap: Array) -> float:
         """Return by how much a gap of the costates (n,) at the end of a phase moves cheap controls, in deviations.
 
         Shares of the cost scale, which is that of all controls, hide the parts that cost little of it.
         """
         own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
-        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & curves_cost(s)
+        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & find_cost_curvature(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
         times, response = end_response(s)
@@ -205,22 +205,22 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
 
 def _cost_of_states(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the largest half second difference of the integral of H over the reach of the states, roughly."""
-    return float(np.max(np.abs(_curved_changes(s, ellipsoid.principal)), initial=0.0))
+    return float(np.max(np.abs(_compute_second_changes(s, ellipsoid.principal)), initial=0.0))
 
 
 def _cost_of_each_state(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the sum of the half second differences of the integral of H over the reach of each state alone."""
-    return float(np.sum(np.abs(_curved_changes(s, np.diag(ellipsoid.radius)))))
+    return float(np.sum(np.abs(_compute_second_changes(s, np.diag(ellipsoid.radius)))))
 
 
-def curves_cost(s: PhaseSamples) -> Mask:
+def find_cost_curvature(s: PhaseSamples) -> Mask:
     """Return along which controls the running cost curves by itself, without any multiplier (m,)."""
     none = np.zeros_like(s.lam), np.zeros_like(s.mu)
     bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
     return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
 
 
-def _curved_changes(s: PhaseSamples, moves: Array) -> Array:
+def _compute_second_changes(s: PhaseSamples, moves: Array) -> Array:
     """Return half second differences of the integral of H along moves (n,), by small steps.
 
     They grow with the step at a kink, and with its square elsewhere: ratios of two steps tell which.
@@ -295,7 +295,7 @@ def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSa
 def _parameter_columns(s: PhaseSamples) -> Array:
     """Return rate derivatives with respect to the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
-    edges = cell_edges(leg.breaks)
+    edges = compute_cell_edges(leg.breaks)
     middles = 0.5 * (edges[:-1] + edges[1:])
     x, u = leg.x(middles), leg.flown(middles)
     mu = np.zeros((len(leg.path_labels), middles.size))

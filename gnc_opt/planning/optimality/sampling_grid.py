@@ -48,17 +48,17 @@ def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
     if centres is None or not s.has_length:
         return np.zeros(0)
 
-    def at(times: Array) -> Array:
+    def evaluate_centres(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
         x, u = s.leg.x(times), s.leg.flown(times)
         return np.asarray(evaluate_columns(centres, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
-    signs = np.sign(at(times))
+    signs = np.sign(evaluate_centres(times))
     rows, places = np.nonzero(signs[:, 1:] * signs[:, :-1] < 0)
     met = times[np.nonzero(signs == 0)[1]]
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
-    left, _ = bisect_sign_changes(at, rows, times[places], times[places + 1])
+    left, _ = bisect_sign_changes(evaluate_centres, rows, times[places], times[places + 1])
     found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(LEAST_DISTANCE, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))

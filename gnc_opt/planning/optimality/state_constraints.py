@@ -62,7 +62,7 @@ class StateConstraints:
         order = self._constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
-    def controls_of(self, row: int) -> tuple[int, ...]:
+    def find_controls(self, row: int) -> tuple[int, ...]:
         """The controls that can hold a row on its limit, first the one that moves it most where it does least."""
         controls = self._constraint_order(row).controls
         if len(controls) < 2:
@@ -73,7 +73,7 @@ class StateConstraints:
 
     def control_effect_signs(self, row: int) -> tuple[int, ...]:
         """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
-        moved = [self._control_effect(row, control) for control in self.controls_of(row)]
+        moved = [self._control_effect(row, control) for control in self.find_controls(row)]
         return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
     def _control_effect(self, row: int, control: int) -> Array:
@@ -95,7 +95,7 @@ class StateConstraints:
         """Return all rows, (n_rows, n_times)."""
         return np.vstack([self.samples.functions.paths(times, x, u), x])
 
-    def near(self, values: Array) -> Mask:
+    def is_near_limits(self, values: Array) -> Mask:
         """Whether rows are at their lower, and at their upper limit (2, n_rows, n_times)."""
         at_limits = np.stack(self.bounds.near(values, AT_LIMIT * self.scales))
         return np.asarray(at_limits & ~self.bounds.fixed[:, None])

@@ -87,12 +87,12 @@ class Switches:
         """In how many orders the switches may come."""
         return math.prod(math.factorial(len(group)) for group in self.groups)
 
-    def orders(self) -> Iterator[tuple[int, ...]]:
+    def list_orders(self) -> Iterator[tuple[int, ...]]:
         """Every order in which the switches may come."""
         for choice in itertools.product(*(itertools.permutations(group) for group in self.groups)):
             yield tuple(itertools.chain.from_iterable(choice))
 
-    def pieces(self, order: tuple[int, ...]) -> PiecewiseControl:
+    def build_pieces(self, order: tuple[int, ...]) -> PiecewiseControl:
         """The control piece by piece, with the switches in some order.
 
         Unknowns are the start (0), the switches (1 to n) and the end (n + 1).
@@ -107,7 +107,7 @@ class Switches:
 
     def precedences(self, order: tuple[int, ...]) -> Array:
         """Which combinations of unknowns must not be negative for the order to hold, (n_conditions, n + 2)."""
-        pieces = self.pieces(order)
+        pieces = self.build_pieces(order)
         rows = []
         for k in np.flatnonzero(np.diff(pieces.times) == 0):
             row = np.zeros(self.times.size + 2)

@@ -18,7 +18,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, integrate_bang_bang
-from gnc_opt.planning.optimality.cost_scale import parameter_scale, state_variations
+from gnc_opt.planning.optimality.cost_scale import compute_parameter_scales, compute_state_variations
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.functions import EndGradients, end_function
 from gnc_opt.planning.problem.interval import Interval, intersect, stack_intervals
@@ -93,7 +93,7 @@ class Unknowns:
         problem = solution.need_problem("verify")
         shared = len(labels) + np.arange(solution.parameter_values.size)
         labels += [f"parameter {label}" for label in solution.free_parameters.labels]
-        scale += list(parameter_scale(solution))
+        scale += list(compute_parameter_scales(solution))
         free += list(~problem.parameter_interval().fixed)
         worth += [max(s.cost_scale for s in samples)] * shared.size
         places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
@@ -104,7 +104,7 @@ class Unknowns:
 
 def _start_value_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
     """Scales of free start values, and the changes of the cost for them."""
-    scale = state_variations(s)[rows]
+    scale = compute_state_variations(s)[rows]
     still = scale > s.state_scale[rows]
     return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ProblemError, right_symbol
+from gnc_opt.errors import ProblemError, suggest_symbol
 from gnc_opt.model.expressions import nodes_of
 from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.model.model import Model
@@ -163,7 +163,7 @@ def check_phase_symbols(
         n for k in (leg.model.states, leg.model.controls, leg.model.parameters, parameters) for n in k.names
     ]
     raise ProblemError(
-        f"{what} uses '{name}', which is no symbol of model '{leg.model.name}': {right_symbol(name, known)}"
+        f"{what} uses '{name}', which is no symbol of model '{leg.model.name}': {suggest_symbol(name, known)}"
     )
 
 

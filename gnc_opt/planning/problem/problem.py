@@ -34,7 +34,7 @@ from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 from gnc_opt.planning.problem.phase_division import divide_phase
 from gnc_opt.planning.problem.problem_check import check_problem
 from gnc_opt.planning.problem.statement import Statement
-from gnc_opt.text_formatting import heading, table
+from gnc_opt.text_formatting import html_heading, html_table
 
 
 def compute_fingerprint(problem: Statement) -> str:
@@ -192,7 +192,7 @@ class Problem(Statement):
         ]
         titles = ("phase", "model", "states", "controls", "path constraints")
         cost = "maximised" if self.sense < 0 else "minimised"
-        return heading(f"{self.name}, cost {cost}") + table(titles, rows)
+        return html_heading(f"{self.name}, cost {cost}") + html_table(titles, rows)
 
     # --- declarations -----------------------------------------------------------------------------
 

@@ -190,7 +190,7 @@ class PhaseError:
         names += [f"bounds of {label}" for label in (*states, *controls)]
         names += [f"path constraint {label}" for label in leg.path_labels]
         names += [f"costate of {label}" for label in states]
-        return self.samples.segment_place(int(k), names[int(row)])
+        return self.samples.describe_segment(int(k), names[int(row)])
 
 
 def estimate_errors(solution: Solution) -> dict[str, PhaseError]:

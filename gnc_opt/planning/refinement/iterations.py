@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits
 from gnc_opt.planning.refinement.error_estimation import PhaseError, find_largest_error
-from gnc_opt.planning.solution.history import Actions, RefinementIteration, iterations_for
+from gnc_opt.planning.solution.history import Actions, RefinementIteration, compute_iterations
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -58,7 +58,7 @@ class IterationLimits:
         if math.isinf(self.work):
             return within
         points = sum(mesh.size for mesh in meshes)
-        return replace(within, iterations=max(1, iterations_for(self.work - spent, points)))
+        return replace(within, iterations=max(1, compute_iterations(self.work - spent, points)))
 
 
 def record_iteration(

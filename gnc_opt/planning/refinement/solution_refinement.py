@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
-from gnc_opt.arguments import expect, read_positive, suggesting_keywords
+from gnc_opt.arguments import expect, read_positive, suggest_keywords
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -19,7 +19,7 @@ StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def refine(
     solution: Solution,
     *,

@@ -66,11 +66,11 @@ class Accuracy:
     def text(self) -> str:
         """Accuracy of ends and limits: "final state within 2e-12 m/s; limits satisfied"."""
         ends = (
-            f"final state within {self.miss:.1g}{_unit_suffix(self.miss_where)}"
+            f"final state within {self.miss:.1g}{_format_unit(self.miss_where)}"
             if np.isfinite(self.miss)
             else "the applied control does not reach the end"
         )
-        limits = f"limits exceeded by {self.violation:.1g}{_unit_suffix(self.violation_where)}"
+        limits = f"limits exceeded by {self.violation:.1g}{_format_unit(self.violation_where)}"
         return f"{ends}; {limits if self.violation else 'limits satisfied'}"
 
     def __str__(self) -> str:
@@ -81,10 +81,10 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
     """Measure all phases of a solution."""
     worst, missed = (0.0, 0.0, ""), (0.0, 0.0, "")
     for s in samples:
-        pieces = _piece_times(s)
+        pieces = _sample_control_pieces(s)
         x = integrate_to(s.leg, s.functions, pieces.ravel())
-        missed = max(missed, _largest_miss(s, x), key=itemgetter(0))
-        values = s.functions.paths(pieces.ravel(), x, _controls_at_pieces(s, pieces))
+        missed = max(missed, _find_largest_end_error(s, x), key=itemgetter(0))
+        values = s.functions.paths(pieces.ravel(), x, _sample_applied_controls(s, pieces))
         for rows, box, scale, labels in (
             (
                 x,
@@ -102,7 +102,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
     return Accuracy(objective, error, worst[1], worst[2], missed[1], missed[2])
 
 
-def _largest_miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
+def _find_largest_end_error(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
     """Return share, size and place of the largest miss at the end of a phase."""
     error = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
     if not np.all(np.isfinite(error)):
@@ -113,7 +113,7 @@ def _largest_miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
     return float(error[i] / s.state_scale[i]), float(error[i]), label
 
 
-def _piece_times(s: PhaseSamples) -> Array:
+def _sample_control_pieces(s: PhaseSamples) -> Array:
     """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
     edges = s.leg.flown.jumps
     shares = 0.5 * (1 - np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1)))
@@ -122,7 +122,7 @@ def _piece_times(s: PhaseSamples) -> Array:
     return np.asarray(times)
 
 
-def _controls_at_pieces(s: PhaseSamples, pieces: Array) -> Array:
+def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
     """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the last point of a piece its value before it."""
     u = s.leg.flown(pieces.ravel())
     u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.flown(pieces[:, -1], "left")
@@ -144,7 +144,7 @@ def _largest_violation(
     peak = max(_polynomial_maximum(box.lower[i] - piece), _polynomial_maximum(piece - box.upper[i]))
     if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):
         return 0.0, 0.0, ""
-    return peak / float(scale[i]), peak, s.place_at(float(pieces.ravel()[j]), labels[i])
+    return peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[i])
 
 
 def _polynomial_maximum(excess: Array) -> float:
@@ -156,6 +156,6 @@ def _polynomial_maximum(excess: Array) -> float:
     return float(max(np.max(excess), np.max(polynomial(np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)))))
 
 
-def _unit_suffix(where: str) -> str:
+def _format_unit(where: str) -> str:
     """Return " m" of "phase leg, q (m)"."""
     return f" {where.rpartition('(')[2][:-1]}" if where.endswith(")") else ""

@@ -72,11 +72,11 @@ def path_arc_costates(leg: PhaseSolution, held: Held | None, functions: PhaseFun
             ends[:, k] += gradients @ _fit_directions(gradients, continued[:, column] - ends[:, k])
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
-    multipliers = _path_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
+    multipliers = _compute_path_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
     return replace(leg, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
 
 
-def _path_densities(
+def _compute_path_densities(
     leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
 ) -> Array:
     """The multipliers of path constraints, where they are at their limits what the adjoint equation leaves for them."""

@@ -14,7 +14,7 @@ from gnc_opt.model.variables import Variable
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 
 
-def time_history_records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
+def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
     """Return states, applied controls and costates by time.
 
     Parameters

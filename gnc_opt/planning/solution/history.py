@@ -133,13 +133,13 @@ SOLVE_FIXED_COST_ITERATIONS = 15
 """What a solve costs beside its iterations (derivatives, estimate of the error, the next mesh), in iterations."""
 
 
-def work_of(points: int, iterations: int) -> float:
+def compute_work(points: int, iterations: int) -> float:
     """Return what a solve costs, in iterations at one collocation point: the same on every machine."""
     return points * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
 
-def iterations_for(work: float, points: int) -> int:
-    """Return how many iterations so much work is, setting up paid: the inverse of `work_of`, rounded up."""
+def compute_iterations(work: float, points: int) -> int:
+    """Return how many iterations so much work is, setting up paid: the inverse of `compute_work`, rounded up."""
     return math.ceil(work / points) - SOLVE_FIXED_COST_ITERATIONS
 
 
@@ -214,7 +214,7 @@ class RefinementIteration:
     @property
     def work(self) -> float:
         """What it cost, in iterations at one collocation point."""
-        return work_of(self.points, self.iterations)
+        return compute_work(self.points, self.iterations)
 
 
 @dataclass(frozen=True)

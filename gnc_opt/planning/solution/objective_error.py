@@ -70,7 +70,7 @@ class ObjectiveError:
     @property
     def value(self) -> float:
         """A, in units of the objective; infinite where the functions of the problem have no value."""
-        return _infinite_if_missing(float(sum(np.sum(phase.segments) for phase in self.phases.values())))
+        return _replace_nan_by_infinity(float(sum(np.sum(phase.segments) for phase in self.phases.values())))
 
     @property
     def relative(self) -> float:
@@ -81,12 +81,12 @@ class ObjectiveError:
     def infeasible(self) -> float:
         """Sum of |d| + o: the part of A that defects and exceeded limits contribute."""
         parts = (np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values())
-        return _infinite_if_missing(float(sum(parts)))
+        return _replace_nan_by_infinity(float(sum(parts)))
 
     @property
     def suboptimal(self) -> float:
         """Sum of |g|: the part of A that controls contribute."""
-        return _infinite_if_missing(
+        return _replace_nan_by_infinity(
             float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values()))
         )
 
@@ -94,15 +94,15 @@ class ObjectiveError:
 def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
     """Estimate the error of an objective from a trajectory and its multipliers."""
     scale = max([abs(objective), *(NEGLIGIBLE * s.cost_scale for s in samples.values())])
-    return ObjectiveError({name: _phase_error(s) for name, s in samples.items()}, scale)
+    return ObjectiveError({name: _estimate_phase_error(s) for name, s in samples.items()}, scale)
 
 
-def _phase_error(s: PhaseSamples) -> PhaseObjectiveError:
+def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
     with np.errstate(all="ignore"):  # what has no value makes the estimate infinite
-        return PhaseObjectiveError(_defect_values(s), _limit_violation_values(s), _control_gains(s))
+        return PhaseObjectiveError(_defect_values(s), _limit_violation_values(s), _compute_control_gains(s))
 
 
-def _infinite_if_missing(value: float) -> float:
+def _replace_nan_by_infinity(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
@@ -142,16 +142,16 @@ def _quadrature_values(leg: PhaseSolution, s: PhaseSamples) -> Array:
 def _limit_violation_values(s: PhaseSamples) -> Array:
     """o of each segment (K,)."""
     leg = s.leg
-    total = _priced_violations(s, s.x, leg.state_bounds, s.state_multiplier)
+    total = _price_violations(s, s.x, leg.state_bounds, s.state_multiplier)
     if leg.path_labels:
         paths = evaluate_within_bounds(
             s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds
         )
-        total = total + _priced_violations(s, paths, leg.path_bounds, s.mu)
+        total = total + _price_violations(s, paths, leg.path_bounds, s.mu)
     return total
 
 
-def _priced_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _price_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
     """Return how far limits are exceeded times their multipliers, where these have the right sign (K,).
 
     Errors of equations have both signs: absolute values are taken after integrating over a segment.
@@ -164,7 +164,7 @@ def _priced_violations(s: PhaseSamples, values: Array, bounds: Interval, multipl
     return np.asarray(np.sum(np.abs(_segment_integrals(s, priced)), axis=0))
 
 
-def _control_gains(s: PhaseSamples) -> Array:
+def _compute_control_gains(s: PhaseSamples) -> Array:
     """g of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)
@@ -179,10 +179,10 @@ def _control_gains(s: PhaseSamples) -> Array:
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1, initial=0.0))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
-    return _segment_integrals(s, np.sum(_largest_gain(slope, curvature, lower, upper), axis=0))
+    return _segment_integrals(s, np.sum(_maximise_gain(slope, curvature, lower, upper), axis=0))
 
 
-def _largest_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
+def _maximise_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return the largest -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
 
     def gain(step: Array) -> Array:

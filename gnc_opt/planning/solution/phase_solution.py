@@ -204,17 +204,17 @@ class PhaseSolution:
     @cached_property
     def path_multiplier(self) -> PiecewisePolynomial:
         """Densities of the path multipliers as piecewise polynomials."""
-        return self._through_points(self.path_multipliers)
+        return self._interpolate_points(self.path_multipliers)
 
     @cached_property
     def state_multiplier(self) -> PiecewisePolynomial:
         """Densities of the state bound multipliers as piecewise polynomials."""
-        return self._through_points(self.state_multipliers)
+        return self._interpolate_points(self.state_multipliers)
 
     @cached_property
     def control_multiplier(self) -> PiecewisePolynomial:
         """Densities of the control bound multipliers as piecewise polynomials."""
-        return self._through_points(self.control_multipliers)
+        return self._interpolate_points(self.control_multipliers)
 
     def state(self, name: str) -> Signal:
         """Return a state over time."""
@@ -261,7 +261,7 @@ class PhaseSolution:
         rows = layout.slice(name)
         return Signal(name, layout[name].unit, layout[name].labels, source, rows)
 
-    def _through_points(self, values: Array) -> PiecewisePolynomial:
+    def _interpolate_points(self, values: Array) -> PiecewisePolynomial:
         return interpolate_points(self.breaks, self.rules, values)
 
 

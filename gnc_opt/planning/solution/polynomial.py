@@ -54,11 +54,11 @@ class PiecewisePolynomial:
     values: tuple[Array, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "breaks", _frozen(self.breaks))
-        frozen = {id(x): _frozen(x) for x in self.nodes}  # most segments share theirs
+        object.__setattr__(self, "breaks", _freeze_array(self.breaks))
+        frozen = {id(x): _freeze_array(x) for x in self.nodes}  # most segments share theirs
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
         object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
-        _check_breaks(self.breaks)
+        _check_break_times(self.breaks)
         _check_segments(self.breaks.size - 1, self.nodes, self.values)
         object.__setattr__(self, "values", self._shared_values())
 
@@ -83,7 +83,7 @@ class PiecewisePolynomial:
         """
         if not isinstance(side, str) or side not in ("left", "right"):
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
-        times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
+        times = self._clamp_times(np.atleast_1d(read_numbers(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
         bases = self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.bases
         for found in bases(times.tobytes(), side):
@@ -91,7 +91,7 @@ class PiecewisePolynomial:
             result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
         return result if np.ndim(t) else result[:, 0]
 
-    def within(self, tau: ArrayLike) -> Array:
+    def evaluate_in_segments(self, tau: ArrayLike) -> Array:
         """Evaluate at the same places ``tau`` on [-1, 1] of all segments, from within each: (n, K, len(tau))."""
         at = np.atleast_1d(read_numbers(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
@@ -112,7 +112,7 @@ class PiecewisePolynomial:
         """Integral over the whole span, exact for the polynomials, shape (n,); times seconds."""
         halves = np.diff(self.breaks) / 2.0
         pieces = zip(self.nodes, self.values, halves, strict=True)
-        return np.asarray(sum(half * v @ _node_integrals(x) for x, v, half in pieces))
+        return np.asarray(sum(half * v @ _integrate_lagrange_basis(x) for x, v, half in pieces))
 
     def sample_times(self, per_segment: int) -> Array:
         """Times cutting each segment in ``per_segment`` equal parts, breaks once: (K·per_segment + 1,)."""
@@ -125,7 +125,7 @@ class PiecewisePolynomial:
         chosen = [index] if isinstance(index, (int, np.integer)) else index
         return PiecewisePolynomial(self.breaks, self.nodes, tuple(v[chosen, :] for v in self.values))
 
-    def _clamped(self, times: Array) -> Array:
+    def _clamp_times(self, times: Array) -> Array:
         if times.ndim != 1:
             raise ArgumentError(f"the time has the shape {times.shape}: give a scalar or a vector.")
         first, last = self.breaks[0], self.breaks[-1]
@@ -240,13 +240,13 @@ def _time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _Grid:
     return _Grid(np.frombuffer(breaks), nodes)
 
 
-def _node_integrals(nodes: Array) -> Array:
+def _integrate_lagrange_basis(nodes: Array) -> Array:
     """Integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
     gauss = gauss_rule((nodes.size + 1) // 2)
     return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
 
 
-def _check_breaks(breaks: Array) -> None:
+def _check_break_times(breaks: Array) -> None:
     vector = breaks.ndim == 1 and breaks.size > 1
     if not (vector and np.isfinite(breaks).all() and (np.diff(breaks) > 0).all()):
         raise ArgumentError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
@@ -268,7 +268,7 @@ def _check_segments(count: int, nodes: tuple[Array, ...], values: tuple[Array, .
             )
 
 
-def _frozen(values: ArrayLike) -> Array:
+def _freeze_array(values: ArrayLike) -> Array:
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array

@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.integration import Budget, Controls, EndedError, Tolerance, integrate
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import magnitude
+from gnc_opt.tolerances import nonzero_magnitude
 
 RELATIVE_TOLERANCE = 1e-11
 """Of integrations that check a solution."""
@@ -76,7 +76,7 @@ def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) ->
     return np.asarray(states[:, np.searchsorted(edges, times)])
 
 
-def segment_misses(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
+def compute_segment_errors(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
     """Return by how much segments miss the end to which the applied control leads from their start (n_states, n).
 
     Infinite where there is no such trajectory.
@@ -105,8 +105,8 @@ def _integrate_pieces(
     states = np.full((leg.states.size, edges.size), np.nan)
     states[:, 0] = leg.x(edges[0])
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
-        controls = _control_polynomials(signal, left, right, _largest_degree(leg, left, right))
-        rate = _controlled_rates(functions, controls)
+        controls = _control_polynomials(signal, left, right, _find_largest_degree(leg, left, right))
+        rate = _build_controlled_rates(functions, controls)
         try:
             run = integrate(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
         except EndedError as why:
@@ -115,7 +115,7 @@ def _integrate_pieces(
     return states, ""
 
 
-def _controlled_rates(functions: PhaseFunctions, controls: Controls) -> Callable[[float, Array], Array]:
+def _build_controlled_rates(functions: PhaseFunctions, controls: Controls) -> Callable[[float, Array], Array]:
     """Return dx/dt (n,) as a function of time and state under some controls."""
     rates = functions.fast_rates()
     return lambda t, x: rates(t, x, controls(np.array([t]))[:, 0])
@@ -127,10 +127,10 @@ def state_magnitudes(leg: PhaseSolution) -> Array:
     for variable in leg.states.variables:
         rows = leg.states.slice(variable.name)
         largest[rows] = np.max(largest[rows])
-    return magnitude(largest)
+    return nonzero_magnitude(largest)
 
 
-def _largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
+def _find_largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
     """The largest number of points of the segments that a time span has a part in: more than their controls' degree."""
     inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
     return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))

@@ -62,7 +62,7 @@ class Limits:
         """Return some of the limits, in the order given; any may come several times."""
         return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
 
-    def excess(self, t: Array, x: Array, u: Array) -> Array:
+    def compute_excess(self, t: Array, x: Array, u: Array) -> Array:
         """Return the excess of each quantity beyond its limit (n, m); infinite for NaN."""
         excess = self.quantities(t, x, u)[self.rows] - self.values[:, None]
         return np.where(np.isnan(excess), np.inf, self.sides[:, None] * excess)
@@ -92,7 +92,7 @@ class Violations:
     x: Array
     u: Array
 
-    def value(self, i: int) -> str:
+    def describe_value(self, i: int) -> str:
         """Return the quantity and its limit: "81 (at least 100)", "1 + 2e-08 (at most 1)"."""
         limit, side = self.limits.values[i], self.limits.sides[i]
         text, allowed = f"{limit + side * self.excess[i]:.6g}", f"{limit:.6g}"
@@ -161,9 +161,9 @@ class _Tops:
 
     @classmethod
     def of(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _Tops:
-        times, last = samples.times, samples.at_end
+        times, last = samples.times, samples.is_segment_end
         first = np.append(True, last[:-1])
-        excess = limits.excess(times, samples.x, controls)
+        excess = limits.compute_excess(times, samples.x, controls)
         before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
         after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
         k, j = np.nonzero((excess > before) & (excess >= after))
@@ -246,7 +246,7 @@ class Worst:
     value: float
     where: str
 
-    def or_worse(self, other: Worst) -> Worst:
+    def select_worse(self, other: Worst) -> Worst:
         """Return the larger one; NaN counts as larger."""
         return self if np.isnan(self.value) or other.value <= self.value else other
 
@@ -258,26 +258,26 @@ def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
     """Measure all phases of a solution."""
     defect = bound = terminal = NOTHING
     for s in samples:
-        defect = defect.or_worse(worst_defect(s))
-        bound = bound.or_worse(worst_bound_violation(s)).or_worse(worst_path_violation(s))
-        terminal = terminal.or_worse(worst_terminal_error(s))
+        defect = defect.select_worse(find_worst_defect(s))
+        bound = bound.select_worse(find_worst_bound_violation(s)).select_worse(worst_path_violation(s))
+        terminal = terminal.select_worse(find_worst_terminal_error(s))
     return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
 
-def worst_defect(samples: PhaseSamples) -> Worst:
+def find_worst_defect(samples: PhaseSamples) -> Worst:
     """Return the worst defect, or jump between segments."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
     rates = evaluate_within_bounds(
         samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
     )
-    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
+    errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
     if inner.size:
         errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
-    i, k = worst_index(errors)
-    return Worst(float(errors[i, k]), samples.segment_place(k, leg.states.labels[i]))
+    i, k = find_worst_index(errors)
+    return Worst(float(errors[i, k]), samples.describe_segment(k, leg.states.labels[i]))
 
 
-def worst_bound_violation(samples: PhaseSamples) -> Worst:
+def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
     """Return the worst overshoot of state and control bounds by their polynomials, between samples too."""
     leg, worst = samples.leg, NOTHING
     for limits, scale, labels in (
@@ -288,8 +288,8 @@ def worst_bound_violation(samples: PhaseSamples) -> Worst:
         if found.times.size:
             shares = found.excess / scale[found.limits.rows]
             i = int(np.argmax(shares))
-            place = samples.place_at(found.times[i], labels[found.limits.rows[i]])
-            worst = worst.or_worse(Worst(float(shares[i]), place))
+            place = samples.describe_time(found.times[i], labels[found.limits.rows[i]])
+            worst = worst.select_worse(Worst(float(shares[i]), place))
     return worst
 
 
@@ -303,8 +303,8 @@ def worst_path_violation(samples: PhaseSamples) -> Worst:
         return NOTHING
     shares = _distances_to_path_limits(found, samples)
     i = int(np.argmax(shares))
-    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
-    return Worst(float(shares[i]), samples.place_at(found.times[i], what))
+    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
+    return Worst(float(shares[i]), samples.describe_time(found.times[i], what))
 
 
 def _distances_to_path_limits(found: Violations, samples: PhaseSamples) -> Array:
@@ -317,7 +317,7 @@ def _distances_to_path_limits(found: Violations, samples: PhaseSamples) -> Array
     return np.asarray(found.excess / np.where(slope > 0, slope, samples.path_scale[rows]))
 
 
-def worst_terminal_error(samples: PhaseSamples) -> Worst:
+def find_worst_terminal_error(samples: PhaseSamples) -> Worst:
     """Return the largest propagation error of the applied control."""
     leg = samples.leg
     run = propagate(leg, samples.functions)
@@ -329,7 +329,7 @@ def worst_terminal_error(samples: PhaseSamples) -> Worst:
     return Worst(float(misses[i]), where)
 
 
-def worst_index(values: Array) -> tuple[int, int]:
+def find_worst_index(values: Array) -> tuple[int, int]:
     """Return row and column of the largest entry; NaN counts as largest."""
     flat = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     row, column = np.unravel_index(flat, values.shape)

@@ -25,10 +25,10 @@ def remaining_solution(solution: Solution, time: float) -> Solution:
         s, at or after the beginning and before the end.
     """
     ((name, leg),) = solution.phases.items()
-    return replace(solution, phases={name: _remaining_phase(leg, time)}, structure=())
+    return replace(solution, phases={name: _truncate_phase(leg, time)}, structure=())
 
 
-def _remaining_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
+def _truncate_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
     slack = SAME_TIME * leg.duration
     first = int(np.searchsorted(leg.breaks[1:-1], time + slack, "right"))
     breaks = np.append(time, leg.breaks[first + 1 :])
@@ -38,14 +38,14 @@ def _remaining_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
         leg,
         mesh=mesh,
         initial_time=time,
-        x=_restricted_signal(leg.x, first, breaks),
-        u=_restricted_signal(leg.u, first, breaks),
-        lam=_restricted_signal(leg.lam, first, breaks),
+        x=_truncate_signal(leg.x, first, breaks),
+        u=_truncate_signal(leg.u, first, breaks),
+        lam=_truncate_signal(leg.lam, first, breaks),
     )
     points = fresh.point_times
     ends_segment = np.concatenate([rule.points == 1.0 for rule in fresh.rules])
 
-    def sampled(signal: PiecewisePolynomial) -> Array:
+    def sample_inside_segments(signal: PiecewisePolynomial) -> Array:
         return np.where(ends_segment, signal(points, "left"), signal(points, "right"))
 
     lam_start, impulses = leg.lam_start[:, first:].copy(), leg.state_impulses[:, first:].copy()
@@ -55,15 +55,15 @@ def _remaining_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
         fresh,
         lam_start=lam_start,
         lam_end=leg.lam_end[:, first:],
-        point_costates=sampled(leg.lam),
-        path_multipliers=sampled(leg.path_multiplier),
-        state_multipliers=sampled(leg.state_multiplier),
-        control_multipliers=sampled(leg.control_multiplier),
+        point_costates=sample_inside_segments(leg.lam),
+        path_multipliers=sample_inside_segments(leg.path_multiplier),
+        state_multipliers=sample_inside_segments(leg.state_multiplier),
+        control_multipliers=sample_inside_segments(leg.control_multiplier),
         state_impulses=impulses,
     )
 
 
-def _restricted_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> PiecewisePolynomial:
+def _truncate_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> PiecewisePolynomial:
     """Return the segments from ``first`` on, that one from the first of the breaks on: the same polynomials."""
     left, right = signal.breaks[first], signal.breaks[first + 1]
     nodes = signal.nodes[first]

@@ -16,14 +16,14 @@ from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
     control_spans,
+    estimate_required_controls,
     find_inactive_controls,
-    required_control_sizes,
-    share_components,
+    share_largest_component,
     state_spans,
 )
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, points, weights
 from gnc_opt.planning.transcription.scheme import GAUSS
-from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, magnitude
+from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, nonzero_magnitude
 
 SAMPLES_BEYOND_POINTS = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
@@ -52,7 +52,7 @@ class PhaseSamples:
     weights : array (n_samples,)
         Quadrature weights in s; zero at segment ends.
     cost_magnitude : float
-        What the cost amounts to (module `magnitude`); 0 if unknown.
+        What the cost amounts to (module `nonzero_magnitude`); 0 if unknown.
     feature_edges : array (n,)
         Edges of further cells of finer samples (s).
     """
@@ -68,7 +68,7 @@ class PhaseSamples:
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
         """Sample a phase."""
-        places = [sample_places_and_weights(degree) for degree in leg.mesh.degrees]
+        places = [compute_sample_rule(degree) for degree in leg.mesh.degrees]
         segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
         tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
         halves = 0.5 * np.diff(leg.breaks)[segments]
@@ -109,7 +109,7 @@ class PhaseSamples:
         return replace(self, times=np.concatenate(parts), segments=segments, weights=np.concatenate(weights))
 
     @cached_property
-    def at_end(self) -> Mask:
+    def is_segment_end(self) -> Mask:
         """Which samples are the end of their segment."""
         return np.append(self.segments[1:] > self.segments[:-1], True)
 
@@ -127,7 +127,7 @@ class PhaseSamples:
     def sample(self, signal: Callable[..., Array]) -> Array:
         """Evaluate a signal (of times and a side) at the samples, with the limit from inside each segment."""
         values = signal(self.times_within, "right")
-        values[:, self.at_end] = signal(self.times_within[self.at_end], "left")
+        values[:, self.is_segment_end] = signal(self.times_within[self.is_segment_end], "left")
         return values
 
     @cached_property
@@ -151,7 +151,7 @@ class PhaseSamples:
         return self.sample(self.leg.flown)
 
     @cached_property
-    def idle(self) -> Mask:
+    def inactive_controls(self) -> Mask:
         """Where a control does nothing (m, n_samples), as the direction of a vector whose magnitude is zero."""
         layout, bounds = self.leg.controls, self.leg.control_bounds
         vectors = self.leg.vector_controls
@@ -221,7 +221,7 @@ class PhaseSamples:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
         most = float(np.nanmax(self._costate_terms, initial=0.0))
-        asked = required_control_sizes(self.leg, self.functions)
+        asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
         spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
         still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
@@ -263,9 +263,9 @@ class PhaseSamples:
     def _hamiltonian_changes(self) -> Array:
         amplitude = 0.5 * self.control_span[:, None]
         slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
-        by_slope = _largest_finite(slopes * amplitude)
+        by_slope = _find_largest_finite(slopes * amplitude)
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
-        flown = np.fmax(by_slope, _largest_finite(bends))
+        flown = np.fmax(by_slope, _find_largest_finite(bends))
         return np.asarray(np.fmax(flown, self._slopes_of_cancelling_costates * amplitude[:, 0]))
 
     @cached_property
@@ -291,25 +291,25 @@ class PhaseSamples:
         return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1, initial=0.0))
 
     @property
-    def joint_worth(self) -> float:
+    def joint_hamiltonian_change(self) -> float:
         """Largest change of H along the phase for half the spans of all controls, cost per second.
 
         By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's
         curvature; where costates vanish, by the terms that cancel in their rates. Constant states, and drift
         without the controls, do not count.
         """
-        return max(float(np.sum(self._hamiltonian_changes)), self.least_worth)
+        return max(float(np.sum(self._hamiltonian_changes)), self.least_gain)
 
     @property
-    def control_worth(self) -> Array:
+    def control_gain(self) -> Array:
         """The same of each control, shared by components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
-            share_components(self._hamiltonian_changes, self.leg.controls),
-            NOTABLE * self.joint_worth,
+            share_largest_component(self._hamiltonian_changes, self.leg.controls),
+            NOTABLE * self.joint_hamiltonian_change,
         )
 
     @property
-    def least_worth(self) -> float:
+    def least_gain(self) -> float:
         """Cost per second below which differences of H are rounding."""
         return (
             COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
@@ -321,7 +321,7 @@ class PhaseSamples:
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
         reach = np.max(np.abs(self.u), axis=1, initial=0.0)
-        return np.where(np.isfinite(span) & (span > 0), span, magnitude(reach))
+        return np.where(np.isfinite(span) & (span > 0), span, nonzero_magnitude(reach))
 
     @cached_property
     def cost_scale(self) -> float:
@@ -354,7 +354,7 @@ class PhaseSamples:
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return max(float(np.max(terms, initial=0.0)), self.joint_worth, self.least_worth)
+        return max(float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.least_gain)
 
     @property
     def has_fixed_duration(self) -> bool:
@@ -412,20 +412,20 @@ class PhaseSamples:
         scale = np.fmax(scale, SPAN_MIN_SHARE * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
 
-    def place(self, column: int, what: str = "") -> str:
+    def describe_sample(self, column: int, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for a sample."""
-        return self.place_at(float(self.times[column]), what)
+        return self.describe_time(float(self.times[column]), what)
 
-    def place_at(self, time: float, what: str = "") -> str:
+    def describe_time(self, time: float, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for any time."""
         return f"phase {self.leg.name}, t = {time:.6g} s{f', {what}' if what else ''}"
 
-    def segment_place(self, segment: int, what: str) -> str:
+    def describe_segment(self, segment: int, what: str) -> str:
         """Return the place of a whole segment."""
         left, right = self.leg.breaks[segment], self.leg.breaks[segment + 1]
         return f"phase {self.leg.name}, segment {segment + 1} ({left:.6g} to {right:.6g} s), {what}"
 
-    def per_segment(self, values: Array) -> Array:
+    def integrate_magnitudes(self, values: Array) -> Array:
         """Integrate |values| (n, n_samples) over each segment: (n, K)."""
         return self.segment_integrals(np.abs(values))
 
@@ -450,7 +450,7 @@ class PhaseSamples:
 
 
 @cache
-def sample_places_and_weights(degree: int) -> tuple[Array, Array]:
+def compute_sample_rule(degree: int) -> tuple[Array, Array]:
     """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
     n = min(
         degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
@@ -458,6 +458,6 @@ def sample_places_and_weights(degree: int) -> tuple[Array, Array]:
     return np.pad(points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(weights(GAUSS, n), 1)
 
 
-def _largest_finite(values: Array) -> Array:
+def _find_largest_finite(values: Array) -> Array:
     """Largest number of each row, 0 if there is none."""
     return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))

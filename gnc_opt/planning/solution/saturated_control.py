@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.quadrature import CollocationRule
-from gnc_opt.tolerances import magnitude
+from gnc_opt.tolerances import nonzero_magnitude
 
 _SATURATION_SAMPLES = 33
 
@@ -43,8 +43,8 @@ class SaturatedControl:
     @cached_property
     def held(self) -> Mask:
         """Which channel is held piecewise constant in which segment, shape (m, K)."""
-        values = self.polynomial.within(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
-        slack = self.tolerance * _bound_range(self.bounds)
+        values = self.polynomial.evaluate_in_segments(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
+        slack = self.tolerance * _compute_bound_range(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
         return np.asarray(over | under)
@@ -66,7 +66,7 @@ class SaturatedControl:
         pieces += [self._segment_cells[k] for k in np.flatnonzero(self.held.any(axis=0))]
         return np.unique(np.concatenate(pieces))
 
-    def clipped(self, t: ArrayLike, side: Side = "right") -> Array:
+    def evaluate_clipped(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate the polynomial, clipped to the bounds: for guesses, not for flying."""
         values = self.polynomial(t, side)
         lower, upper = (b if np.ndim(t) == 0 else b[:, None] for b in (self.bounds.lower, self.bounds.upper))
@@ -75,7 +75,7 @@ class SaturatedControl:
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
         times = np.atleast_1d(read_numbers(t, "the time"))
-        values = self.clipped(times, side)
+        values = self.evaluate_clipped(times, side)
         breaks = self.polynomial.breaks
         segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
         for k in np.unique(segment[np.any(self.held, axis=0)[segment]]):
@@ -87,8 +87,8 @@ class SaturatedControl:
         return values if np.ndim(t) else values[:, 0]
 
 
-def _bound_range(bounds: Interval) -> Array:
+def _compute_bound_range(bounds: Interval) -> Array:
     """Return the ranges of bounds; of fixed controls their size, and 1 where there is neither."""
     span = bounds.upper - bounds.lower
-    fixed = magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))
+    fixed = nonzero_magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))
     return np.where(np.isfinite(span) & ~bounds.fixed, span, fixed)

@@ -28,7 +28,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
-from gnc_opt.planning.solution.export import time_history_records
+from gnc_opt.planning.solution.export import build_time_history
 from gnc_opt.planning.solution.history import (
     Actions,
     History,
@@ -318,7 +318,7 @@ class Solution(Printed):
         GncOptError
             pandas is not installed; it comes with the extra ``data``.
         """
-        return time_history_records(self.phase(phase), times).to_pandas()
+        return build_time_history(self.phase(phase), times).to_pandas()
 
     def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
         """Return states, applied controls and costates as variables over time (s), each with its unit.
@@ -342,9 +342,7 @@ class Solution(Printed):
         """
         told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
         return (
-            time_history_records(self.phase(phase), times)
-            .to_xarray()
-            .assign_attrs({**told, **self.provenance})
+            build_time_history(self.phase(phase), times).to_xarray().assign_attrs({**told, **self.provenance})
         )
 
     def export(self, path: str | Path, phase: str | None = None, times: ArrayLike | None = None) -> Path:
@@ -364,7 +362,7 @@ class Solution(Printed):
         ArgumentError
             Another suffix.
         """
-        return time_history_records(self.phase(phase), times).write(path)
+        return build_time_history(self.phase(phase), times).write(path)
 
     def save(self, path: str | Path) -> Path:
         """Write the numbers to a file that `load` reads without the model.

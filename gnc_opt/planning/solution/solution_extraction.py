@@ -72,7 +72,7 @@ def extract_phases(
     nu = iterate.lam_g[transcription.constraint_rows]
     extended = np.concatenate([iterate.x, transcription.fixed_times(problem)])
     integrals = {
-        name: _integral_values(transcription, problem, name, extended, q) for name in transcription.parts
+        name: _compute_integrals(transcription, problem, name, extended, q) for name in transcription.parts
     }
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
@@ -104,7 +104,7 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
     return found
 
 
-def _integral_values(
+def _compute_integrals(
     transcription: Transcription, problem: Problem, name: str, extended: Array, q: Array
 ) -> Array:
     leg, part = problem.phases[name], transcription.parts[name]

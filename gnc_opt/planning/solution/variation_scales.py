@@ -21,7 +21,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, magnitude
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, nonzero_magnitude
 
 CONTROL_STEP_SHARES = 0.37, -0.61
 """Steps of a control, in shares of its scale: one that changes nothing at either is idle, and no angle has both as
@@ -82,15 +82,15 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     """Return how far each state moves along a phase (n_states,); ``used`` (n_controls,) are the controls' spans."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
-    moved = share_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    moved = share_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return magnitude(share_components(size, leg.states))
-    movable = share_components(_reachable_motion(leg, functions, used), leg.states)
+        return nonzero_magnitude(share_largest_component(size, leg.states))
+    movable = share_largest_component(_reachable_motion(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
-    return _fallback_span(
-        _fallback_span(spans, *(_finite_width(box) for box in boxes)), size, np.ones(size.size)
+    return _choose_fallback_span(
+        _choose_fallback_span(spans, *(_finite_width(box) for box in boxes)), size, np.ones(size.size)
     )
 
 
@@ -107,31 +107,31 @@ def control_spans(
     terms : float
         Size of the products of costates and rates in H, used if all controls are inactive.
     asked : array (n_controls,)
-        Controls needed for the trajectory's motion (`required_control_sizes`): the span of a constant control without a
-        range, or its own size if less.
+        Controls needed for the trajectory's motion (`estimate_required_controls`): the span of a constant control
+        without range, or its own size if less.
     """
     extent, size = _finite_width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
     spans = np.maximum(_limit_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
-    spans = share_components(spans, leg.controls)
+    spans = share_largest_component(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = share_components(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
+    spans = share_largest_component(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = share_components(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
-    return _fallback_span(np.where(spans > ROUNDING, spans, extent), magnitude(size))
+    spans = share_largest_component(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    return _choose_fallback_span(np.where(spans > ROUNDING, spans, extent), nonzero_magnitude(size))
 
 
-def required_control_sizes(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) that the motion needs, by the least moved state; zero without effect."""
     middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
-    moved = share_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    moved = share_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
     x, u = leg.x(middles), leg.flown(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     lasts = leg.breaks[-1] - leg.breaks[0]
@@ -182,7 +182,7 @@ def _limit_to_range(spans: Array, extent: Array) -> Array:
     )
 
 
-def share_components(values: Array, layout: Layout) -> Array:
+def share_largest_component(values: Array, layout: Layout) -> Array:
     """Return the largest value among the components of each variable."""
     values = np.where(np.isfinite(values), values, 0.0)  # a copy
     for variable in layout.variables:
@@ -197,7 +197,7 @@ def _finite_width(box: Interval) -> Array:
     return np.where(np.isfinite(width), width, 0.0)
 
 
-def _fallback_span(values: Array, *others: Array) -> Array:
+def _choose_fallback_span(values: Array, *others: Array) -> Array:
     for other in others:
         values = np.where(values > 0, values, other)
     return values

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import heading, preformatted, table
+from gnc_opt.text_formatting import html_heading, html_preformatted, html_table
 
 
 @dataclass(frozen=True)
@@ -280,9 +280,9 @@ class Verdict:
             for c in self.conditions
         ]
         titles = ("condition", "result", "violation", "tolerance", "largest at")
-        shown = heading(f"verdict on '{self.problem_name}': {self.word}") + table(titles, rows)
+        shown = html_heading(f"verdict on '{self.problem_name}': {self.word}") + html_table(titles, rows)
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
-        return shown if passed else shown + preformatted(self.explain())
+        return shown if passed else shown + html_preformatted(self.explain())
 
 
 SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}

@@ -60,30 +60,30 @@ def find_violations(
         return ()
     special: list[Violation] = []
     if result.status is Status.UNBOUNDED:
-        special = _unbounded_variables(transcription, result.x)
+        special = _find_unbounded_variables(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
-        special = _nonfinite_functions(problem, phases, parameters)
-    return (*special, *_violated_rows(transcription, problem, result, scaling))[:_LISTED_VIOLATIONS]
+        special = _find_nonfinite_functions(problem, phases, parameters)
+    return (*special, *_find_violated_rows(transcription, problem, result, scaling))[:_LISTED_VIOLATIONS]
 
 
-def _violated_rows(
+def _find_violated_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
     """Rows and bounds that do not hold; NaN counts as worst."""
     rows, box = transcription.row_interval(problem), transcription.variable_interval(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
-    amounts = np.concatenate([_excess(result.g, scaled_rows), _excess(result.x, scaled_box)])
+    amounts = np.concatenate([_compute_excess(result.g, scaled_rows), _compute_excess(result.x, scaled_box)])
     labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
     worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
 
 
-def _excess(values: Array, interval: Interval) -> Array:
+def _compute_excess(values: Array, interval: Interval) -> Array:
     return np.maximum(np.maximum(interval.lower - values, values - interval.upper), 0.0)
 
 
-def _unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:
+def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:
     """The variables that have grown beyond all measure, each where it is largest."""
     largest: dict[str, Violation] = {}
     for i in np.argsort(-np.abs(scaled), kind="stable"):
@@ -96,7 +96,7 @@ def _unbounded_variables(transcription: Transcription, scaled: Array) -> list[Vi
     return list(largest.values())
 
 
-def _nonfinite_functions(
+def _find_nonfinite_functions(
     problem: Problem, phases: dict[str, PhaseSolution], parameters: Array
 ) -> list[Violation]:
     """The functions and derivatives that are NaN or infinite at the collocation points."""

@@ -163,7 +163,7 @@ def _put_phase(
     shared = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
     x[collocation.point_states[~shared]] = states[~shared]
-    x[collocation.point_controls] = sample(old.flown.clipped)
+    x[collocation.point_controls] = sample(old.flown.evaluate_clipped)
     free_times = part.times < transcription.n_variables
     times = _stretched_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
     x[part.times[free_times]] = times[free_times]

@@ -62,7 +62,7 @@ class MovedSolution:
 
     def prediction_error(self, found: Solution) -> float:
         """Return the largest error of the prediction, in shares of the variables' scales."""
-        here = _start_values(found.need_problem("compare"), found)[1].x
+        here = _transcribe_solution(found.need_problem("compare"), found)[1].x
         if here.shape != self.variables.shape:
             return 0.0  # on another mesh, by a refinement: nothing to compare
         return float(np.max(np.abs(here - self.variables) / self.scales))
@@ -77,7 +77,7 @@ def predict_solution(
     through both, ``ratio`` being the length of this step over that of the last one.
     """
     problem = reformulate(problem)
-    transcription, start = _start_values(problem, last)
+    transcription, start = _transcribe_solution(problem, last)
     change = _predict_change(problem, last)
     if change is None and before is not None:
         earlier = program_start(transcription, problem, before).x
@@ -92,7 +92,7 @@ def predict_solution(
     return MovedSolution(guess, x, scale_variables(transcription, problem, start.x))
 
 
-def _start_values(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
+def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}
     transcription = transcribe(problem, meshes, solution.scheme)
     return transcription, program_start(transcription, problem, solution)
@@ -107,12 +107,12 @@ def _predict_change(problem: Problem, last: Solution) -> Array | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ProblemWarning)  # one-sided derivatives predict, too
             point = KktPoint(last)
-            return point.respond(_data_difference(point.program.transcription, old, problem)).variables
+            return point.respond(_subtract_data(point.program.transcription, old, problem)).variables
     except GncOptError:
         return None
 
 
-def _data_difference(transcription: Transcription, old: Problem, new: Problem) -> Change:
+def _subtract_data(transcription: Transcription, old: Problem, new: Problem) -> Change:
     """Return the difference between the data of two problems; limits that are not finite do not move."""
 
     def moved(before: Array, after: Array) -> Array:
@@ -196,7 +196,7 @@ class KktPoint:
             if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
-            self.program = self.program.moved(self._system.solve(-residual))
+            self.program = self.program.take_step(self._system.solve(-residual))
         if not best <= _RESIDUAL and not size <= _RESIDUAL:
             worst = self._system.labels[int(np.argmax(np.abs(residual)))]
             return (

@@ -68,15 +68,15 @@ class Minimum:
 def merge_minima(minima: Iterable[Minimum]) -> list[Minimum]:
     """Return the distinct minima, best first, whatever the order they come in."""
     groups: list[list[Minimum]] = []
-    for minimum in sorted(minima, key=_minimum_rank):
+    for minimum in sorted(minima, key=_rank_minimum):
         if groups and is_same_objective(groups[-1][-1].objective, minimum.objective):
             groups[-1].append(minimum)
         else:
             groups.append([minimum])
-    return [_join_equal(group) for group in groups]
+    return [_join_equal_minima(group) for group in groups]
 
 
-def _minimum_rank(minimum: Minimum) -> tuple[float, int]:
+def _rank_minimum(minimum: Minimum) -> tuple[float, int]:
     sense = -1.0 if minimum.solution.maximised else 1.0
     return sense * minimum.objective, minimum.starts[0]
 
@@ -86,7 +86,7 @@ def is_same_objective(a: float, b: float) -> bool:
     return abs(a - b) <= SAME_MINIMUM_TOLERANCE * max(abs(a), abs(b), SAME_MINIMUM_TOLERANCE)
 
 
-def _join_equal(group: Sequence[Minimum]) -> Minimum:
+def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
     """Join equal minima under the most trustworthy solution; among these, that of the earliest start."""
     chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
     starts = sorted(start for minimum in group for start in minimum.starts)
@@ -112,13 +112,13 @@ def _count_trajectories(group: Sequence[Minimum]) -> int:
     """Count different trajectories among equal minima, each of which may stand for several already."""
     samples: list[Array] = []
     for minimum in group:
-        sample = _sampled_states(minimum.solution)
+        sample = _sample_states(minimum.solution)
         if all(np.max(np.abs(sample - other)) > SAME_TRAJECTORY for other in samples):
             samples.append(sample)
     return max(len(samples), *(minimum.trajectories for minimum in group))
 
 
-def _sampled_states(solution: Solution) -> Array:
+def _sample_states(solution: Solution) -> Array:
     """Return all states at 21 times of each phase, in shares of their magnitudes."""
     rows: list[Array] = []
     for leg in solution.phases.values():

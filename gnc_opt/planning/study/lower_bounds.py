@@ -34,7 +34,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solver import solve
-from gnc_opt.planning.study.relaxation import Relaxation, relaxations
+from gnc_opt.planning.study.relaxation import Relaxation, find_relaxations
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficiency import is_convex
 from gnc_opt.runtime_environment import one_thread
@@ -77,11 +77,11 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     read_positive(tol, "the tolerance of lower_bound()")
     problem = solution.need_problem("bound")
     verdict = replace(verify(solution), bound=None, gap=None)
-    theorem = theorem_of(solution, verdict)
+    theorem = find_sufficiency_theorem(solution, verdict)
     if theorem:
         best: LowerBound | None = LowerBound(solution.objective, _state_labels(problem), theorem)
     else:
-        found = (_relaxation_bound(relaxation, solution, tol) for relaxation in relaxations(problem))
+        found = (_relaxation_bound(relaxation, solution, tol) for relaxation in find_relaxations(problem))
         known = [bound for bound in found if bound is not None]
         best = max(known, key=lambda b: (b.certified, problem.sense * b.value), default=None)
     return replace(solution, bound=best).with_verdict(verdict)
@@ -93,7 +93,7 @@ def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) ->
     relaxed = solve(problem, tol=tol, throw=False)
     if not relaxed.converged:
         return None
-    theorem = theorem_of(relaxed, verify(relaxed))
+    theorem = find_sufficiency_theorem(relaxed, verify(relaxed))
     beyond = problem.sense * (relaxed.objective - solution.objective)
     if not theorem and beyond > tol * abs(solution.objective):
         return None  # the solution's own flight costs less: a minimum of the relaxation, but not its least
@@ -129,7 +129,7 @@ CONVEX = "convex"
 LINEAR_TIME_OPTIMAL = "linear and time-optimal"
 
 
-def theorem_of(solution: Solution, verdict: Verdict) -> str:
+def find_sufficiency_theorem(solution: Solution, verdict: Verdict) -> str:
     """Return the theorem by which an extremal is a global minimum; "" if none applies or the verdict is not ok."""
     problem = solution.need_problem("certify")
     if not verdict.ok:
@@ -144,14 +144,14 @@ def _fulfils_time_optimal_theorem(problem: Problem, solution: Solution) -> bool:
         return False
     leg = next(iter(problem.phases.values()))
     return (
-        _is_least_time(problem, leg, solution.phase().final_time)
+        _is_time_optimal(problem, leg, solution.phase().final_time)
         and bool(np.all(leg.numbers.final.fixed))
         and _has_linear_dynamics(leg)
         and _has_equilibrium(leg, solution)
     )
 
 
-def _is_least_time(problem: Problem, leg: Phase, found: float) -> bool:
+def _is_time_optimal(problem: Problem, leg: Phase, found: float) -> bool:
     """Whether the cost is the final time, and the solution's is not the least that is allowed."""
     initial, final = leg.times()
     slope = ca.jacobian(problem.sense * problem.cost, leg.final_time)

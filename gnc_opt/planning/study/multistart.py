@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_integer, read_positive, suggesting_keywords
+from gnc_opt.arguments import expect, read_integer, read_positive, suggest_keywords
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -54,12 +54,12 @@ class Refining:
     def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
         known = set(problem.builds)
         try:
-            return self._refine(problem, minimum)
+            return self._refine_minimum(problem, minimum)
         finally:
             for key in set(problem.builds) - known:  # its meshes are its own, and no other minimum needs them
                 del problem.builds[key]
 
-    def _refine(self, problem: Problem, minimum: Minimum) -> Minimum:
+    def _refine_minimum(self, problem: Problem, minimum: Minimum) -> Minimum:
         limits = RefinementLimits(max_passes=MOST_PASSES, max_points=MOST_POINTS)
         coarse = minimum.solution.with_problem(problem)
         solution = refine_solution(coarse, structure=self.structure, tol=self.tol, limits=limits)
@@ -76,7 +76,7 @@ class Refining:
         )
 
 
-def _halved_mesh(mesh: Mesh) -> Mesh:
+def _halve_segments(mesh: Mesh) -> Mesh:
     """Return the mesh with every segment cut in two."""
     breaks = np.asarray(mesh.breaks)
     middles = 0.5 * (breaks[:-1] + breaks[1:])
@@ -157,7 +157,7 @@ class Multistart(Printed):
         """The best minimum; raises `GncOptError` if there is none."""
         if not self.minima:
             raise GncOptError(
-                f"none of {self.finished} starts of '{self.problem_name}' found a minimum ({_listed(self.failures)}): "
+                f"none of {self.finished} starts of '{self.problem_name}' found a minimum ({_format(self.failures)}): "
                 "solve() it once and look at the violations, or try more starts."
             )
         return self.minima[0]
@@ -180,16 +180,16 @@ class Multistart(Printed):
                 f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.standing}"
             )
         if self.failures:
-            lines.append(f"without a minimum: {_listed(self.failures)}")
+            lines.append(f"without a minimum: {_format(self.failures)}")
         return "\n".join(lines)
 
 
-def _listed(failures: Mapping[str, int]) -> str:
+def _format(failures: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def multistart(
     problem: Problem | Builder,
     *,
@@ -274,7 +274,7 @@ def multistart(
         search = _Search(pool, stated, progress)
         coarse = _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen)
         endings = search.solve_starts(coarse, n)
-        minima = merge_minima(_first_minima(endings))
+        minima = merge_minima(_collect_coarse_minima(endings))
         if refine and not pool.interrupted:
             count = _count_worth_refining(minima, within)
             refined = search.refine_minima(Refining(structure, tol), minima[:count], max_refined)
@@ -309,7 +309,7 @@ class _Search:
                             coarse, starts, lambda start: show(_task_answer(start).objective)
                         )
                         endings += [_task_answer(start) for start in done]
-                        coarse = replace(coarse, durations=_phase_durations(endings))
+                        coarse = replace(coarse, durations=_find_phase_durations(endings))
             except KeyboardInterrupt:  # between two runs
                 self.pool.interrupted = True
         return endings
@@ -330,9 +330,9 @@ class _Search:
         return [*finer, *waiting]
 
 
-def _phase_durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
+def _find_phase_durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
     """Return how long each phase takes in the best of the solutions; nothing without one."""
-    best = next(iter(merge_minima(_first_minima(endings))), None)
+    best = next(iter(merge_minima(_collect_coarse_minima(endings))), None)
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
@@ -428,7 +428,7 @@ class _Coarse:
                 raise
             return _StartEnding(index, "bad guess")
         if solution.status.solved and is_spurious(solution):
-            finer = {name: _halved_mesh(leg.mesh) for name, leg in solution.phases.items()}
+            finer = {name: _halve_segments(leg.mesh) for name, leg in solution.phases.items()}
             solution = solve_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
             raise_interrupt(solution, options)
@@ -438,7 +438,7 @@ class _Coarse:
         return _StartEnding(index, solution=replace(solution, problem=None))
 
 
-def _first_minima(endings: Iterable[_StartEnding]) -> Iterator[Minimum]:
+def _collect_coarse_minima(endings: Iterable[_StartEnding]) -> Iterator[Minimum]:
     for ending in endings:
         if ending.solution is not None:
             objective = ending.solution.objective

@@ -31,13 +31,13 @@ class Relaxation:
     controls: dict[str, Mask]
 
 
-def relaxations(problem: Problem) -> list[Relaxation]:
+def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each largest closed set with all states of the cost."""
-    found = (_restricted_problem(problem, part) for part in _largest_sets(list(_closed_sets(problem))))
+    found = (_restrict_problem(problem, part) for part in _find_maximal_sets(list(_closed_sets(problem))))
     return [relaxation for relaxation in found if relaxation is not None]
 
 
-def _largest_sets(sets: list[Mask]) -> Iterator[Mask]:
+def _find_maximal_sets(sets: list[Mask]) -> Iterator[Mask]:
     for i, own in enumerate(sets):
         if not any(np.all(other >= own) for j, other in enumerate(sets) if j != i):
             yield own
@@ -48,7 +48,7 @@ def _closed_sets(problem: Problem) -> Iterator[Mask]:
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
     needs = np.eye(owner.size, dtype=bool)
-    ties = [_dependence_at_ends(problem, problem.constraint_expression())]
+    ties = [_compute_end_dependence(problem, problem.constraint_expression())]
     for i, leg in enumerate(legs):
         own, x = owner == i, leg.model.symbols("state")
         needs[np.ix_(own, own)] |= _dependence(leg.model.derivative(), x)
@@ -88,7 +88,7 @@ def _dependence(expression: Any, symbols: Any) -> Mask:
     return pattern
 
 
-def _dependence_at_ends(problem: Problem, expression: Any) -> Mask:
+def _compute_end_dependence(problem: Problem, expression: Any) -> Mask:
     """Return on which states of all phases rows depend, by end points or by integrals."""
     columns = []
     for leg in problem.phases.values():
@@ -129,7 +129,7 @@ class _Part:
         """All of them, stacked."""
         return ca.vertcat(self.rates, self.paths, *self.integrands.values())
 
-    def model(self, used: set[int]) -> tuple[Model, Any, Any]:
+    def build_reduced_model(self, used: set[int]) -> tuple[Model, Any, Any]:
         """Return the reduced model, and the old symbols with their replacements."""
         old, model = self.leg.model, Model(self.leg.model.name)
         t, x, u, p = old.arguments()
@@ -155,12 +155,12 @@ class _Part:
         return model, before, after
 
 
-def _restricted_problem(problem: Problem, kept: Mask) -> Relaxation | None:
+def _restrict_problem(problem: Problem, kept: Mask) -> Relaxation | None:
     """Return the problem of a closed set of states; None if the cost needs others."""
     conditions, cost = problem.constraint_expression(), problem.cost
-    if np.any(_dependence_at_ends(problem, cost)[:, ~kept]):
+    if np.any(_compute_end_dependence(problem, cost)[:, ~kept]):
         return None
-    alone = ~np.any(_dependence_at_ends(problem, conditions)[:, ~kept], axis=1)
+    alone = ~np.any(_compute_end_dependence(problem, conditions)[:, ~kept], axis=1)
     conditions = conditions[np.flatnonzero(alone)]
     ends = ca.vertcat(cost, conditions)
     parts, first = [], 0
@@ -169,10 +169,10 @@ def _restricted_problem(problem: Problem, kept: Mask) -> Relaxation | None:
         integrals = np.any(_dependence(ends, leg.integral_symbols()), axis=0)
         parts.append(_Part(leg, kept[first:last], integrals))
         first = last
-    return _state_relaxation(problem, parts, conditions, problem.constraint_interval(), alone)
+    return _declare_relaxation(problem, parts, conditions, problem.constraint_interval(), alone)
 
 
-def _state_relaxation(
+def _declare_relaxation(
     problem: Problem, parts: list[_Part], conditions: Any, limits: Interval, alone: Mask
 ) -> Relaxation:
     used = {
@@ -187,9 +187,9 @@ def _state_relaxation(
     before, after = _declare_parameters(problem, relaxed, parts, used)
     stated, free = ca.vertcat(*before), ca.vertcat(*after)
     for part in parts:
-        model, old, new = part.model(used)
+        model, old, new = part.build_reduced_model(used)
         leg = relaxed.phase(part.leg.name, model)
-        _state_phase(leg, part, ca.vertcat(old, stated), ca.vertcat(new, free))
+        _declare_phase(leg, part, ca.vertcat(old, stated), ca.vertcat(new, free))
         kept = np.flatnonzero(part.states)
         before += [old, part.leg.initial_time, part.leg.final_time]
         after += [new, leg.initial_time, leg.final_time]
@@ -227,7 +227,7 @@ def _declare_parameters(
     return before, after
 
 
-def _state_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
+def _declare_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
     """State the limits, path constraints and integrals of the reduced phase."""
     old, states, controls = part.leg.numbers, part.states, part.controls
     leg.numbers = replace(
@@ -235,12 +235,12 @@ def _state_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
         initial_time=old.initial_time,
         final_time=old.final_time,
         duration=old.duration,
-        initial=_chosen_components(old.initial, states),
-        final=_chosen_components(old.final, states),
-        states=_chosen_components(old.states, states),
-        controls=_chosen_components(old.controls, controls),
+        initial=_select_components(old.initial, states),
+        final=_select_components(old.final, states),
+        states=_select_components(old.states, states),
+        controls=_select_components(old.controls, controls),
     )
-    limits = _chosen_components(part.leg.path_interval(), part.rows)
+    limits = _select_components(part.leg.path_interval(), part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
@@ -270,5 +270,5 @@ def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
     return ca.substitute(expression, before[places], after[places])
 
 
-def _chosen_components(box: Interval, kept: Mask) -> Interval:
+def _select_components(box: Interval, kept: Mask) -> Interval:
     return Interval(box.lower[kept], box.upper[kept])

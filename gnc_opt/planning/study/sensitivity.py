@@ -211,7 +211,7 @@ def sensitivity(
     _check_solution(solution)
     point = _factorise_once(solution)
     kind, name = chosen[0]
-    quantity, changes = _quantity_changes(point.program, solution, kind, name, phase)
+    quantity, changes = _find_quantity_changes(point.program, solution, kind, name, phase)
     responses = [point.respond(change) for change in changes]
     return _collect_derivatives(point.program, solution, quantity, changes, responses)
 
@@ -267,7 +267,7 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
 # --- the quantity ---------------------------------------------------------------------------------
 
 
-def _quantity_changes(
+def _find_quantity_changes(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[Change]]:
     """Name the quantity and return one direction per component."""
@@ -379,16 +379,16 @@ def _collect_derivatives(
     problem, transcription = program.problem, program.transcription
     layout = problem.parameters
     values = np.stack([r.variables[transcription.parameter_places] for r in responses])
-    parameters = {name: _stacked_values(list(values[:, layout.slice(name)])) for name in layout.names}
+    parameters = {name: _stack_values(list(values[:, layout.slice(name)])) for name in layout.names}
     phases = {
         name: _phase_sensitivity(program, part, solution.phases[name], changes, responses)
         for name, part in transcription.parts.items()
     }
-    objective = _stacked_values([np.array([problem.sense * r.objective]) for r in responses])
+    objective = _stack_values([np.array([problem.sense * r.objective]) for r in responses])
     return Sensitivity(quantity, objective, phases, parameters)
 
 
-def _stacked_values(components: list[Array]) -> Array | float:
+def _stack_values(components: list[Array]) -> Array | float:
     """One value per component; a single component and a single value lose their axis."""
     flat = [c[0] if c.size == 1 else c for c in components]
     if len(flat) > 1:
@@ -420,8 +420,8 @@ def _phase_sensitivity(
     inner = np.stack([a[1:-1] for a in anchors])
     return PhaseSensitivity(
         leg.name,
-        _stacked_values([a[:1] for a in anchors]),
-        _stacked_values([a[-1:] for a in anchors]),
+        _stack_values([a[:1] for a in anchors]),
+        _stack_values([a[-1:] for a in anchors]),
         inner[0] if scalar else inner,
         signals(leg.states, [piece[1] for piece in pieces]),
         signals(leg.controls, [piece[2] for piece in pieces]),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers, suggesting_keywords
+from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
@@ -151,7 +151,7 @@ class Sweep(Printed):
 
 
 @one_thread()
-@suggesting_keywords
+@suggest_keywords
 def sweep(
     problem_of: Family,
     grid: Mapping[str, Sequence[float]],

@@ -36,13 +36,13 @@ def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
 
 def hold_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Put the bounds of controls at the points of their arcs."""
-    _put_kinds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
+    _apply_arc_bounds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
 
 
 def hold_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Put the bounds of path constraint rows at the points of their arcs."""
     if held.paths:
-        _put_kinds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
+        _apply_arc_bounds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
 
 
 def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
@@ -52,8 +52,8 @@ def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseColloca
     """
     if not held.states:
         return
-    bounds, going_on = leg.numbers.states, _continued_states(leg, held)
-    _put_kinds(box, collocation.point_states, _kinds_at_points(held.states, collocation), bounds)
+    bounds, going_on = leg.numbers.states, _find_continued_states(leg, held)
+    _apply_arc_bounds(box, collocation.point_states, _kinds_at_points(held.states, collocation), bounds)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
             if kind is ArcKind.RELEASED:
@@ -71,7 +71,7 @@ def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseColloca
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
-def _continued_states(leg: Phase, held: Held) -> set[int]:
+def _find_continued_states(leg: Phase, held: Held) -> set[int]:
     """The states of a phase that the phase before hands over from an arc on the same bound."""
     found = set()
     for name in leg.model.states.names:
@@ -129,7 +129,7 @@ def _kinds_at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
     return np.repeat(kinds_of, collocation.mesh.degrees, axis=1)
 
 
-def _put_kinds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
+def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
     for kind in (ArcKind.LOWER, ArcKind.UPPER):
         here = kinds == kind
         limits = np.broadcast_to(_active_limits(bounds, kind)[:, None], kinds.shape)
@@ -141,7 +141,7 @@ def _put_kinds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> 
 # --- junctions of state constraints -------------------------------------------------------------------------
 
 
-def junctions_of(leg: Phase) -> tuple[Junction, ...]:
+def find_junctions(leg: Phase) -> tuple[Junction, ...]:
     """Return where state constraints of a phase meet their limits."""
     return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
 
@@ -151,14 +151,14 @@ def junction_orders(junction: Junction, n_paths: int) -> range:
     return range(0 if junction.constraint < n_paths else 1, junction.conditions)
 
 
-def junction_rows(junction: Junction, n_paths: int) -> int:
+def count_junction_rows(junction: Junction, n_paths: int) -> int:
     """Return how many rows a junction has."""
     return len(junction_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
 def junction_values(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
-    values = np.zeros(junction_rows(junction, paths.lower.size))
+    values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
         values[0] = _active_limits(paths, junction.kind)[junction.constraint]
     return values
@@ -191,7 +191,7 @@ def smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
     return () if leg.numbers.arcs is None else leg.numbers.arcs.smooth
 
 
-def smooth_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices, Array]:
+def build_smoothness_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices, Array]:
     """Return control variables of some segments (N,) and orthonormal rows that annihilate polynomials in time."""
     mesh = collocation.mesh
     points = slice(mesh.offsets[smooth.first], mesh.offsets[smooth.last])
@@ -202,7 +202,7 @@ def smooth_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices,
     return collocation.point_controls[smooth.control, points], basis[:, smooth.degree + 1 :].T
 
 
-def smooth_entries(rows: list[tuple[Indices, Array]], first_row: int) -> tuple[Indices, Indices, Array]:
+def smoothness_entries(rows: list[tuple[Indices, Array]], first_row: int) -> tuple[Indices, Indices, Array]:
     """Return rows, columns and values of all smoothness rows, numbered from ``first_row``."""
     entries: list[Any] = []
     for columns, values in rows:

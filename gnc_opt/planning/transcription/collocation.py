@@ -27,7 +27,7 @@ import scipy
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
-from gnc_opt.planning.transcription.scheme import Family, Scheme, family_of
+from gnc_opt.planning.transcription.scheme import Family, Scheme, get_family
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class PhaseCollocation:
     @property
     def family(self) -> Family:
         """Properties of the scheme."""
-        return family_of(self.scheme)
+        return get_family(self.scheme)
 
     @cached_property
     def rules(self) -> tuple[CollocationRule, ...]:
@@ -193,7 +193,7 @@ class PhaseCollocation:
         return self.family.dynamics_matrix(self.rules[k].integration)
 
     @cached_property
-    def linear(self) -> tuple[Indices, Indices, Array]:
+    def linear_part(self) -> tuple[Indices, Indices, Array]:
         """Entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):

@@ -14,10 +14,10 @@ from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
-    junction_rows,
-    junctions_of,
+    build_smoothness_rows,
+    count_junction_rows,
+    find_junctions,
     smooth_controls,
-    smooth_rows,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -117,7 +117,7 @@ class Numbering:
             for name, anchor in free_times
         ]
         self._smooth = [
-            smooth_rows(smooth, collocations[name])
+            build_smoothness_rows(smooth, collocations[name])
             for name, leg in self.problem.phases.items()
             for smooth in smooth_controls(leg)
         ]
@@ -136,8 +136,8 @@ class Numbering:
         """Phase, junction and rows of each junction of a state constraint."""
         placed = []
         for name, leg in self.problem.phases.items():
-            for junction in junctions_of(leg):
-                count = junction_rows(junction, len(leg.path_labels))
+            for junction in find_junctions(leg):
+                count = count_junction_rows(junction, len(leg.path_labels))
                 placed.append((name, junction, row + np.arange(count)))
                 row += count
         return placed
@@ -145,7 +145,7 @@ class Numbering:
     def _is_fixed(self, name: str, anchor: int) -> bool:
         if anchor in self._movable[name]:
             return False
-        return time_is_fixed(self.problem.phases[name], min(anchor, 1))
+        return is_time_fixed(self.problem.phases[name], min(anchor, 1))
 
     def _place_end_rows(self) -> None:
         self._durations = [
@@ -199,6 +199,6 @@ class Numbering:
         return tuple(labels)
 
 
-def time_is_fixed(leg: Phase, end: int) -> bool:
+def is_time_fixed(leg: Phase, end: int) -> bool:
     """Whether the phase's initial (0) or final (1) time is a given number."""
     return bool(leg.times()[end].fixed[0])

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.planning.transcription.scheme import GAUSS, Numbers, Scheme, family_of
+from gnc_opt.planning.transcription.scheme import GAUSS, Numbers, Scheme, get_family
 
 MAX_POINTS = 64
 
@@ -113,7 +113,7 @@ def barycentric_basis(x: Array, w: Array, at: Array) -> Array:
 
 
 def _checked_rule(scheme: Scheme, n: int) -> tuple[Scheme, int]:
-    fewest = family_of(scheme).fewest
+    fewest = get_family(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, and more segments where that is too few"
         raise ArgumentError(f"{scheme} has no rule with {shown(n)} points: {remedy}.")
@@ -123,13 +123,13 @@ def _checked_rule(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 @cache
 def _build_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _decimal_points_and_weights(scheme, n)
-    with _many_digits():
-        nodes = family_of(scheme).state_nodes(x)
+    with _use_decimal_digits():
+        nodes = get_family(scheme).state_nodes(x)
         w = _reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
         differentiation = _square_differentiation(nodes, w)[collocated]
         integration = _legendre_integrals(x, n) @ _decimal_modes(scheme, n)
-        end_values = _values_at_one(nodes, w)
+        end_values = _legendre_derivatives_at_one(nodes, w)
     tables = map(_round_to_float, (nodes, differentiation, end_values, integration))
     return CollocationRule(scheme, n, *_points_and_weights(scheme, n), *tables)
 
@@ -142,21 +142,21 @@ def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 
 @cache
 def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
-    with _many_digits():
-        symmetric = family_of(scheme).symmetric
-        x = _decimals(family_of(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
+    with _use_decimal_digits():
+        symmetric = get_family(scheme).symmetric
+        x = _to_decimals(get_family(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic from about 1e-14: the third step reaches the last digit
             x = _newton_step(scheme, n, x)
         if symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
         modes = _legendre(x, n - 1)
-        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(family_of(scheme).square_norms(n)))
+        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(get_family(scheme).square_norms(n)))
 
 
 def _newton_step(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
     modes = _legendre(x, n)
-    series = family_of(scheme).series(n)
+    series = get_family(scheme).series(n)
     value = sum(c * modes[k] for k, c in series.items())
     slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
     return np.asarray(x - value / slope)
@@ -180,8 +180,8 @@ def _legendre_integrals(x: Numbers, n: int) -> Numbers:
 def _decimal_modes(scheme: Scheme, n: int) -> Numbers:
     """Values at the points → Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _decimal_points_and_weights(scheme, n)
-    with _many_digits():
-        pairs = zip(_legendre(x, n - 1), family_of(scheme).square_norms(n), strict=True)
+    with _use_decimal_digits():
+        pairs = zip(_legendre(x, n - 1), get_family(scheme).square_norms(n), strict=True)
         return np.stack([w * mode / norm for mode, norm in pairs])
 
 
@@ -206,7 +206,7 @@ def _square_differentiation(x: Numbers, w: Numbers) -> Numbers:
     return np.asarray(matrix)
 
 
-def _values_at_one(x: Numbers, w: Numbers) -> Numbers:
+def _legendre_derivatives_at_one(x: Numbers, w: Numbers) -> Numbers:
     if x[-1] == 1:
         return np.asarray(x == 1)
     terms = w / (1 - x)
@@ -218,16 +218,16 @@ def _cached_barycentric_weights(nodes: bytes) -> Array:
     x = np.frombuffer(nodes)
     if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
         raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
-    with _many_digits():
-        w = _reciprocal_products(_decimals(x))
+    with _use_decimal_digits():
+        w = _reciprocal_products(_to_decimals(x))
         return _round_to_float(w / max(abs(w)))
 
 
-def _many_digits() -> AbstractContextManager[Context]:
+def _use_decimal_digits() -> AbstractContextManager[Context]:
     return localcontext(Context(prec=50))
 
 
-def _decimals(values: Iterable[float]) -> Numbers:
+def _to_decimals(values: Iterable[float]) -> Numbers:
     return np.array([Decimal(float(value)) for value in values], dtype=object)
 
 

@@ -192,7 +192,7 @@ _FAMILIES: dict[str, Family] = {"LG": Gauss(), "LGR": Radau(), "LGL": Lobatto()}
 _SPELLINGS = {"lg": "LG", "gauss": "LG", "lgr": "LGR", "radau": "LGR", "lgl": "LGL", "lobatto": "LGL"}
 
 
-def family_of(scheme: Scheme) -> Family:
+def get_family(scheme: Scheme) -> Family:
     """Return the family of points by its name, or raise `ArgumentError`."""
     if not isinstance(scheme, str) or scheme not in _FAMILIES:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)

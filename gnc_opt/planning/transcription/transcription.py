@@ -25,20 +25,20 @@ from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
     controls_at_junction,
     drop_inactive_constraints,
+    find_junctions,
     hold_controls,
     hold_paths,
     hold_states,
     junction_orders,
     junction_values,
-    junctions_of,
     loosen_one_way,
     meet_limits,
     smooth_controls,
-    smooth_entries,
+    smoothness_entries,
 )
 from gnc_opt.planning.transcription.collocation import weight_matrix
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import Numbering, PhasePart, time_is_fixed
+from gnc_opt.planning.transcription.program_layout import Numbering, PhasePart, is_time_fixed
 from gnc_opt.planning.transcription.scheme import Scheme
 from gnc_opt.tolerances import SHORTEST
 
@@ -236,8 +236,8 @@ class Transcription(Numbering):
         return PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
 
     def _is_linear(self) -> Any:
-        entries = [part.collocation.linear for part in self.parts.values()]
-        entries.append(smooth_entries(self._smooth, self._first_smooth_row))
+        entries = [part.collocation.linear_part for part in self.parts.values()]
+        entries.append(smoothness_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
         return scipy.sparse.coo_array(
             (values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables)
@@ -406,8 +406,8 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
     for name in meshes:
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
-    fixed = tuple(time_is_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    held = tuple((smooth_controls(leg), junctions_of(leg)) for leg in problem.phases.values())
+    fixed = tuple(is_time_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
+    held = tuple((smooth_controls(leg), find_junctions(leg)) for leg in problem.phases.values())
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)

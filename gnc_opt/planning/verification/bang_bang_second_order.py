@@ -31,12 +31,12 @@ from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.switches import Switches, find_inner_switches
 from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, Unknowns
 from gnc_opt.planning.problem.functions import EndGradients
-from gnc_opt.planning.solution.quality import worst_index
+from gnc_opt.planning.solution.quality import find_worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import direction_optimal_gradient
-from gnc_opt.planning.verification.feasibility import decide_result
+from gnc_opt.planning.verification.feasibility import combine_results
 from gnc_opt.planning.verification.goh_transformation import find_flat_controls
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
 
@@ -55,11 +55,11 @@ def check_strict_switches(samples: list[PhaseSamples]) -> Condition:
     worst = min(filter(None, map(_find_worst_crossing, samples)), default=None)
     touched = next(filter(None, map(_find_touched_zero, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
-    if touched and (worst is None or not worst.wrong):
+    if touched and (worst is None or not worst.is_violation):
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
-    result = decide_result(least > NEGLIGIBLE, worst.wrong)
+    result = combine_results(least > NEGLIGIBLE, worst.is_violation)
     return Condition(name, result, -least, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
 
 
@@ -72,7 +72,7 @@ class _Crossing:
     where: str
 
     @property
-    def wrong(self) -> bool:
+    def is_violation(self) -> bool:
         """Whether it violates a necessary condition."""
         return self.slope < -NEGLIGIBLE and not self.harmless
 
@@ -139,7 +139,7 @@ def _find_touched_zero(s: PhaseSamples) -> str:
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
         touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
         if touching.size:
-            return f"{s.place(int(touching[0]) + 1, s.leg.controls.labels[i])}: touches zero between switches"
+            return f"{s.describe_sample(int(touching[0]) + 1, s.leg.controls.labels[i])}: touches zero between switches"
     return ""
 
 
@@ -167,7 +167,7 @@ class SecondOrder:
     @property
     def result(self) -> ConditionResult:
         """Whether the form is positive definite."""
-        return decide_result(self.least > self.error, self.least < -self.error and self.attained)
+        return combine_results(self.least > self.error, self.least < -self.error and self.attained)
 
 
 def check_bang_bang_second_order(
@@ -184,14 +184,14 @@ def check_bang_bang_second_order(
     def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
 
-    reason = why_not_applicable(samples)
+    reason = explain_inapplicability(samples)
     switches = {} if reason else {s.leg.name: Switches.of(s) for s in samples}
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
     if reason:
         return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = Unknowns.of(solution, samples, switches)
-    every = itertools.product(*(s.orders() for s in switches.values()))
+    every = itertools.product(*(s.list_orders() for s in switches.values()))
     found = [
         _second_order_for_switch_order(
             solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches
@@ -222,7 +222,7 @@ def _second_order_for_switch_order(
     switches: dict[str, Switches],
 ) -> SecondOrder:
     """Return the second order of the switching-time problem for one order of the switches of every phase."""
-    pieces = {name: switches[name].pieces(order) for name, order in orders.items()}
+    pieces = {name: switches[name].build_pieces(order) for name, order in orders.items()}
     coarse, fine = (InducedProblem.of(solution, samples, ends, unknowns, pieces, n) for n in (1, 2))
     if not (coarse.finite and fine.finite):
         return SecondOrder(np.nan, np.nan, unknowns.scale.size, False)
@@ -320,15 +320,15 @@ def is_bang_bang(samples: list[PhaseSamples]) -> bool:
     return bool(samples) and all(np.all(np.any(s.at_control_bounds, axis=0)) for s in samples)
 
 
-def why_not_applicable(samples: list[PhaseSamples]) -> str:
+def explain_inapplicability(samples: list[PhaseSamples]) -> str:
     """Why the induced problem says nothing, or nothing."""
     for s in samples:
         if not s.has_length:
             return f"phase {s.leg.name} has no length"
         on_bound = np.any(s.at_control_bounds, axis=0)
         if not np.all(on_bound):
-            i, j = worst_index((~on_bound).astype(float))
-            return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"
+            i, j = find_worst_index((~on_bound).astype(float))
+            return f"{s.describe_sample(j, s.leg.controls.labels[i])}: a control between its bounds"
         if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > NEGLIGIBLE * s.hamiltonian_scale:
             return f"phase {s.leg.name}: an active path constraint"
         worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration

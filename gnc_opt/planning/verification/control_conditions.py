@@ -18,25 +18,25 @@ from gnc_opt.planning.optimality.reference_scales import (
     CHEAP_AFFINE,
     CHEAP_CURVED,
     Scales,
-    curves_cost,
+    find_cost_curvature,
 )
-from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
+from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import condition_from_violation, decide_result
+from gnc_opt.planning.verification.feasibility import build_condition, combine_results
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
     coupled_gains,
-    coupled_minima,
+    find_coupled_minima,
     low_discrepancy_points,
     search_bounds,
 )
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, SMALL, TINY
 
 
-def control_gain_scale(s: PhaseSamples, scales: Scales) -> Array:
+def compute_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
     """Return by what gains in H of each control alone are measured (m,), cost per second."""
     bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1, initial=0.0)
     least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
@@ -53,18 +53,18 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     worst = NOTHING
     for s in samples:
         loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
-        miss = _distance_to_minimum(s, scales)
+        miss = _compute_distance_to_minimum(s, scales)
         # However cheap a control is: multipliers may be rounding, what the cost itself curves by is not.
-        clear = np.isfinite(miss) & (miss > NOTABLE) & curves_cost(s)[:, None]
+        clear = np.isfinite(miss) & (miss > NOTABLE) & find_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
-        share = np.where(clear, loss, 0.0) / control_gain_scale(s, scales)[:, None]
+        share = np.where(clear, loss, 0.0) / compute_gain_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
         means = average_over_time(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
         root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
         # The place is that of the largest mean.
         by_phase = np.where(means == np.max(means, axis=1, keepdims=True), root_mean[:, None], 0.0)
         violation = np.maximum(by_phase, average_over_time(s.times, gain) * np.sqrt(tolerance))
-        worst = worst.or_worse(_worst_control(s, violation, "dH/du of "))
+        worst = worst.select_worse(_find_worst_control(s, violation, "dH/du of "))
     return worst
 
 
@@ -74,7 +74,7 @@ def _segment_means(s: PhaseSamples, values: Array) -> Array:
     return np.asarray((s.segment_integrals(values) / lengths)[:, s.segments])
 
 
-def _distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
+def _compute_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
     """Share of its deviation by which each control misses the minimum of H; infinite where H curves downwards."""
     deviation = scales.phases[s.leg.name].deviation
     curvature = np.einsum("iij->ij", s.control_hessian) * deviation
@@ -89,7 +89,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
         gain = average_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.or_worse(_worst_control(s, gain, "switching function of "))
+        worst = worst.select_worse(_find_worst_control(s, gain, "switching function of "))
     return worst
 
 
@@ -107,11 +107,11 @@ def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None)
     return loss, at_lower | at_upper
 
 
-def _worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
+def _find_worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
     if not loss.size:
         return NOTHING
-    i, j = worst_index(loss)
-    return Worst(float(loss[i, j]), s.place(j, what + s.leg.controls.labels[i]))
+    i, j = find_worst_index(loss)
+    return Worst(float(loss[i, j]), s.describe_sample(j, what + s.leg.controls.labels[i]))
 
 
 def check_minimum_principle(
@@ -126,13 +126,13 @@ def check_minimum_principle(
     for s in samples:
         if s.leg.controls.size:
             gain, lost, here = _find_largest_gain(s, scales, tolerance)
-            worst, searched, loss = worst.or_worse(gain), searched or here, loss + lost
+            worst, searched, loss = worst.select_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
             f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
             f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
         )
-    found = condition_from_violation("minimum principle", worst, tolerance, meaning)
+    found = build_condition("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
@@ -144,14 +144,14 @@ def _find_largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tup
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
     j = int(np.argmax(share))
-    return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
+    return Worst(float(share[j]), s.describe_sample(j)), float(s.weights @ gain), searched
 
 
 def _hamiltonian_gains(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[Array, Array, bool]:
     """Return what other controls gain in H and its share along the phase, and whether they had to be searched for."""
-    apart = _separable_gain(s)
+    apart = _compute_separable_gain(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scatter_controls(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
     others, searched = coupled_gains(s, deviation, cost, tolerance)
@@ -172,15 +172,15 @@ def minimum_principle_loss(solution: Solution) -> float:
 
 def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and minimising controls (m, n_times); those with a slope of rounding stay."""
-    times, u = coupled_minima(s)
+    times, u = find_coupled_minima(s)
     apart = s.functions.separable_controls
     lower, upper = (limit[:, None] for limit in search_bounds(s))
     slope = s.control_gradient[:, np.searchsorted(s.times, times)]
-    clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SMALL * s.joint_worth)
+    clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SMALL * s.joint_hamiltonian_change)
     return times, np.where(clear, np.where(slope > 0, lower, upper), u)
 
 
-def _separable_gain(s: PhaseSamples) -> Array:
+def _compute_separable_gain(s: PhaseSamples) -> Array:
     """What H loses at most by other values of its separable controls: each goes where its slope says."""
     apart = s.functions.separable_controls
     lower, upper = (limit[apart, None] for limit in search_bounds(s))
@@ -217,13 +217,13 @@ def check_legendre_clebsch(
         nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
-    result = decide_result(least >= tolerance, not least > -tolerance)
+    result = combine_results(least >= tolerance, not least > -tolerance)
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
 def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
     """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long."""
-    unit = s.control_span / np.sqrt(s.control_worth)
+    unit = s.control_span / np.sqrt(s.control_gain)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     least = np.full(s.times.size, np.inf)
     for j, basis in enumerate(free_control_directions(s, _controls_between_bounds(s) & among, unit)):
@@ -232,7 +232,7 @@ def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float,
             finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
             least[j] = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
     j = lasting_minimum_index(s.times, least)
-    return float(least[j]), s.place(j) if least[j] < np.inf else None
+    return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
 
 def check_singular_arcs(
@@ -256,7 +256,7 @@ def check_singular_arcs(
             i = int(np.argmax(lengths))
             total = float(lengths[i])
             j = int(np.flatnonzero(beyond[i])[0])
-            place = f"from {s.place(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
+            place = f"from {s.describe_sample(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
     result = ConditionResult.PASS if total <= tolerance else ConditionResult.INCONCLUSIVE
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 
@@ -271,8 +271,8 @@ def find_undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     inside : bool array (m, n_samples)
         Between the bounds, and active constraints leave all directions free.
     """
-    loss = _first_order_gains(s, s.control_span[:, None], s.control_scale)[0] / s.control_worth[:, None]
-    unit = s.control_span / np.sqrt(s.control_worth)
+    loss = _first_order_gains(s, s.control_span[:, None], s.control_scale)[0] / s.control_gain[:, None]
+    unit = s.control_span / np.sqrt(s.control_gain)
     inside = _controls_between_bounds(s)
     some, whole = undetermined_controls(s, inside, unit, tolerance)
     singular = some & (loss <= tolerance) & (np.abs(_hamiltonian_curvature(s)) <= tolerance)
@@ -281,12 +281,10 @@ def find_undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
 
 def _hamiltonian_curvature(s: PhaseSamples) -> Array:
     """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
-    return np.asarray(
-        np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_worth)[:, None]
-    )
+    return np.asarray(np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_gain)[:, None])
 
 
 def _controls_between_bounds(s: PhaseSamples) -> Mask:
     """Where each control that does something is between its bounds, and not only on its way across, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, NOTABLE * s.control_scale)
-    return exclude_switches(s.times, np.asarray(~(at_lower | at_upper | s.idle)))
+    return exclude_switches(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

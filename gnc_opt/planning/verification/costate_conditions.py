@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.planning.optimality.cost_scale import parameter_scale
+from gnc_opt.planning.optimality.cost_scale import compute_parameter_scales
 from gnc_opt.planning.optimality.costate_jumps import (
     explain_costate_jumps,
     explain_end_gap,
@@ -38,7 +38,7 @@ from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
+from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.scheme import GAUSS
@@ -115,16 +115,16 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             )
         k = int(np.argmax(share))
         i = int(np.argmax(np.abs(total[:, k]) * along.radius))
-        place = s.segment_place(k, f"adjoint equation of {s.leg.states.labels[i]}")
-        worst = worst.or_worse(Worst(float(share[k]), place))
+        place = s.describe_segment(k, f"adjoint equation of {s.leg.states.labels[i]}")
+        worst = worst.select_worse(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
             jumps = explain_costate_jumps(s)[0]
-            share = along.change(jumps) / cost
+            share = along.maximise_change(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
             i = int(np.argmax(np.abs(jumps[:, k]) * along.radius))
             place = f"phase {s.leg.name}, t = {s.leg.breaks[k + 1]:.6g} s, jump of the costate of "
-            worst = worst.or_worse(Worst(float(share[k]), place + s.leg.states.labels[i]))
+            worst = worst.select_worse(Worst(float(share[k]), place + s.leg.states.labels[i]))
     return worst
 
 
@@ -134,8 +134,8 @@ def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: fl
     gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, mu)
     residual = s.lam_rate + gradient + s.state_multiplier
     total = s.segment_integrals(residual)
-    inside = s.segment_maxima(along.change(s.running_integrals(residual))) * np.sqrt(tolerance)
-    share = np.fmax(along.change(total), inside) / scales.cost
+    inside = s.segment_maxima(along.maximise_change(s.running_integrals(residual))) * np.sqrt(tolerance)
+    share = np.fmax(along.maximise_change(total), inside) / scales.cost
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
 
@@ -160,14 +160,14 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
         for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
             left = push.gap - push.explained
             left = np.copysign(_inadmissible_multipliers(left, s.x[:, at], push.limits, s.state_scale), left)
-            violation = float(ellipsoid.change(left)) / scales.cost
+            violation = float(ellipsoid.maximise_change(left)) / scales.cost
             if end == "end":
-                violation = max(violation, scales.miss_of_cheap_controls(s, left))
+                violation = max(violation, scales.estimate_cheap_control_error(s, left))
             i = int(np.argmax(np.abs(left) * ellipsoid.radius))
             place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
-            worst = worst.or_worse(Worst(violation, place))
+            worst = worst.select_worse(Worst(violation, place))
         drifts = np.array([push.drift for push in pushes.values()])
-        worst = worst.or_worse(_check_time_transversality(s, ends, drifts, scales))
+        worst = worst.select_worse(_check_time_transversality(s, ends, drifts, scales))
     return worst
 
 
@@ -195,7 +195,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     violation = np.maximum(_inadmissible_multipliers(gaps, times, box, span), told) * s.span / scales.cost
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
-    return worst.or_worse(
+    return worst.select_worse(
         Worst(float(np.abs(alone[0])) * s.span / scales.cost, f"phase {name}, multiplier of its duration")
     )
 
@@ -215,7 +215,7 @@ def check_complementarity(
     worst = _check_end_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
-        worst = worst.or_worse(_check_bound_impulses(s, scales))
+        worst = worst.select_worse(_check_bound_impulses(s, scales))
         leg, times = s.leg, s.leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
         paths = s.functions.paths(times, x, u)
@@ -236,9 +236,9 @@ def check_complementarity(
         ):
             if labels:
                 violation = _slack_violation(multipliers, values, box, scale) * shares / scales.cost
-                i, j = worst_index(violation)
+                i, j = find_worst_index(violation)
                 where = f"phase {leg.name}, t = {times[j]:.6g} s, multiplier of {labels[i]}"
-                worst = worst.or_worse(Worst(float(violation[i, j]), where))
+                worst = worst.select_worse(Worst(float(violation[i, j]), where))
     return worst
 
 
@@ -265,7 +265,7 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     violation = (
         _slack_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius) / scales.cost
     )
-    i, k = worst_index(violation)
+    i, k = find_worst_index(violation)
     return Worst(
         float(violation[i, k]), f"phase {leg.name}, t = {breaks[k]:.6g} s, impulse on {leg.states.labels[i]}"
     )
@@ -294,7 +294,7 @@ def check_parameter_stationarity(
     # L + z q stationary: the multiplier a bound would have to exert is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
     violation = (
-        _inadmissible_multipliers(-left, values, box, parameter_scale(solution))
+        _inadmissible_multipliers(-left, values, box, compute_parameter_scales(solution))
         * scales.parameters
         / scales.cost
     )

@@ -75,8 +75,8 @@ def hold_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]
             collocation.point_controls,
             s.leg.initial_time + s.leg.duration * collocation.fractions,
         )
-        for i in np.flatnonzero(np.any(s.idle, axis=1)):
-            alone = np.interp(times, s.times, s.idle[i]) > (1 - NOTABLE)
+        for i in np.flatnonzero(np.any(s.inactive_controls, axis=1)):
+            alone = np.interp(times, s.times, s.inactive_controls[i]) > (1 - NOTABLE)
             strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
         for vector in s.leg.vector_controls:
             magnitude, direction = (
@@ -97,7 +97,7 @@ def hold_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cri
     found = []
     for s in samples:
         part = point.transcription.parts[s.leg.name]
-        rows, starts = np.nonzero(_arc_entries(cone, s, part))
+        rows, starts = np.nonzero(_find_arc_entries(cone, s, part))
         if not rows.size:
             continue
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
@@ -112,7 +112,7 @@ def hold_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cri
     return replace(cone, further=scipy.sparse.vstack(found, format="csc")) if found else cone
 
 
-def _arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
+def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
     """At which boundaries (n_paths, K) an arc begins: held at all points of the segment, and not of the one before."""
     collocation = part.collocation
     held = cone.strong[cone.point.x.size :][collocation.path_rows]

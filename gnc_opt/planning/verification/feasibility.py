@@ -17,14 +17,14 @@ from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval, stack_intervals
-from gnc_opt.planning.solution.propagation import segment_misses
+from gnc_opt.planning.solution.propagation import compute_segment_errors
 from gnc_opt.planning.solution.quality import (
     NOTHING,
     Limits,
     Worst,
     evaluate_within_bounds,
     find_limit_violations,
-    worst_index,
+    find_worst_index,
 )
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -40,13 +40,13 @@ LAYER_STEPS = 512
 """Steps per segment, at least, at which integrals are evaluated again where a scan denies them."""
 
 
-def condition_from_violation(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+def build_condition(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def decide_result(passes: bool, fails: bool) -> ConditionResult:
+def combine_results(passes: bool, fails: bool) -> ConditionResult:
     """Return FAIL, PASS, or INCONCLUSIVE where neither is certain."""
     if fails:
         return ConditionResult.FAIL
@@ -58,8 +58,8 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     worst = NOTHING
     for s in samples:
         for at in (s, s.resample_evenly(SCANNED)):
-            worst = worst.or_worse(_find_worst_defect(s, at, scales, tolerance))
-    return condition_from_violation(
+            worst = worst.select_worse(_find_worst_defect(s, at, scales, tolerance))
+    return build_condition(
         "dynamics",
         worst,
         tolerance,
@@ -75,13 +75,13 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
     total, running = at.segment_integrals(residual), at.running_integrals(residual)
     held = np.flatnonzero(np.any(leg.flown.held, axis=0))
     if held.size:  # the control jumps inside of these
-        total[:, held] = segment_misses(leg, s.functions, held) if at is s else 0.0
+        total[:, held] = compute_segment_errors(leg, s.functions, held) if at is s else 0.0
         running[:, np.isin(at.segments, held)] = 0.0
     inner = leg.breaks[1:-1]
     if inner.size:
         total[:, :-1] += leg.x(inner, "right") - leg.x(inner, "left")
-    missed = ellipsoid.displacement(total)
-    inside = at.segment_maxima(ellipsoid.displacement(running)) * np.sqrt(tolerance)
+    missed = ellipsoid.normalise_displacement(total)
+    inside = at.segment_maxima(ellipsoid.normalise_displacement(running)) * np.sqrt(tolerance)
     shares = np.fmax(missed, inside)
     shares = np.where(np.isnan(missed), np.inf, shares)
     k = int(np.argmax(shares))
@@ -92,14 +92,14 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
             name for name, jumps in zip(leg.controls.labels, leg.flown.held[:, k], strict=True) if jumps
         ]
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
-    worst = Worst(float(shares[k]), s.segment_place(k, what))
+    worst = Worst(float(shares[k]), s.describe_segment(k, what))
     weighted = s.segment_integrals(np.sum(s.lam * residual, axis=0)) if at is s else None
     if s.has_length and worst.value <= tolerance and weighted is not None and np.all(np.isfinite(weighted)):
         ends = leg.lam(leg.breaks[1:], "left")
         weighted[held] = np.sum(ends * total, axis=0)[held]
         price = np.abs(np.cumsum(weighted)) / scales.cost
         k = int(np.argmax(price))
-        worst = worst.or_worse(Worst(float(price[k]), s.segment_place(k, "effect on the cost")))
+        worst = worst.select_worse(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
     return worst
 
 
@@ -112,12 +112,12 @@ def check_limits(
     values = solution.parameter_values
     worst = _worst_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
-        worst = worst.or_worse(_control_violation(s, scales)).or_worse(_state_violation(s, scales))
+        worst = worst.select_worse(_control_violation(s, scales)).select_worse(_state_violation(s, scales))
         if s.leg.path_labels:
             for at in (s, s.resample_evenly(SCANNED_PATHS)):
-                worst = worst.or_worse(_path_violation(s, at, scales))
-            worst = worst.or_worse(_path_violation_price(s, scales))
-    return condition_from_violation(
+                worst = worst.select_worse(_path_violation(s, at, scales))
+            worst = worst.select_worse(_path_violation_price(s, scales))
+    return build_condition(
         "limits",
         worst,
         tolerance,
@@ -136,8 +136,8 @@ def _control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
     scale = np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1))
     violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
-    i, j = worst_index(violation)
-    return Worst(float(violation[i, j]), s.place_at(leg.point_times[j], leg.controls.labels[i]))
+    i, j = find_worst_index(violation)
+    return Worst(float(violation[i, j]), s.describe_time(leg.point_times[j], leg.controls.labels[i]))
 
 
 def _state_violation(s: PhaseSamples, scales: Scales) -> Worst:
@@ -148,8 +148,8 @@ def _state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     i = int(np.argmax(shares))
     row = found.limits.rows[i]
     unit = s.leg.states.units[row]
-    what = f"{s.leg.states.labels[row]} = {found.value(i)}{f' {unit}' if unit else ''}"
-    return Worst(float(shares[i]), s.place_at(found.times[i], what))
+    what = f"{s.leg.states.labels[row]} = {found.describe_value(i)}{f' {unit}' if unit else ''}"
+    return Worst(float(shares[i]), s.describe_time(found.times[i], what))
 
 
 def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
@@ -161,7 +161,7 @@ def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     shares = _path_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
     i = int(np.argmax(shares))
     most = float(shares[i])
-    excess = limits.excess(at.times, at.x, at.u)
+    excess = limits.compute_excess(at.times, at.x, at.u)
     beyond = np.flatnonzero(np.any(excess > 0, axis=0))
     for k in range(limits.rows.size) if beyond.size else ():
         here = limits.select(np.full(beyond.size, k))
@@ -169,8 +169,8 @@ def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
             s, scales, here, excess[k, beyond], (at.times[beyond], at.x[:, beyond], at.u[:, beyond])
         )
         most = max(most, float(np.max(beside)))
-    what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
-    return Worst(most, s.place_at(found.times[i], what))
+    what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
+    return Worst(most, s.describe_time(found.times[i], what))
 
 
 def _path_distances(
@@ -190,7 +190,7 @@ def path_reach(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
     deviation = np.max(own.deviation, axis=1, initial=0.0)
-    moved = own.along.change(np.moveaxis(by_state, 1, 0))
+    moved = own.along.maximise_change(np.moveaxis(by_state, 1, 0))
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
 
 
@@ -210,8 +210,8 @@ def check_table_ranges(solution: Solution) -> Condition:
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
-        worst, refused = worst.or_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
-    result = decide_result(not worst.value, refused)
+        worst, refused = worst.select_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
+    result = combine_results(not worst.value, refused)
     meaning = (
         "Tables must be used within their data (distance outside over the length of the axis). FAIL if the table has "
         "outside='error'."
@@ -231,22 +231,22 @@ def check_boundary_conditions(
             ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds, own.end),
         ):
             labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
-            worst = worst.or_worse(
+            worst = worst.select_worse(
                 _end_state_violation(values, interval, ellipsoid, labels, leg.states.units)
             )
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         interval = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
         lasts = np.full(3, s.span if s.has_length else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.or_worse(_worst_interval_violation(times, interval, lasts, labels, ("s",) * 3))
+        worst = worst.select_worse(_worst_interval_violation(times, interval, lasts, labels, ("s",) * 3))
         # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
         slack = 10 * SHORTEST + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.or_worse(_worst_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
-    worst = worst.or_worse(_boundary_constraint_violation(solution, ends, scales))
-    return condition_from_violation(
+        worst = worst.select_worse(_worst_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+    worst = worst.select_worse(_boundary_constraint_violation(solution, ends, scales))
+    return build_condition(
         "boundary conditions",
         worst,
         tolerance,
@@ -269,7 +269,7 @@ def _end_state_violation(
         return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
     radius = np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values))
     single = np.abs(miss) / np.where(radius > 0, radius, TINY)
-    share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).displacement(miss))
+    share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).normalise_displacement(miss))
     i = int(np.argmax(single))
     unit = f" {units[i]}" if units[i] else ""
     return Worst(share, f"{labels[i]} off by {abs(miss[i]):.3g}{unit}")
@@ -326,10 +326,10 @@ def check_cost(
             rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
         for what, off in rows:
             errors = np.abs(off)[None, :] / yardstick
-            _, i = worst_index(errors)
+            _, i = find_worst_index(errors)
             place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
-            worst = worst.or_worse(Worst(float(errors[0, i]), place))
-    return condition_from_violation(
+            worst = worst.select_worse(Worst(float(errors[0, i]), place))
+    return build_condition(
         "cost",
         worst,
         tolerance,

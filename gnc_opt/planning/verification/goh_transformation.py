@@ -65,7 +65,7 @@ def find_flat_controls(s: PhaseSamples) -> Mask:
 def singular_samples(s: PhaseSamples) -> Mask:
     """Where a control is between its bounds, H does not curve in it, and no active constraint determines it (m, n)."""
     inside: Mask = ~np.any(s.at_control_bounds, axis=0)
-    singular = find_flat_controls(s) & inside & ~s.idle
+    singular = find_flat_controls(s) & inside & ~s.inactive_controls
     if not np.any(singular):
         return singular
     bases = free_control_directions(s, inside, s.control_span)

@@ -102,7 +102,7 @@ def coupled_gains(
     return gains, searched
 
 
-def coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
+def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and controls (m, n_times): those in which H is not affine where they minimise it."""
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     u = s.u[:, chosen].copy()
@@ -131,7 +131,7 @@ class _Search:
         return lower, upper - lower
 
     @cached_property
-    def _flown(self) -> Array:
+    def _applied_shares(self) -> Array:
         lower, span = self._box
         flown = self.s.u[np.ix_(self.group, self.chosen)]
         return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
@@ -156,7 +156,7 @@ class _Search:
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
         return self.s.times[columns], self.s.x[:, columns], u
 
-    def value(self, shares: Array, at: Indices) -> Array:
+    def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
         """H (n,), infinite where controls are not admissible."""
         s, (times, x, u) = self.s, self._at(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
@@ -210,12 +210,12 @@ class _Search:
         if not self.s.functions.is_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
-        gradient, bends = self.slopes(self._flown, every)
+        gradient, bends = self.slopes(self._applied_shares, every)
         sizes = np.linalg.eigvalsh(bends)
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
-        move = low_discrepancy_points(every.size, self.group.size) - self._flown
-        _, _, u = self._at(self._flown + move, every)
+        move = low_discrepancy_points(every.size, self.group.size) - self._applied_shares
+        _, _, u = self._at(self._applied_shares + move, every)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
         first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
@@ -225,13 +225,13 @@ class _Search:
 
     def minima_near_applied(self) -> Array:
         """Return the minima that descents from the flown controls reach (group, n_times)."""
-        return self.descend(self._flown, np.arange(self.chosen.size))[0]
+        return self.descend(self._applied_shares, np.arange(self.chosen.size))[0]
 
     def vector_minima(self, vector: VectorControl) -> Array:
         """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
-        times, x, u = self._at(self._flown, np.arange(self.chosen.size))
+        times, x, u = self._at(self._applied_shares, np.arange(self.chosen.size))
         flown = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
         slope = s.functions.switching(times, x, u, s.lam[:, self.chosen])
@@ -259,7 +259,7 @@ class _Search:
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first of a time's points is any
         lowest, low = self.descend(
-            np.concatenate([shares[:, starts], self._flown[:, some]], axis=1),
+            np.concatenate([shares[:, starts], self._applied_shares[:, some]], axis=1),
             np.concatenate([at[starts], some]),
         )
         found = np.concatenate([shares[:, best], lowest], axis=1)
@@ -282,7 +282,7 @@ class _Search:
         """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), max(1, POINTS // n))
-        points, flown = low_discrepancy_points(at.size, k), self._flown[:, at]
+        points, flown = low_discrepancy_points(at.size, k), self._applied_shares[:, at]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
         near = np.arange(at.size) % 2 == 1
         side = 2.0 * points - 1.0
@@ -294,20 +294,20 @@ class _Search:
             line = flown[:, single]
             line[moved, np.arange(single.size)] = shares[moved, single]
             shares[:, single] = line
-        value, first = self.value(shares, at), np.arange(n) * (at.size // n)
+        value, first = self.evaluate_hamiltonian(shares, at), np.arange(n) * (at.size // n)
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
     def _descend_from_best_of(self, kept: Array, best: Array) -> Array:
         """Return the minima that descents reach from the least, at every time, of some controls."""
         every = np.arange(self.chosen.size)
-        trials = np.stack([self._flown, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
-        lowest = np.argmin([self.value(w, every) for w in trials], axis=0)
+        trials = np.stack([self._applied_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
+        lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
         return self.descend(trials[lowest, :, every].T, every)[0]
 
     def averaged_gain(self, better: Array) -> Gain:
         """What these controls (group, n_times) gain, averaged over what is brief."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
-        gain, share = self._gain_and_share(better, self.value(better, every), every)
+        gain, share = self._gain_and_share(better, self.evaluate_hamiltonian(better, every), every)
         return Gain(times, *average_over_time(times, np.stack([gain, share])))
 
     def _gain_and_share(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
@@ -316,7 +316,7 @@ class _Search:
         terms = np.fmax(self.s.hamiltonian_terms[self.chosen[at]], np.abs(value))
         least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > least, gain, 0.0)
-        return gain, gain / (self._largest_change(better - self._flown[:, at]) + gain)
+        return gain, gain / (self._largest_change(better - self._applied_shares[:, at]) + gain)
 
     def _largest_change(self, moves: Array) -> Array:
         """Return the largest change of H along the phase by moves (group, n) scaled to the control deviations."""
@@ -341,7 +341,7 @@ class _Search:
     def descend(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return controls that Newton's method reaches within the bounds, downwards only, and H there."""
         shares = self._restore_path_constraints(shares.copy(), at)
-        value = self.value(shares, at)
+        value = self.evaluate_hamiltonian(shares, at)
         active = np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
             step, here = (
@@ -350,10 +350,10 @@ class _Search:
             )
             trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
             trials = self._restore_path_constraints(np.clip(trials, 0.0, 1.0), here)
-            values = self.value(trials, here).reshape(-1, active.size)
+            values = self.evaluate_hamiltonian(trials, here).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
-            lower = reached < value[active] - NEGLIGIBLE * self.s.least_worth
+            lower = reached < value[active] - NEGLIGIBLE * self.s.least_gain
             if not np.any(lower):
                 break
             shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]

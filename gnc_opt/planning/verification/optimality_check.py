@@ -24,7 +24,7 @@ from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.costate_conditions import add_end_constraints
-from gnc_opt.planning.verification.feasibility import condition_from_violation
+from gnc_opt.planning.verification.feasibility import build_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.recomputed_solution import (
     check_stored_numbers,
@@ -48,7 +48,7 @@ from gnc_opt.planning.verification.singular_arcs import (
 from gnc_opt.planning.verification.smoothness import (
     KINKS,
     find_concave_kink,
-    find_roughness,
+    find_nonsmooth_point,
     kink_condition,
     mark_theorem_inapplicable,
 )
@@ -141,7 +141,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     samples = [s.with_cost_magnitude(amounts.cost, feature_edges(problem, s)) for s in samples]
     scales = Scales.of(solution, samples)
     lasting = [s for s in samples if s.has_length]
-    kept = missing.or_worse(costate_inconsistency(samples) if with_costates else NOTHING)
+    kept = missing.select_worse(costate_inconsistency(samples) if with_costates else NOTHING)
     limits = [feasibility.check_limits(solution, samples, scales, tol)]
     if any(table_calls(problem, leg) for leg in problem.phases.values()):
         limits.append(feasibility.check_table_ranges(solution))
@@ -184,7 +184,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     if concave is not None:
         kinks = kink_condition(concave, False, falls=True)
     elif any(find_kinks(problem, leg) is not None for leg in problem.phases.values()):
-        rough = None if missing.value else find_roughness(problem, lasting, tol)
+        rough = None if missing.value else find_nonsmooth_point(problem, lasting, tol)
         kinks = kink_condition(rough, any(c.result is ConditionResult.FAIL for c in checked))
         if rough is not None:
             checked = [mark_theorem_inapplicable(c, rough) for c in checked]
@@ -203,16 +203,16 @@ def _check_first_order(
     lasting = [s for s in samples if s.has_length]
     gradient = (
         costates.check_adjoint_equation(lasting, scales, tol)
-        .or_worse(costates.check_transversality(lasting, ends, scales))
-        .or_worse(controls.check_control_stationarity(lasting, scales, tol))
-        .or_worse(costates.check_parameter_stationarity(solution, samples, ends, scales))
+        .select_worse(costates.check_transversality(lasting, ends, scales))
+        .select_worse(controls.check_control_stationarity(lasting, scales, tol))
+        .select_worse(costates.check_parameter_stationarity(solution, samples, ends, scales))
     )
-    active = controls.check_switching_signs(lasting, scales).or_worse(
+    active = controls.check_switching_signs(lasting, scales).select_worse(
         costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
-        condition_from_violation("stationarity", gradient, tol, _STATIONARITY),
-        condition_from_violation("active set", active, tol, _ACTIVE_SET),
+        build_condition("stationarity", gradient, tol, _STATIONARITY),
+        build_condition("active set", active, tol, _ACTIVE_SET),
         controls.check_minimum_principle(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 
@@ -295,7 +295,7 @@ def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: flo
 def _check_second_variation(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> list[Condition]:
-    if not second_order.why_not_applicable(samples):
+    if not second_order.explain_inapplicability(samples):
         return [second_order.check_bang_bang_second_order(solution, samples, ends)]
     solution = with_movable_touches(solution)
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]

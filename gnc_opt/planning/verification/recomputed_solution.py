@@ -13,12 +13,12 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
+from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import problem_fields
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.feasibility import condition_from_violation, integrate_samples
+from gnc_opt.planning.verification.feasibility import build_condition, integrate_samples
 from gnc_opt.tolerances import TINY
 
 _EXACT = (
@@ -83,7 +83,7 @@ def find_missing_number(stored: Solution, told: bool) -> Worst:
     """
     worst = _find_not_finite(stored, "", told)
     for name, leg in stored.phases.items():
-        worst = worst.or_worse(_find_not_finite(leg, f"phase {name}, ", told))
+        worst = worst.select_worse(_find_not_finite(leg, f"phase {name}, ", told))
     return worst
 
 
@@ -99,14 +99,14 @@ def check_stored_numbers(stored: Solution, checked: Solution, missing: Worst, to
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
-        worst = worst.or_worse(Worst(np.inf, "whether the objective is maximised"))
+        worst = worst.select_worse(Worst(np.inf, "whether the objective is maximised"))
     for name, leg in checked.phases.items():
         for what in _EXACT:
             for a, b in zip(_as_vectors(stored.phases[name], what), _as_vectors(leg, what), strict=True):
                 off = float(np.max(_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
-    return condition_from_violation(
+    return build_condition(
         "stored numbers",
         worst,
         tolerance,
@@ -132,9 +132,9 @@ def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
             kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
         for what, values, polynomial in kept:
             off = np.abs(values - polynomial) * worth[:, None]
-            i, k = worst_index(np.nan_to_num(off))  # a missing one is told as missing
+            i, k = find_worst_index(np.nan_to_num(off))  # a missing one is told as missing
             place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
-            worst = worst.or_worse(Worst(float(off[i, k]), place))
+            worst = worst.select_worse(Worst(float(off[i, k]), place))
     return worst
 
 

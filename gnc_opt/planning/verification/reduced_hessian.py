@@ -31,8 +31,8 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
-from gnc_opt.planning.optimality.cost_scale import state_variations
-from gnc_opt.planning.optimality.kkt import NullSpace, curvature_along, lanczos
+from gnc_opt.planning.optimality.cost_scale import compute_state_variations
+from gnc_opt.planning.optimality.kkt import NullSpace, compute_curvature, run_lanczos
 from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -103,11 +103,11 @@ class Curvature:
     least_gain: float = 0.0
 
     @property
-    def upwards(self) -> bool:
+    def is_positive(self) -> bool:
         """Whether it is shown to be positive."""
         return self.value > NEGLIGIBLE and self.share > AT_LIMIT
 
-    def downwards(self, steep: float) -> bool:
+    def is_negative(self, steep: float) -> bool:
         """Whether it is shown to be negative, by more than ``steep`` and by what gains something."""
         return self.value < -steep and self.share < -AT_LIMIT and self.gain >= self.least_gain
 
@@ -149,7 +149,7 @@ def build_critical_cone(
 
 def trajectory_spans(s: PhaseSamples) -> tuple[Array, Array]:
     """Return what states and controls move along a phase."""
-    return state_variations(s), s.control_span
+    return compute_state_variations(s), s.control_span
 
 
 def cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:
@@ -180,7 +180,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         return second_order_condition(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = minimise_curvature(cone.point, cone.strong, *rest)
-    if np.isnan(free.value) or free.upwards:
+    if np.isnan(free.value) or free.is_positive:
         jumping = "" if solution.structure else _find_jumping_control(samples)
         beyond = jumping or beyond
         result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
@@ -195,26 +195,26 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
-        if found.downwards(steep) and any(admitted):
+        if found.is_negative(steep) and any(admitted):
             place = _locate_direction(cone.point, solution, found.direction)
-            return second_order_condition(ConditionResult.FAIL, -found.value, place + _gain_text(found))
+            return second_order_condition(ConditionResult.FAIL, -found.value, place + _describe_gain(found))
     place = _locate_direction(cone.point, solution, free.direction)
     return second_order_condition(
         ConditionResult.INCONCLUSIVE, -free.value, place + _flat_curvature_text(free, steep)
     )
 
 
-def _gain_text(curvature: Curvature) -> str:
+def _describe_gain(curvature: Curvature) -> str:
     return (
         f": a step of {100 * GAIN_STEP_SHARE:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
     )
 
 
 def _flat_curvature_text(curvature: Curvature, steep: float) -> str:
-    if curvature.downwards(steep):
+    if curvature.is_negative(steep):
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
-        return f"{_gain_text(curvature)}, which is rounding"
+        return f"{_describe_gain(curvature)}, which is rounding"
     return f": flat (curvatures between -{steep:.0e} and {NEGLIGIBLE:.0e} count as zero)"
 
 
@@ -273,19 +273,19 @@ def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array)
 def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
     """Return the least curvature of the Lagrangian where ``held`` (n_variables + n_constraints,) do not vary."""
     space = NullSpace.of(point, held, unit, further)
-    hessian = space.in_shares(point.hessian)
-    plain = hessian if unit is None else NullSpace.of(point, held).in_shares(point.hessian)
+    hessian = space.project_hessian(point.hessian)
+    plain = hessian if unit is None else NullSpace.of(point, held).project_hessian(point.hessian)
     sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
     typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
     # Integrals of variations have steep rows of their own, whatever the variations themselves are worth.
     steep = bool(np.max(sizes, initial=0.0) >= STEEP * typical)
-    direction = _least_direction(space, hessian / typical, steep)
+    direction = _find_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
-    curvature, share = curvature_along(hessian, direction)
-    whole = space.variables(direction)
+    curvature, share = compute_curvature(hessian, direction)
+    whole = space.expand_variation(direction)
     # What is varied by its integral may have peaks of any height; they count where nothing else varies.
     single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
     largest = float(np.max(peaks[single], initial=0.0))
@@ -297,16 +297,16 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
     return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
-def _least_direction(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
+def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
     """Return the direction of least curvature (unit length) in a null space, or None if that is 0."""
     n = hessian.shape[0]
     if n == 0:
         return None
-    if steep and (found := _steep_direction(space, hessian)) is not None:
+    if steep and (found := _find_steep_direction(space, hessian)) is not None:
         return found
     inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
-    values, vectors = lanczos(inverse, start, LANCZOS_STEPS)
+    values, vectors = run_lanczos(inverse, start, LANCZOS_STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < NEGLIGIBLE:
         return None
     # 1 / (curvature + shift): below -shift it is negative, and above it is largest where the curvature is least.
@@ -316,11 +316,11 @@ def _least_direction(space: NullSpace, hessian: Any, steep: bool = True) -> Arra
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _steep_direction(space: NullSpace, hessian: Any) -> Array | None:
+def _find_steep_direction(space: NullSpace, hessian: Any) -> Array | None:
     """Return the direction of a curvature so far below the middle row that its inverse is none, None without one."""
     project = space.projection
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
-    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
+    values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
     if not values.size or values[0] > -max(STEEP, NEGLIGIBLE * float(np.max(np.abs(values)))):
         return None
     direction = project(vectors[:, 0])

@@ -22,7 +22,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.function_evaluation import evaluate_columns
-from gnc_opt.planning.optimality.reachable_set import cell_edges, end_response
+from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, end_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.functions import EndGradients, build_end_value_function
@@ -100,7 +100,7 @@ class ShiftedTrajectory:
         bases = [basis for group in groups if (basis := _free_directions(slopes, n, group, inverse)).size]
         if not bases:
             return None
-        pairs = [np.array(_unit_pairs(basis.shape[1])).T for basis in bases]
+        pairs = [np.array(_build_unit_pairs(basis.shape[1])).T for basis in bases]
         moves = np.hstack([basis @ pair for basis, pair in zip(bases, pairs, strict=True)])
         values, _ = self.integrate(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
@@ -246,7 +246,7 @@ class _ShiftedPhase:
         count: int,
     ) -> _ShiftedPhase:
         """Return a phase in which shifts are at most ``steps`` (s); ``count`` is the number of columns."""
-        cells = cell_edges(s.leg.breaks)
+        cells = compute_cell_edges(s.leg.breaks)
         windows = [
             (jump[1] - (1 + SMALL) * h, jump[1] + (1 + SMALL) * h)
             for jump, h in zip(jumps, steps, strict=True)
@@ -415,7 +415,7 @@ def _free_directions(slopes: Array, n: int, group: list[int], inverse: Array) ->
     return full
 
 
-def _unit_pairs(d: int) -> list[Array]:
+def _build_unit_pairs(d: int) -> list[Array]:
     """Return the unit vectors of dimension d, and the sums of every two."""
     unit = np.eye(d)
     return [*unit, *(unit[i] + unit[j] for i, j in itertools.combinations(range(d), 2))]

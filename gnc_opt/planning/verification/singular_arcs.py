@@ -31,7 +31,7 @@ from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import decide_result
+from gnc_opt.planning.verification.feasibility import combine_results
 from gnc_opt.tolerances import EQUAL, SMALL, TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
@@ -86,7 +86,7 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
-    result = decide_result(not worst.why and worst.least > tolerance, worst.least < -tolerance)
+    result = combine_results(not worst.why and worst.least > tolerance, worst.least < -tolerance)
     what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
     return Condition(
         name, result, -worst.least, -tolerance, f"{worst.place}: {what}", meaning, sufficient=True

@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.kinks import Kinks, find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, magnitude
+from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, nonzero_magnitude
 
 NAME = "kinks"
 
@@ -49,7 +49,7 @@ class Roughness:
     of_states: bool = True
 
 
-def find_roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
+def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
     """Return the first jump that a flight crosses inside a phase, else a kink on which it rests; None without any."""
     rests = None
     for s in samples:
@@ -155,13 +155,13 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
     if not size > tolerance:
         return None
     return Roughness(
-        size, f"{s.place_at(float(right[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
+        size, f"{s.describe_time(float(right[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
     )
 
 
 def _find_rest_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
     """The longest time for which an argument stays at zero, if that is no passing."""
-    sizes = magnitude(np.max(np.abs(values), axis=1, initial=0.0))
+    sizes = nonzero_magnitude(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
     long = lengths > SMEARED
@@ -170,5 +170,5 @@ def _find_rest_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughnes
     of_states = bool(np.any(long & kinks.state_dependent))  # these are worse
     i = int(np.argmax(np.where(kinks.state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
-    where = f"from {s.place(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
+    where = f"from {s.describe_sample(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
     return Roughness(float(lengths[i]), where, False, of_states)

@@ -32,7 +32,7 @@ from gnc_opt.planning.optimality.cost_scale import (
     AVERAGING_SHARE_OF_PHASE,
     SMEARED,
     Magnitudes,
-    holds_for_share,
+    lasts_for_share,
 )
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import parameter_arguments
@@ -106,8 +106,8 @@ def _fixes_start(equal: Array, same: Mask, initial: Indices) -> bool:
 def controls_determined_by_slope(s: PhaseSamples) -> Mask:
     """Which controls are on bounds all along, their switching functions zero for a moment at most (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = holds_for_share(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = holds_for_share(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
+    opens = lasts_for_share(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
+    between = lasts_for_share(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 
 
@@ -225,7 +225,7 @@ def _lower_bounds_of_ends(problem: Problem, expressions: Sequence[Any]) -> Array
         p = _parameter_interval(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
         boxes += [*ends, *leg.times(), _integral_intervals(problem, leg, q), p]
-    return compute_ranges(_end_function(problem, expressions), [*boxes, q]).lower
+    return compute_ranges(_build_end_function(problem, expressions), [*boxes, q]).lower
 
 
 def reaches_least_cost(
@@ -313,7 +313,7 @@ def _integrand_function(problem: Problem, leg: Phase) -> Any:
     return ca.Function("integrands", arguments, [ca.densify(problem.bind(leg, leg.integrand_expression()))])
 
 
-def _end_function(problem: Problem, expressions: Sequence[Any]) -> Any:
+def _build_end_function(problem: Problem, expressions: Sequence[Any]) -> Any:
     column, arguments = ca.vertcat(*expressions), []
     legs = problem.phases.values()
     for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):

@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.bang_bang_second_order import why_not_applicable
+from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicability
 from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
@@ -52,7 +52,7 @@ def _are_jumps_unknowns(jumps: list[Jump], samples: list[PhaseSamples], scales: 
     at which one control jumps and no limit of the states acts."""
     if any(jump.beyond for jump in jumps):
         return False
-    if not why_not_applicable(samples):
+    if not explain_inapplicability(samples):
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
     limited = any(_is_limited(s, scales) for s in samples)

@@ -15,8 +15,8 @@ from scipy.optimize import brentq
 from testing.internals import (
     DEFAULT_MESH,
     HELD_TIME_FACTORS,
-    feasibility_starts,
-    knows_trajectory,
+    generate_feasibility_starts,
+    has_trajectory_guess,
     start_from_guess,
     transcribe,
 )
@@ -117,7 +117,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     problem = oscillator(5.0, (0.1, 50.0))
     transcription = transcribe(problem, {"leg": DEFAULT_MESH}, "LG")
     start = start_from_guess(transcription, problem)
-    starts = list(feasibility_starts(transcription, problem, start))
+    starts = list(generate_feasibility_starts(transcription, problem, start))
     held = [s for s in starts if s.held.size]
     times = [float(s.variables[s.held[0]]) for s in held]
     guess = 0.5 * (0.1 + 50.0)
@@ -126,7 +126,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     boxless = oscillator(5.0)
     transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
     start = start_from_guess(transcription, boxless)
-    held = [s for s in feasibility_starts(transcription, boxless, start) if s.held.size]
+    held = [s for s in generate_feasibility_starts(transcription, boxless, start) if s.held.size]
     assert [s.variables[s.held[0]] for s in held] == pytest.approx(HELD_TIME_FACTORS), (
         "of 1 s, the default duration"
     )
@@ -136,7 +136,7 @@ def test_a_guessed_trajectory_is_the_users_own() -> None:
     """End values and constants are no trajectory; functions and tables are, and their failure is reported at once."""
     problem = oscillator(5.0)
     times = np.linspace(0.0, 3.0, 5)
-    assert not knows_trajectory(problem)
-    assert not knows_trajectory(problem.with_guess("leg", time=(0.0, 3.0), x=(5.0, 0.0), u=0.0))
-    assert knows_trajectory(problem.with_guess("leg", x=lambda t: 5.0 - t))
-    assert knows_trajectory(problem.with_guess("leg", time=times, x=5.0 - times))
+    assert not has_trajectory_guess(problem)
+    assert not has_trajectory_guess(problem.with_guess("leg", time=(0.0, 3.0), x=(5.0, 0.0), u=0.0))
+    assert has_trajectory_guess(problem.with_guess("leg", x=lambda t: 5.0 - t))
+    assert has_trajectory_guess(problem.with_guess("leg", time=times, x=5.0 - times))

@@ -16,7 +16,7 @@ from testing.internals import (
     NlpResult,
     NlpSolver,
     SolveLimits,
-    knows_trajectory,
+    has_trajectory_guess,
     solve_mesh,
     tighten_solution,
 )
@@ -55,7 +55,7 @@ class Stumbling:
 
         def solve(solver: NlpSolver, point: NlpPoint, way: str | None = None, **more: object) -> NlpResult:
             result = original(solver, point, way, **more)  # type: ignore[arg-type]
-            self.ways.append(way or point.way)
+            self.ways.append(way or point.start_kind)
             self.deadlines.append(more["deadline"])  # type: ignore[arg-type]
             self.costs.append(result.iterations)
             self.points.append(point)
@@ -296,7 +296,7 @@ def test_a_guess_of_other_phases_does_not_give_its_mesh() -> None:
     ],
 )
 def test_a_trajectory_is_more_than_its_ends(guess: Any, knows: bool) -> None:
-    assert knows_trajectory(regulator().with_guess("leg", **guess) if guess else regulator()) is knows
+    assert has_trajectory_guess(regulator().with_guess("leg", **guess) if guess else regulator()) is knows
 
 
 def test_a_warm_start_that_loses_its_way_keeps_the_trajectory_only(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -333,7 +333,7 @@ def test_the_trajectory_alone_has_what_the_warm_start_left_of_the_limit(
     def slow_and_lost(solver: NlpSolver, point: NlpPoint, way: str | None = None, **more: Any) -> NlpResult:
         left.append(more["deadline"] - time.perf_counter())
         result = original(solver, point, way, **more)  # type: ignore[arg-type]
-        lost = point.way == "warm"
+        lost = point.start_kind == "warm"
         return replace(result, status=Status.ITERATION_LIMIT, wall_time=500.0) if lost else result
 
     monkeypatch.setattr(NlpSolver, "solve", slow_and_lost)

@@ -9,7 +9,7 @@ import pytest
 from testing.wrong_arguments import cart, refused, rest_to_rest
 
 import gnc_opt as go
-from gnc_opt.arguments import suggesting_keywords
+from gnc_opt.arguments import suggest_keywords
 
 
 def test_attributes() -> None:
@@ -114,7 +114,7 @@ def test_type_errors_inside_a_method_stay_as_they_are() -> None:
         raise TypeError("inner() got an unexpected keyword argument 'b'")
 
     with pytest.raises(TypeError, match=r"'b'$"):
-        suggesting_keywords(wrong)(a=1)
+        suggest_keywords(wrong)(a=1)
 
 
 def test_dir_lists_what_users_may_call() -> None:

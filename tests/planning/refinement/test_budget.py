@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.work_budget import WORK_PER_SECOND, WorkBudget, count_variables_per_point
-from gnc_opt.planning.solution.history import work_of
+from gnc_opt.planning.solution.history import compute_work
 from problems.classics import double_oscillator, van_der_pol
 
 # What refining costs where programs do not converge: counted in iterations at one point, the same on every
@@ -154,7 +154,7 @@ def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
     budget.charge_solve(first)
-    work = work_of(first.phase().mesh.size, first.statistics.iterations) * count_variables_per_point(
+    work = compute_work(first.phase().mesh.size, first.statistics.iterations) * count_variables_per_point(
         first.phases
     )
     assert budget.remaining_work == pytest.approx(1.0 - work / WORK_PER_SECOND)

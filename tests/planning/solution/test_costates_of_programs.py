@@ -69,7 +69,7 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
     lam_g = np.random.default_rng(2).normal(size=part.n_rows)
     gradients = np.random.default_rng(3).normal(size=(2, 7))
     starts, ends = _boundary_costates(part, lam_g, gradients)
-    rows, columns, values = part.linear
+    rows, columns, values = part.linear_part
     for k in range(2):
         own = np.zeros(part.n_rows)
         own[part.dynamics_rows[k]] = lam_g[part.dynamics_rows[k]]
@@ -209,7 +209,7 @@ def solved(request: pytest.FixtureRequest) -> tuple[Attempt, Any, go.Solution]:
     meshes = {"first": Mesh((0.0, 0.4, 1.0), (4, 5)), "second": Mesh((0.0, 0.3, 1.0), (4, 4), (1,))}
     attempt = Attempt.prepare(problem, meshes, request.param, None, SolverOptions())
     point = attempt.point(attempt.start)
-    attempt.solver.set_up(point)
+    attempt.solver.create_solver(point)
     result = attempt.solver.solve(point)
     assert result.status.solved, result.raw_status
     return attempt, result, attempt.solution(result)
@@ -256,7 +256,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
 
         weights = there.quadrature * leg.duration * np.diff(arc_ends(part))[there.point_arcs]
         assert start.x[there.point_states] == pytest.approx(leg.x(t), abs=1e-12)
-        assert start.x[there.point_controls] == pytest.approx(at(leg.flown.clipped))
+        assert start.x[there.point_controls] == pytest.approx(at(leg.flown.evaluate_clipped))
         assert start.x[part.times[-1]] == pytest.approx(leg.final_time)
         assert start.lam_x[there.point_controls] == pytest.approx(at(leg.control_multiplier) * weights)
         assert start.lam_g[there.path_rows] == pytest.approx(at(leg.path_multiplier) * weights)
@@ -443,7 +443,7 @@ def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
         assert np.ravel(value(leg.final_time + 1.0)) == pytest.approx(leg.state("q")(leg.final_time))
         control = problem.phases[name].numbers.guess.values["a"]
         assert np.ravel(control(leg.initial_time - 1.0)) == pytest.approx(
-            leg.flown.clipped(leg.initial_time)[:1]
+            leg.flown.evaluate_clipped(leg.initial_time)[:1]
         )
 
 

@@ -20,7 +20,7 @@ from gnc_opt.planning.optimality.kkt import SaddlePoint
 from gnc_opt.planning.optimality.nlp_point import (
     ProgramLimits,
     ProgramPoint,
-    quadrature_weights,
+    compute_quadrature_weights,
     saddle_matrix,
 )
 from gnc_opt.planning.transcription.scheme import GAUSS
@@ -164,7 +164,7 @@ def test_sums_with_the_weights_are_integrals_over_shares_of_the_phase(scheme: Sc
     problem = coupled()
     transcription = transcribe(problem, {"leg": go.Mesh((0.0, 0.25, 1.0), (3, 4))}, scheme)
     part = transcription.parts["leg"].collocation
-    variables, rows = quadrature_weights(transcription)
+    variables, rows = compute_quadrature_weights(transcription)
     controls, s = part.point_controls[0], part.fractions
     for power in range(4):
         assert variables[controls] @ s**power == pytest.approx(1 / (power + 1))
@@ -234,7 +234,7 @@ def test_derivatives_are_those_of_differences(point: ProgramPoint) -> None:
     free, held = ~point.variables.active, point.rows.active
     n = int(free.sum())
     direction = np.concatenate([rng.standard_normal(n), np.zeros(held.sum())])
-    here, there = point.moved(-step * direction), point.moved(step * direction)
+    here, there = point.take_step(-step * direction), point.take_step(step * direction)
     full = np.zeros(point.x.size)
     full[free] = direction[:n]
     assert there.x == pytest.approx(point.x + step * full, abs=1e-14) and np.array_equal(there.lam, point.lam)
@@ -242,18 +242,18 @@ def test_derivatives_are_those_of_differences(point: ProgramPoint) -> None:
     assert point.jacobian @ full == pytest.approx((there.values - here.values) / (2 * step), abs=1e-6)
     assert (point.hessian - point.hessian.T).nnz == 0 or abs(point.hessian - point.hessian.T).max() == 0
     # The Lagrangian is linear in its multipliers.
-    twice = point.hessian_of(2.0, 3 * point.lam) - point.hessian_of(1.0, 2 * point.lam)
+    twice = point.evaluate_hessian(2.0, 3 * point.lam) - point.evaluate_hessian(1.0, 2 * point.lam)
     assert (twice - point.hessian).toarray() == pytest.approx(np.zeros((point.x.size,) * 2), abs=1e-9)
 
 
 def test_a_step_of_newton_leads_back(point: ProgramPoint) -> None:
     rng = np.random.default_rng(2)
     free, held = ~point.variables.active, point.rows.active
-    off = point.moved(1e-5 * rng.standard_normal(point.residual.size))
+    off = point.take_step(1e-5 * rng.standard_normal(point.residual.size))
     assert np.max(np.abs(off.residual)) > 1e-6
     matrix = saddle_matrix(off.hessian[free][:, free], off.jacobian[held][:, free])
     assert abs(matrix - matrix.T).max() == 0
-    back = off.moved(-scipy.sparse.linalg.spsolve(matrix, off.residual))
+    back = off.take_step(-scipy.sparse.linalg.spsolve(matrix, off.residual))
     assert np.max(np.abs(back.residual)) < 1e-8
     assert back.x == pytest.approx(point.x, abs=1e-8) and back.lam == pytest.approx(point.lam, abs=1e-6)
 

@@ -26,7 +26,7 @@ from gnc_opt.model import integration
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.solution.propagation import Propagation, propagate
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
-from gnc_opt.planning.solution.violation_diagnosis import _unbounded_variables
+from gnc_opt.planning.solution.violation_diagnosis import _find_unbounded_variables
 
 # Propagation ends, whatever the dynamics are like, and says where and why.
 
@@ -187,9 +187,9 @@ def test_each_channel_is_held_by_itself() -> None:
 
 def test_at_a_jump_the_right_hand_value_is_meant() -> None:
     signal = flown([[0.25] * 3, [0.75] * 3], 0.0, 0.5)
-    assert signal(1.0).tolist() == [0.5] == signal.clipped(1.0).tolist()
+    assert signal(1.0).tolist() == [0.5] == signal.evaluate_clipped(1.0).tolist()
     before = pytest.approx([0.25], rel=1e-15)
-    assert signal(1.0, "left") == before == signal.clipped(1.0, "left")
+    assert signal(1.0, "left") == before == signal.evaluate_clipped(1.0, "left")
 
 
 # Small parts of a solution: what tries cost together, named integrals.
@@ -282,7 +282,7 @@ def test_what_runs_off_is_named_once_where_it_is_largest_and_first() -> None:
     names = [f"{name}, t = {i}" for i in range(40) for name in ("x", "y", "z")]
     scaled = np.full(120, -2e6)
     scaled[3 * 7 + 1], scaled[2::3] = 3e6, 9e5
-    found = _unbounded_variables(SimpleNamespace(variable_labels=names), scaled)  # type: ignore[arg-type]
+    found = _find_unbounded_variables(SimpleNamespace(variable_labels=names), scaled)  # type: ignore[arg-type]
     assert [(v.name, v.amount) for v in found] == [
         ("y, t = 7 runs off to infinity", 3e6),
         ("x, t = 0 runs off to infinity", 2e6),

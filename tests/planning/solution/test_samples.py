@@ -18,11 +18,11 @@ from gnc_opt.planning.solution import quality as limits
 from gnc_opt.planning.solution.quality import (
     Limits,
     find_limit_violations,
-    worst_defect,
+    find_worst_defect,
+    find_worst_terminal_error,
     worst_path_violation,
-    worst_terminal_error,
 )
-from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, sample_places_and_weights
+from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, compute_sample_rule
 from gnc_opt.tolerances import GONE
 
 CART = cart()
@@ -42,15 +42,15 @@ def stepped(t: Array, k: int) -> Array:
 
 
 def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
-    places, weights = sample_places_and_weights(4)
+    places, weights = compute_sample_rule(4)
     n = 4 + SAMPLES_BEYOND_POINTS
-    assert places.size == n + 2 and sample_places_and_weights(60)[0].size == 64 + 2
+    assert places.size == n + 2 and compute_sample_rule(60)[0].size == 64 + 2
     assert right.times.size == 2 * (n + 2) and right.segments.tolist() == [0] * (n + 2) + [1] * (n + 2)
     assert right.times[[0, n + 1, n + 2, -1]].tolist() == [0.0, 0.5, 0.5, 1.0]
     assert right.times[1 : n + 1] == pytest.approx(0.25 * (1 + places[1:-1]))
     assert right.weights[[0, n + 1, n + 2, -1]].tolist() == [0.0] * 4
     assert right.weights.sum() == pytest.approx(1.0) and right.weights[1] == pytest.approx(0.25 * weights[1])
-    assert np.flatnonzero(right.at_end).tolist() == [n + 1, 2 * n + 3]
+    assert np.flatnonzero(right.is_segment_end).tolist() == [n + 1, 2 * n + 3]
     assert right.span == 1.0
     assert right.weights @ right.times**9 == pytest.approx(0.1, rel=1e-13)
 
@@ -108,7 +108,7 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
 def test_integrals_per_segment() -> None:
     uneven = samples(CART, breaks=(1.0, 1.5, 4.0))
     values = np.vstack([uneven.times, -2 + 0 * uneven.times])
-    assert uneven.per_segment(values) == pytest.approx(np.array([[0.625, 6.875], [1.0, 5.0]]))
+    assert uneven.integrate_magnitudes(values) == pytest.approx(np.array([[0.625, 6.875], [1.0, 5.0]]))
 
 
 # --- quality ----------------------------------------------------------------------------------------------
@@ -116,7 +116,7 @@ def test_integrals_per_segment() -> None:
 
 def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> None:
     drifting = samples(CART, lambda t, k: rest(t, k) + np.array([[0.0], [3.0]]) * t)
-    worst = worst_defect(drifting)  # 3 s^-1 missing in v over half a second, v up to 3.375; q' lacks 3 t
+    worst = find_worst_defect(drifting)  # 3 s^-1 missing in v over half a second, v up to 3.375; q' lacks 3 t
     size = drifting.state_scale
     assert worst.value == pytest.approx(max(1.5 / size[1], (1.5 - 0.375) / size[0]))
     assert worst.where == "phase leg, segment 1 (0 to 0.5 s), v" if 1.5 / size[1] > 1.125 else worst.where
@@ -126,10 +126,10 @@ def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> N
             lambda t, k, h=height: rest(t, k) + np.array([[h * (k > 0)], [0.0]]),
             breaks=(0, 0.25, 0.5, 1),
         )
-        found = worst_defect(jump)
+        found = find_worst_defect(jump)
         assert found.value == pytest.approx(0.125 / size) and found.where.startswith("phase leg, segment 1")
-    assert worst_defect(samples(CART)).value < 1e-14
-    assert worst_defect(samples(CART, breaks=(0.0, 1.0))).value < 1e-14
+    assert find_worst_defect(samples(CART)).value < 1e-14
+    assert find_worst_defect(samples(CART, breaks=(0.0, 1.0))).value < 1e-14
 
 
 def test_path_constraints_are_checked_by_the_distance_to_what_they_allow() -> None:
@@ -157,13 +157,13 @@ def test_without_a_gradient_an_excess_counts_by_what_the_value_changes() -> None
 def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
     """Cut off at 5 N, the push lacks 1/24 N s on either side: v ends where it should, q short of it."""
     cut = samples(CART, control_bounds=interval(-5.0, 20.0), breaks=(0.0, 0.5, 1.0))
-    found = worst_terminal_error(cut)
+    found = find_worst_terminal_error(cut)
     run = propagate(cut.leg, cut.functions)
     assert run.states[:, -1] - [1.0, 0.0] == pytest.approx(run.error)
     i = int(np.argmax(np.abs(run.error) / [1.0, 1.5]))
     assert found.value == pytest.approx(abs(run.error[i]) / [1.0, 1.5][i])
     assert f"{'qv'[i]} misses by {abs(run.error[i]):.3g} {['m', 'm/s'][i]}" in found.where
-    assert worst_terminal_error(samples(CART)).value < 1e-10
+    assert find_worst_terminal_error(samples(CART)).value < 1e-10
 
 
 # --- propagation ------------------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def test_finite_limits_one_side_each() -> None:
         [3, 0, 3],
     )
     x = np.array([[5.0, 0.0], [-1.0, np.nan], [2.0, 4.0]])
-    assert found.excess(np.zeros(2), x, x).tolist() == [[1, np.inf], [-1, -3], [3, -2], [-1, 1]]
+    assert found.compute_excess(np.zeros(2), x, x).tolist() == [[1, np.inf], [-1, -3], [3, -2], [-1, 1]]
     wide = np.tile(x[:, :1], 4)
     assert found.excess_pairwise(np.zeros(4), wide, wide).tolist() == [1, -1, 3, -1]
     assert found.excess_pairwise(np.zeros(4), wide * np.nan, wide).tolist() == [np.inf] * 4
@@ -249,8 +249,8 @@ def test_violations_are_peaks_found_between_samples() -> None:
     )
     assert found.x[0] == pytest.approx(0.5 * np.sin(20 * found.times), abs=1e-9)
     assert found.u[0] == pytest.approx(6 - 12 * found.times)
-    assert found.value(int(np.flatnonzero(high)[0])) == "0.5 (at most 0.4)"
-    assert found.value(int(np.flatnonzero(~high)[0])) == "-0.5 (at least -0.45)"
+    assert found.describe_value(int(np.flatnonzero(high)[0])) == "0.5 (at most 0.4)"
+    assert found.describe_value(int(np.flatnonzero(~high)[0])) == "-0.5 (at least -0.45)"
 
 
 def test_only_the_highest_of_each_limit_are_returned() -> None:

@@ -27,7 +27,7 @@ from gnc_opt.planning import (
     load,
 )
 from gnc_opt.planning.direct import solve_mesh as tries
-from gnc_opt.planning.direct.solve_failure import failure_message
+from gnc_opt.planning.direct.solve_failure import format_failure
 from gnc_opt.planning.problem.problem_check import missing_bounds_text
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.solution.violation_diagnosis import Violation, find_violations
@@ -270,15 +270,15 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
 
 def test_a_failure_in_words(moved: Solution) -> None:
     failed = replace(moved, status=Status.INFEASIBLE)
-    text = failure_message(failed)
+    text = format_failure(failed)
     assert text.startswith(
         "no solution of 'cart' after 5 iterations, status infeasible; all constraints hold"
     )
     assert f"{Status.INFEASIBLE.remedy} Guesses that help" in text
-    assert "worst: w (0.25 of its scale)" in failure_message(
+    assert "worst: w (0.25 of its scale)" in format_failure(
         replace(failed, violations=(Violation("w", 0.25),))
     )
-    assert "worst: w. " in failure_message(
+    assert "worst: w. " in format_failure(
         replace(failed, violations=(Violation("w", math.nan), Violation("v", 1.0)))
     )
     error = SolveError(text, failed)
@@ -304,7 +304,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     leg.bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
     tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     place = int(tried.transcription.parts["leg"].times[-1])
-    starts = list(tries.feasibility_starts(tried.transcription, problem, tried.start.x))
+    starts = list(tries.generate_feasibility_starts(tried.transcription, problem, tried.start.x))
     assert [s.held.tolist() for s in starts] == [[], [place], [place], [place], [], []]
     assert [s.variables[place] for s in starts[:4]] == pytest.approx([2.0, 2.0, 8.0, 9.0])
     assert np.array_equal(starts[0].variables, tried.start.x)
@@ -314,9 +314,9 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     fixed = cart()
     fixed.get_phase().bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
     still = Attempt.prepare(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
-    assert [s.held.tolist() for s in tries.feasibility_starts(still.transcription, fixed, still.start.x)] == [
-        []
-    ] * 3
+    assert [
+        s.held.tolist() for s in tries.generate_feasibility_starts(still.transcription, fixed, still.start.x)
+    ] == [[]] * 3
 
 
 @pytest.mark.parametrize("status", [Status.OPTIMAL, Status.INFEASIBLE])

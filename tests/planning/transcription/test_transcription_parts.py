@@ -17,14 +17,14 @@ from testing.internals import (
     Scheme,
     Smooth,
     Transcription,
+    build_smoothness_rows,
     check_segments,
-    family_of,
+    get_family,
     hold_controls,
     hold_paths,
     hold_states,
     scale_rows,
     scale_variables,
-    smooth_rows,
 )
 
 import gnc_opt as go
@@ -122,7 +122,7 @@ def test_every_variable_and_row_has_one_place_and_a_name(scheme: Scheme) -> None
     rows = np.concatenate([*[r.ravel() for r in part.dynamics_rows], part.path_rows.ravel()])
     assert sorted(rows) == list(range(20, 20 + part.n_rows))
     assert (
-        part.n_dynamics_rows == 2 * (11 + 4 * family_of(scheme).extra_rows)
+        part.n_dynamics_rows == 2 * (11 + 4 * get_family(scheme).extra_rows)
         and part.n_rows == part.n_dynamics_rows + 33
     )
     labels = part.row_labels("leg", ("x", "y"), ("a", "b", "c"))
@@ -147,7 +147,7 @@ def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     t = starts[part.point_arcs] + part.arc_fractions * spans[part.point_arcs]
     x[part.boundary_states[0]] = 0.5 * (10 * np.asarray(UNEVEN.breaks)) ** 2
     x[part.point_states[0]] = 0.5 * t**2
-    rows, columns, values = part.linear
+    rows, columns, values = part.linear_part
     total = np.zeros(part.n_rows)
     np.add.at(total, rows, values * x[columns])
     rows, columns, values = part.weights(1, np.array([0]), np.zeros(0, dtype=np.int64))
@@ -245,7 +245,7 @@ def test_arcs_of_another_number_of_segments_are_refused() -> None:
 def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
     """Over the last two segments of the first arc and the whole of it; they are orthonormal."""
     part = collocation("LG", Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (3,)), m=2)
-    columns, rows = smooth_rows(Smooth(1, 1, 3, degree), part)
+    columns, rows = build_smoothness_rows(Smooth(1, 1, 3, degree), part)
     assert columns.tolist() == part.point_controls[1, 2:9].tolist() and rows.shape == (7 - degree - 1, 7)
     t = part.fractions[2:9]
     for power in range(degree + 1):

@@ -19,8 +19,8 @@ from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.cost_scale import (
     Magnitudes,
     average_over_time,
-    integral_spans,
-    parameter_scale,
+    compute_integral_spans,
+    compute_parameter_scales,
 )
 from gnc_opt.planning.optimality.costate_jumps import (
     StateConstraintSides,
@@ -158,10 +158,10 @@ def test_spans_of_integrals() -> None:
         signals = (lambda t, k: np.array([t]), lambda t, k: np.array([1 + 0 * t]), lambda t, k: np.array([t]))
         return by_hand.samples(problem, *signals, weights=(1.0,) * 4, breaks=(0.0, 0.5, 2.0), **changes)
 
-    spans = dict(zip(problem.get_phase().integrands, integral_spans(samples()), strict=True))
+    spans = dict(zip(problem.get_phase().integrands, compute_integral_spans(samples()), strict=True))
     assert list(spans.values()) == pytest.approx([2.0, 8 / 3, 0.0, 8 / 3], abs=1e-9)
     longer = samples(final_time_bounds=by_hand.interval(1.0, 3.0))
-    assert integral_spans(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
+    assert compute_integral_spans(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
 
 
 def test_magnitudes_of_cost_constraints_and_parameters() -> None:
@@ -269,7 +269,9 @@ def test_induced_problem_in_closed_form() -> None:
     samples, ends = list(solution.samples().values()), evaluate_ends(solution)
     switches = {"leg": Switches.of(samples[0])}
     unknowns = Unknowns.of(solution, samples, switches)
-    found = InducedProblem.of(solution, samples, ends, unknowns, {"leg": switches["leg"].pieces((0,))}, 4)
+    found = InducedProblem.of(
+        solution, samples, ends, unknowns, {"leg": switches["leg"].build_pieces((0,))}, 4
+    )
 
     t0, s, tf, x0, factor = theta = [ca.SX.sym(name) for name in hand]
     end = x0 + factor * (2 * s - t0 - tf)
@@ -450,7 +452,7 @@ def test_steps_of_free_parameters() -> None:
     for name, limits in (("a", (-1.0, 3.0)), ("b", (0.0, None)), ("c", (None, None)), ("d", (2.0, 2.0))):
         problem.parameter(name, lower=limits[0], upper=limits[1])
     solution = by_hand.solution(problem, parameter_values=np.array([0.5, -7.0, 0.0, 2.0]))
-    np.testing.assert_allclose(parameter_scale(solution), [0.4, 7.0, 1.0, 2.0])
+    np.testing.assert_allclose(compute_parameter_scales(solution), [0.4, 7.0, 1.0, 2.0])
 
 
 def test_a_copy_of_a_solution_has_no_verdict() -> None:
@@ -522,7 +524,9 @@ def test_doubt_says_whether_it_is_flat() -> None:
         assert ("flat" in _flat_curvature_text(curvature, 1e-4)) is flat
     assert "flat" in _flat_curvature_text(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
-    assert up.upwards and not replace(up, value=5e-7).upwards and not replace(up, share=5e-7).upwards
+    assert (
+        up.is_positive and not replace(up, value=5e-7).is_positive and not replace(up, share=5e-7).is_positive
+    )
 
 
 @pytest.mark.parametrize(("side", "expected"), [(1.0, [0.5, 0.0, 0.5]), (-1.0, [0.0, 1.0, 1.0])])

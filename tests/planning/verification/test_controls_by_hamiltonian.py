@@ -255,7 +255,7 @@ def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> Non
     s = samples(solution)
     coasts = s.u[MAGNITUDE] == 0
     assert 0 < np.mean(coasts) < 1
-    np.testing.assert_array_equal(s.idle, [np.zeros_like(coasts), coasts, coasts])
+    np.testing.assert_array_equal(s.inactive_controls, [np.zeros_like(coasts), coasts, coasts])
     leg = solution.phase()
     turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
     values = tuple(np.vstack([u[:1], turn @ u[DIRECTION]]) for u in leg.u.values)

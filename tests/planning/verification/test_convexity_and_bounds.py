@@ -15,8 +15,8 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Verdict
-from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
-from gnc_opt.planning.study.relaxation import relaxations
+from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
+from gnc_opt.planning.study.relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity
 from gnc_opt.planning.verification.sufficiency import (
     _split_sum,
@@ -411,7 +411,7 @@ def cart(**given) -> tuple[go.Problem, go.Phase]:
 )
 def test_only_what_the_hypotheses_hold_for_is_certified(given, theorem) -> None:
     solution = go.solve(cart(**given)[0], tol=None)
-    assert theorem_of(solution, Verdict("taken for an extremal", ())) == theorem
+    assert find_sufficiency_theorem(solution, Verdict("taken for an extremal", ())) == theorem
 
 
 def test_what_is_not_ok_is_not_certified() -> None:
@@ -419,8 +419,8 @@ def test_what_is_not_ok_is_not_certified() -> None:
     problem = solution.problem
     assert problem is not None
     late = replace(solution, objective=solution.objective * 1.01)
-    assert theorem_of(solution, go.verify(solution))
-    assert not theorem_of(late, go.verify(late))
+    assert find_sufficiency_theorem(solution, go.verify(solution))
+    assert not find_sufficiency_theorem(late, go.verify(late))
 
 
 @pytest.mark.slow
@@ -468,7 +468,7 @@ def staged() -> go.Problem:
 
 
 def test_a_relaxation_states_all_that_concerns_its_states_and_nothing_else() -> None:
-    in_plane, other = relaxations(staged())
+    in_plane, other = find_relaxations(staged())
     assert np.flatnonzero(in_plane.states["first"]).tolist() == [0, 1, 3, 4]  # the waypoint ties two axes
     assert np.flatnonzero(other.states["second"]).tolist() == [2, 5, 6]  # the band ties w to the third
     problem = in_plane.problem
@@ -501,7 +501,7 @@ def test_ties_by_constraints_may_be_cut_where_that_alone_frees_a_part() -> None:
     leg.bounds(turn=(-1.0, 1.0))
     leg.path("corridor", x + heading, upper=5.0)
     problem.minimize(leg.final_time)
-    (only,) = relaxations(problem)
+    (only,) = find_relaxations(problem)
     assert only.problem.get_phase().model.states.names == ("heading",)
     assert only.problem.get_phase().path_labels == ()
 
@@ -510,7 +510,7 @@ def test_a_cost_that_needs_all_states_leaves_no_relaxation() -> None:
     _, leg = cart(time=3.0)
     weighed, other = one_phase("weighed", leg.model, 0.0, 1.0)
     weighed.minimize(other.final_state("q"))
-    assert relaxations(weighed) == []
+    assert find_relaxations(weighed) == []
 
 
 @pytest.mark.parametrize(("given", "said"), [(3, "lower_bound"), ("x", "lower_bound")])

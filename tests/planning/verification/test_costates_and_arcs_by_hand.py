@@ -109,8 +109,8 @@ def test_near_a_bound_is_a_hundredth_of_the_range(arcs: Any) -> None:
 def test_slope_and_curvature_vanish_in_shares_of_the_hamiltonian(arcs: Any, cost: float) -> None:
     """Over the range that u is worth having, in any unit of the cost."""
     straight, bent = flown(cost=cost), flown(pair(TOLERANCE, cost), cost=cost)
-    sloping = straight.control_worth[0] / straight.control_span[0] / cost
-    bending = bent.control_worth[0] / bent.control_span[0] ** 2 / cost
+    sloping = straight.control_gain[0] / straight.control_span[0] / cost
+    bending = bent.control_gain[0] / bent.control_span[0] ** 2 / cost
     for factor, told in ((0.9, True), (1.2, False)):
         problem = pair(factor * TOLERANCE * bending, cost)
         found = arcs(flown(problem, cost=cost))
@@ -318,7 +318,7 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
     s = flown(
         problem, u=(0.5, -0.5), lam=(-1.0, 0.5), control_bounds=by_hand.interval([-9.0, -9.0], [9.0, 9.0])
     )
-    unit = s.control_span / np.sqrt(s.control_worth)
+    unit = s.control_span / np.sqrt(s.control_gain)
     least = []
     for t in s.times:
         hessian = np.array([[bend, np.exp(-t) / 2], [np.exp(-t) / 2, 1.0]]) * np.outer(unit, unit)
@@ -344,11 +344,11 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=BOX,
     )
-    miss = controls._distance_to_minimum(s, given_scales([s], deviation=2.0))
+    miss = controls._compute_distance_to_minimum(s, given_scales([s], deviation=2.0))
     assert np.all(np.isinf(miss[0]))
     np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / 2.0, 0.0), atol=1e-12)
     curvature = controls._hamiltonian_curvature(s)
-    np.testing.assert_allclose(curvature[1], s.control_span[1] ** 2 / s.control_worth[1])
+    np.testing.assert_allclose(curvature[1], s.control_span[1] ** 2 / s.control_gain[1])
     np.testing.assert_allclose(curvature[0], 0.0)
 
 

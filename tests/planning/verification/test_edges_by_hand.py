@@ -18,12 +18,12 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt as null_space
-from gnc_opt.planning.optimality.cost_scale import Magnitudes, average_over_time, integral_spans
+from gnc_opt.planning.optimality.cost_scale import Magnitudes, average_over_time, compute_integral_spans
 from gnc_opt.planning.optimality.kkt import (
     LANCZOS_RESIDUAL_TOLERANCE,
     NullSpace,
-    _are_ends_found,
-    lanczos,
+    is_spectrum_converged,
+    run_lanczos,
 )
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
 from gnc_opt.planning.optimality.switches import Switches, _controls_with_vanishing_switching
@@ -54,7 +54,7 @@ from gnc_opt.planning.verification.recomputed_solution import (
     has_costates,
     recompute_from_problem,
 )
-from gnc_opt.planning.verification.reduced_hessian import _least_direction
+from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
 from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_shape
 from gnc_opt.tolerances import NEGLIGIBLE
 
@@ -238,13 +238,13 @@ def test_unknowns_of_two_phases() -> None:
 def test_lanczos_goes_on_past_a_vanishing_diagonal() -> None:
     """((0, 1), (1, 0)) from (1, 0): the first curvature is nothing, the second step finds both."""
     swap = np.array([[0.0, 1.0], [1.0, 0.0]])
-    values, _ = lanczos(lambda v: swap @ v, np.array([1.0, 0.0]), 10)
+    values, _ = run_lanczos(lambda v: swap @ v, np.array([1.0, 0.0]), 10)
     np.testing.assert_allclose(values, [-1.0, 1.0], atol=1e-12)
     nearly = np.diag([5.0, 1.0]) + 0.1 * NEGLIGIBLE * swap
-    assert lanczos(lambda v: nearly @ v, np.array([1.0, 0.0]), 10)[0].size == 1
+    assert run_lanczos(lambda v: nearly @ v, np.array([1.0, 0.0]), 10)[0].size == 1
     # Where a later curvature is small beside the first, the first tells what counts.
     chain = np.diag([5.0, 1e-9, 3.0]) + np.diag([1.0, 1e-8], 1) + np.diag([1.0, 1e-8], -1)
-    assert lanczos(lambda v: chain @ v, np.array([1.0, 0.0, 0.0]), 10)[0].size == 2
+    assert run_lanczos(lambda v: chain @ v, np.array([1.0, 0.0, 0.0]), 10)[0].size == 2
 
 
 def test_least_direction_where_everything_curves_downwards() -> None:
@@ -252,14 +252,14 @@ def test_least_direction_where_everything_curves_downwards() -> None:
     hessian = scipy.sparse.csc_array(np.diag([-3.0, -2.0, -5.0]))
     every = scipy.sparse.eye_array(3, format="csc")
     space = NullSpace(every, np.zeros(0, dtype=int), np.ones(0), scipy.sparse.csc_array((0, 3)))
-    direction = _least_direction(space, hessian)
+    direction = _find_least_curvature(space, hessian)
     assert direction is not None
     # 1 / (-2 + 0.1) is the most negative: a curvature is found, not the least one; it is negative all the same.
     np.testing.assert_allclose(np.abs(direction), [0.0, 1.0, 0.0], atol=1e-6)
-    up = _least_direction(space, scipy.sparse.csc_array(np.diag([3.0, 2.0, 5.0])))
+    up = _find_least_curvature(space, scipy.sparse.csc_array(np.diag([3.0, 2.0, 5.0])))
     assert up is not None
     np.testing.assert_allclose(np.abs(up), [0.0, 1.0, 0.0], atol=1e-3)
-    assert _least_direction(space, scipy.sparse.csc_array(np.diag([1e9, 1e9, 1e9]))) is None
+    assert _find_least_curvature(space, scipy.sparse.csc_array(np.diag([1e9, 1e9, 1e9]))) is None
 
 
 # --- samples ----------------------------------------------------------------------------------------------
@@ -429,7 +429,7 @@ def test_integrals_without_integrands_have_no_span() -> None:
     problem, leg = one_phase("one", model, 0.0, 1.0)
     problem.minimize(leg.final_state("x"))
     one = (lambda t, k: np.array([t]),) * 3
-    assert integral_spans(by_hand.samples(problem, *one, weights=())).shape == (0,)
+    assert compute_integral_spans(by_hand.samples(problem, *one, weights=())).shape == (0,)
 
 
 def test_a_trajectory_without_controls_needs_none() -> None:
@@ -466,7 +466,7 @@ def test_both_ends_of_a_spectrum_must_have_settled() -> None:
     worst, largest = np.max(np.abs(vectors[-1])), np.max(np.abs(values))
     for factor, settled in ((0.99, True), (1.01, False)):
         assert (
-            _are_ends_found(diagonal, beside, factor * LANCZOS_RESIDUAL_TOLERANCE * largest / worst)
+            is_spectrum_converged(diagonal, beside, factor * LANCZOS_RESIDUAL_TOLERANCE * largest / worst)
             is settled
         )
 

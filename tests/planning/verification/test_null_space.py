@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
-from gnc_opt.planning.optimality.kkt import NullSpace, curvature_along, lanczos
+from gnc_opt.planning.optimality.kkt import NullSpace, compute_curvature, run_lanczos
 from gnc_opt.planning.optimality.multiplier_estimate import _Limits, _select_multipliers
 from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.problem.interval import Interval
@@ -67,23 +67,23 @@ def test_variations_are_shares_of_the_metric() -> None:
     """Variables 1, 2 and 4 of 5 vary."""
     root, free = np.array([2.0, 3.0, 5.0]), np.array([1, 2, 4])
     space = space_of(np.ones((1, 3)), root, free, 5)
-    np.testing.assert_allclose(space.variables(np.array([1.0, 10.0, 100.0])), [0, 2, 30, 0, 500])
+    np.testing.assert_allclose(space.expand_variation(np.array([1.0, 10.0, 100.0])), [0, 2, 30, 0, 500])
     hessian = symmetric(5)
     expected = hessian[np.ix_(free, free)] * np.outer(root, root)
-    np.testing.assert_allclose(space.in_shares(sparse(hessian)).toarray(), expected)
+    np.testing.assert_allclose(space.project_hessian(sparse(hessian)).toarray(), expected)
 
 
 def test_curvature_and_its_share_of_its_terms() -> None:
     """d = (1, -1): 1 + 3 - 2 * 1.5 = 1 out of 7."""
     matrix = np.array([[1.0, 1.5], [1.5, 3.0]])
-    assert curvature_along(sparse(matrix), np.array([1.0, -1.0])) == pytest.approx((1.0, 1 / 7))
-    assert curvature_along(sparse(0 * matrix), np.array([1.0, -1.0])) == (0.0, 0.0)
+    assert compute_curvature(sparse(matrix), np.array([1.0, -1.0])) == pytest.approx((1.0, 1 / 7))
+    assert compute_curvature(sparse(0 * matrix), np.array([1.0, -1.0])) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 9])
 def test_lanczos_of_a_small_matrix_is_complete(n: int) -> None:
     matrix = symmetric(n)
-    values, vectors = lanczos(lambda v: matrix @ v, 1.0 + np.arange(n), 60)
+    values, vectors = run_lanczos(lambda v: matrix @ v, 1.0 + np.arange(n), 60)
     np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix), atol=1e-9)
     np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-8)
     np.testing.assert_allclose(vectors.T @ vectors, np.eye(n), atol=1e-9)
@@ -97,19 +97,19 @@ def test_lanczos_ends_where_the_start_spans_no_more() -> None:
         calls.append(0)
         return matrix @ v
 
-    assert lanczos(operate, np.ones(40), 30)[0] == pytest.approx([-3.0, 2.0])
+    assert run_lanczos(operate, np.ones(40), 30)[0] == pytest.approx([-3.0, 2.0])
     assert len(calls) == 2
-    values, vectors = lanczos(operate, np.eye(40)[0], 30)
+    values, vectors = run_lanczos(operate, np.eye(40)[0], 30)
     assert values == pytest.approx([2.0]) and vectors.shape == (40, 1)
-    values, vectors = lanczos(operate, np.zeros(40), 30)
+    values, vectors = run_lanczos(operate, np.zeros(40), 30)
     assert values.shape == (0,) and vectors.shape == (40, 0)
 
 
 def test_lanczos_takes_no_more_steps_than_allowed_or_than_settle_the_ends() -> None:
-    few = lanczos(lambda v: np.linspace(0.0, 1.0, 200) * v, np.ones(200), 15)[0]
+    few = run_lanczos(lambda v: np.linspace(0.0, 1.0, 200) * v, np.ones(200), 15)[0]
     assert few.size == 15
     spread = np.concatenate([[-5.0], np.linspace(0.0, 1.0, 200), [4.0]])
-    values = lanczos(lambda v: spread * v, np.ones(202), 100)[0]
+    values = run_lanczos(lambda v: spread * v, np.ones(202), 100)[0]
     assert values[[0, -1]] == pytest.approx([-5.0, 4.0], abs=1e-6) and values.size in (10, 20, 30)
 
 
@@ -145,7 +145,7 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     limits = _Limits.of(box, values, 1e-5 * scales)
     np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
     np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
-    np.testing.assert_array_equal(limits.anywhere, [True, True, False, True, False])
+    np.testing.assert_array_equal(limits.at_any_limit, [True, True, False, True, False])
     np.testing.assert_array_equal(limits.wrong(np.ones(5), 1.0), [True, False, False, False, False])
     np.testing.assert_array_equal(limits.wrong(-np.ones(5), 1.0), [False, True, False, False, False])
     assert not np.any(limits.wrong(np.ones(5), 1e8))
@@ -262,7 +262,7 @@ def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) ->
     point.rounding = 6.0  # rows of less than that are none
     assert minimise_curvature(point, np.array([False] * 6)).value == pytest.approx(1.0 / 6.0, rel=1e-4)
     point.rounding = 0.0
-    assert loose.upwards and loose.gain < 0
+    assert loose.is_positive and loose.gain < 0
     assert np.isnan(minimise_curvature(point, np.array([True] * 5 + [False])).value)
     one = minimise_curvature(
         point, np.array([True, True, False, True, True, True])
@@ -282,7 +282,7 @@ def test_a_step_that_gains_only_rounding_is_not_reported_to_curve_downwards(
     found = minimise_curvature(point, np.zeros(6, dtype=bool))
     assert found.gain == pytest.approx(0.005 / 0.25, rel=1e-6)
     assert found.value == pytest.approx(-1 / point.rounding, rel=1e-4)
-    assert found.downwards(1e-4) is told
+    assert found.is_negative(1e-4) is told
 
 
 def test_what_is_held_and_what_may_leave_to_one_side() -> None:

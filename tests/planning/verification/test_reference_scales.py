@@ -175,8 +175,8 @@ def measured(
     displacement, gradient = np.linspace(0.3, -0.2, n), np.linspace(1.0, 2.0, n)
     return (
         scales.cost / frame.cost[0],
-        float(own.end.displacement(a @ displacement)),
-        float(own.along.change(inverse.T @ gradient)),
+        float(own.end.normalise_displacement(a @ displacement)),
+        float(own.along.maximise_change(inverse.T @ gradient)),
     )
 
 
@@ -907,8 +907,8 @@ def test_a_displacement_does_not_depend_on_how_states_are_mixed(mixture: float) 
     mixed = np.array([[1.0, mixture], [0.0, 1.0]])
     gramian = mixed @ np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]) @ mixed.T
     ellipsoid = Ellipsoid.of(gramian, np.sqrt(np.diag(gramian)))
-    assert ellipsoid.displacement(np.array([1.0, 0.0])) == pytest.approx(np.sqrt(12), rel=1e-3)
-    assert ellipsoid.change(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
+    assert ellipsoid.normalise_displacement(np.array([1.0, 0.0])) == pytest.approx(np.sqrt(12), rel=1e-3)
+    assert ellipsoid.maximise_change(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
 
 
 @pytest.mark.parametrize("mixture", [0.0, 1e3, 1e6])

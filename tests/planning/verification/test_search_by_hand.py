@@ -90,20 +90,23 @@ def test_value_slope_and_curvature_by_shares_of_the_range() -> None:
     found, at = search(s), np.array([0, 7, 20])
     shares = np.array([[0.1, 0.5, 0.9], [0.2, 0.3, 0.4]])
     u, w = -2 + 4 * shares[0], -1 + 4 * shares[1]
-    np.testing.assert_allclose(found.value(shares, at), hamiltonian(u, w, s.times[at]), rtol=1e-12)
+    np.testing.assert_allclose(
+        found.evaluate_hamiltonian(shares, at), hamiltonian(u, w, s.times[at]), rtol=1e-12
+    )
     gradient, bends = found.slopes(shares, at)
     np.testing.assert_allclose(
         gradient, 4 * np.array([6 * (u - 1) + w + 0.3, 2 * (w - 2) + u - 0.2]), rtol=1e-9
     )
     np.testing.assert_allclose(bends, np.tile(16 * np.array([[6.0, 1.0], [1.0, 2.0]]), (3, 1, 1)))
-    np.testing.assert_allclose(found._flown, np.tile([[0.625], [0.5]], s.times.size))
+    np.testing.assert_allclose(found._applied_shares, np.tile([[0.625], [0.5]], s.times.size))
 
 
 def test_a_group_leaves_the_other_controls_as_flown() -> None:
     s = flown(coupled(bowl))
     found, at = search(s, [1]), np.array([3, 4])
     np.testing.assert_allclose(
-        found.value(np.array([[0.0, 1.0]]), at), hamiltonian(0.5, np.array([-1.0, 3.0]), s.times[at])
+        found.evaluate_hamiltonian(np.array([[0.0, 1.0]]), at),
+        hamiltonian(0.5, np.array([-1.0, 3.0]), s.times[at]),
     )
     gradient, bends = found.slopes(np.array([[0.0, 1.0]]), at)
     np.testing.assert_allclose(gradient, 4 * (2 * (np.array([[-1.0, 3.0]]) - 2) + 0.5 - 0.2))
@@ -113,8 +116,8 @@ def test_a_group_leaves_the_other_controls_as_flown() -> None:
 def test_a_control_without_a_range_stays() -> None:
     s = flown(coupled(bowl), control_bounds=by_hand.interval([0.5, -1.0], [0.5, 3.0]))
     found = search(s)
-    assert np.all(found._flown[0] == 0.0)
-    value = found.value(np.array([[0.9], [0.5]]), np.array([2]))
+    assert np.all(found._applied_shares[0] == 0.0)
+    value = found.evaluate_hamiltonian(np.array([[0.9], [0.5]]), np.array([2]))
     np.testing.assert_allclose(value, hamiltonian(0.5, 1.0, s.times[[2]]))
 
 
@@ -128,7 +131,7 @@ MIXED = (lambda t, x, u, w: u + 2 * w, -3.0, 4.0)
 def test_controls_beyond_a_mixed_path_are_not_admissible(u: float, w: float, inside: bool) -> None:
     """-3 <= u + 2 w <= 4; a path of states alone leaves no choice."""
     s = flown(coupled(bowl, MIXED, (lambda t, x, u, w: x, -9.0, 0.0)))
-    value = search(s).value(np.array([[(u + 2) / 4], [(w + 1) / 4]]), np.array([5]))
+    value = search(s).evaluate_hamiltonian(np.array([[(u + 2) / 4], [(w + 1) / 4]]), np.array([5]))
     assert bool(np.isfinite(value[0])) is inside
 
 
@@ -281,20 +284,22 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     """From (0.5, 1) to (1.5, 1): H falls by its difference; the span of u is worth its slope or curvature."""
     s = flown(coupled(bowl))
     found, at = search(s), np.arange(s.times.size)
-    better = found._flown.copy()
+    better = found._applied_shares.copy()
     better[0] += 0.25
-    value = found.value(better, at)
+    value = found.evaluate_hamiltonian(better, at)
     gain, share = found._gain_and_share(better, value, at)
     before, after = hamiltonian(0.5, 1.0, s.times), hamiltonian(1.5, 1.0, s.times)
     np.testing.assert_allclose(gain, np.maximum(before - after, 0.0), atol=1e-12)
     span = s.control_span[0]
     worth = max(abs(6 * -0.5 + 1 + 0.3) * span, 0.5 * 6 * span**2)
     np.testing.assert_allclose(share, gain / (worth + gain), rtol=1e-9)
-    np.testing.assert_allclose(found._largest_change(-7.0 * (better - found._flown)), worth, rtol=1e-9)
-    none, share = found._gain_and_share(found._flown, np.full(at.size, np.inf), at)
+    np.testing.assert_allclose(
+        found._largest_change(-7.0 * (better - found._applied_shares)), worth, rtol=1e-9
+    )
+    none, share = found._gain_and_share(found._applied_shares, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
     endless, share = found._gain_and_share(
-        found._flown, np.full(at.size, -np.inf), at
+        found._applied_shares, np.full(at.size, -np.inf), at
     )  # a pole of H is no gain
     assert not np.any(endless) and not np.any(share)
 
@@ -307,14 +312,14 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
     n = s.times.size
     assert at.size == (POINTS // n) * n and np.all(np.bincount(at) == POINTS // n)
     assert np.min(shares) == 0.0 and np.max(shares) == 1.0
-    moved = np.abs(shares - found._flown[:, at]) > 1e-12
+    moved = np.abs(shares - found._applied_shares[:, at]) > 1e-12
     kind = np.arange(at.size) % 4
     assert np.all(np.sum(moved[:, kind >= 2], axis=0) <= 1)
     assert np.all(np.sum(moved[:, kind < 2], axis=0) == 2)
     counts = np.sum(moved[:, kind >= 2], axis=1)
     np.testing.assert_allclose(counts, np.full(2, at.size / 4), rtol=1e-3)
     # Distances from the applied control are log-uniform from 1e-8 of the range.
-    near = np.log10(np.abs(shares - found._flown[:, at])[:, kind == 1])
+    near = np.log10(np.abs(shares - found._applied_shares[:, at])[:, kind == 1])
     assert np.min(near) == pytest.approx(-8.0, abs=0.1)
     np.testing.assert_allclose(np.quantile(near, [0.25, 0.5], axis=1), [[-6.0] * 2, [-4.0] * 2], atol=0.1)
     # 0.05 of the range beyond each bound is clipped to it.
@@ -368,7 +373,7 @@ def test_slopes_that_are_no_numbers_point_nowhere() -> None:
     found, at = search(s), np.array([3])
     gradient, bends = found.slopes(np.array([[0.0], [0.5]]), at)
     assert gradient[0, 0] == 0.0 and np.isfinite(gradient[1, 0]) and bends[0, 0, 0] == 0.0
-    assert found.value(np.array([[0.5], [0.1]]), at) == [np.inf]
+    assert found.evaluate_hamiltonian(np.array([[0.5], [0.1]]), at) == [np.inf]
     shares = np.array([[0.5, 0.9], [0.1, 0.5]])  # w = -0.6 and 1: the second one is beyond the path
     moved = found._restore_path_constraints(shares, np.array([3, 4]))
     np.testing.assert_array_equal(moved[:, 0], shares[:, 0])

@@ -68,7 +68,7 @@ def induced_problem(solution: go.Solution, refinement: int = 4) -> InducedProble
     samples = list(solution.samples().values())
     name = samples[0].leg.name
     switches = {name: Switches.of(samples[0])}
-    pieces = {name: switches[name].pieces(next(switches[name].orders()))}
+    pieces = {name: switches[name].build_pieces(next(switches[name].list_orders()))}
     unknowns = Unknowns.of(solution, samples, switches)
     return InducedProblem.of(solution, samples, evaluate_ends(solution), unknowns, pieces, refinement)
 

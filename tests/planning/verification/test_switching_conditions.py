@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from testing import constructed_solutions as by_hand
-from testing.internals import PhaseSamples, check_strict_switches, why_not_applicable
+from testing.internals import PhaseSamples, check_strict_switches, explain_inapplicability
 from testing.models import dynamics, one_phase
 from testing.second_order import of_samples, second_order_of
 from testing.wrong_solutions import singular_problem
@@ -262,8 +262,8 @@ def test_orders_pieces_and_precedences() -> None:
     late = (line(-7.0, 1.4), line(-7.0, 1.4), lambda t: 7 * (t - 1.4) * (t - 2.0))
     switches = Switches.of(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
     assert switches.groups == [[0], [1, 2], [3]] and switches.n_orders == 2
-    assert list(switches.orders()) == [(0, 1, 2, 3), (0, 2, 1, 3)]
-    pieces = switches.pieces((0, 2, 1, 3))
+    assert list(switches.list_orders()) == [(0, 1, 2, 3), (0, 2, 1, 3)]
+    pieces = switches.build_pieces((0, 2, 1, 3))
     np.testing.assert_allclose(pieces.times, [0.0, 0.8, 1.4, 1.4, 2.0, 2.0])
     np.testing.assert_array_equal(pieces.unknowns, [0, 1, 3, 2, 4, 5])
     np.testing.assert_allclose(pieces.controls[0], [1, -1, -1, 1, 1])
@@ -345,12 +345,12 @@ def test_arcs_of_a_trajectory_between_its_jumps() -> None:
 
 def test_obstacles_are_reported_by_their_phase() -> None:
     s = flight(STRAIGHT, FALLS)
-    assert why_not_applicable([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
+    assert explain_inapplicability([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
     between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
-    assert why_not_applicable([s, between]) == "phase leg, t = 0.8 s, u: a control between its bounds"
+    assert explain_inapplicability([s, between]) == "phase leg, t = 0.8 s, u: a control between its bounds"
     assert not is_bang_bang([s, between])
     short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
-    assert why_not_applicable([PhaseSamples.of(short, s.functions)]) == "phase leg has no length"
+    assert explain_inapplicability([PhaseSamples.of(short, s.functions)]) == "phase leg has no length"
 
 
 # First and second derivatives of bang-bang flows in switch times and start values.

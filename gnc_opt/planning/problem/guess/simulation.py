@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.tolerances import magnitude
+from gnc_opt.tolerances import nonzero_magnitude
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""
@@ -119,7 +119,7 @@ def guess_from_simulation(
         return fast(t, x, law(t, x))
 
     stop = None if until is None else _build_stop_event(problem, leg, until)
-    sizes = magnitude(np.maximum(np.abs(start), np.abs(guess_ends(leg)[1])))
+    sizes = nonzero_magnitude(np.maximum(np.abs(start), np.abs(guess_ends(leg)[1])))
     try:
         flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:

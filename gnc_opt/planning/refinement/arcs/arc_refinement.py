@@ -22,7 +22,7 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> P
     gradient = samples.functions.state_gradient(
         samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
     )
-    residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
+    residual = samples.integrate_magnitudes(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
     contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.pieces)])
@@ -41,7 +41,7 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> P
 def compute_dynamics_defects(samples: PhaseSamples) -> Array:
     """How far the dynamics are off in each segment, in shares of what the states move, (n_states, K)."""
     rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
-    return np.asarray(samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None])
+    return np.asarray(samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
 def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:

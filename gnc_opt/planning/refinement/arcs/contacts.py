@@ -84,7 +84,7 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[De
         at_lower, at_upper = leg.control_bounds.near(mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale)
         found += [
             Determined(i, float(start), float(end), run.row, run.kind)
-            for i in constraints.controls_of(run.row)
+            for i in constraints.find_controls(run.row)
             if not at_lower[i] and not at_upper[i]
         ]
     return found
@@ -108,7 +108,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
         for k, (order, on) in enumerate(zip(orders, held, strict=True))
     ]
     known = structure.holders[first:]
-    holders = [constraints.controls_of(row) if ask else known[row] for row, ask in enumerate(asked)]
+    holders = [constraints.find_controls(row) if ask else known[row] for row, ask in enumerate(asked)]
     known = structure.leans[first:]
     leans = [constraints.control_effect_signs(row) if ask else known[row] for row, ask in enumerate(asked)]
     structure = replace(

@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchedFl
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.quality import worst_bound_violation, worst_path_violation
+from gnc_opt.planning.solution.quality import find_worst_bound_violation, worst_path_violation
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
 from gnc_opt.planning.verification.recomputed_solution import evaluate_ends
@@ -125,7 +125,7 @@ def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
         np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
         for box, value, scale in ends
     )
-    return inside and worst_bound_violation(s).or_worse(worst_path_violation(s)).value < AT_LIMIT
+    return inside and find_worst_bound_violation(s).select_worse(worst_path_violation(s)).value < AT_LIMIT
 
 
 def complete_multipliers(flown: Solution) -> Solution:

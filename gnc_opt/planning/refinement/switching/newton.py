@@ -245,7 +245,7 @@ def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
 
 def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
     """The switches as pieces."""
-    pieces = switches.pieces(switches.order)
+    pieces = switches.build_pieces(switches.order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
     kinds = choose_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)

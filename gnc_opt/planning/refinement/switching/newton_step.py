@@ -144,7 +144,7 @@ def _integrate_flow(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
-    return integrate_bang_bang(problem, s, switches.pieces(switches.order), nothing, refinement, steps)
+    return integrate_bang_bang(problem, s, switches.build_pieces(switches.order), nothing, refinement, steps)
 
 
 @dataclass(frozen=True, eq=False)
