@@ -169,7 +169,7 @@ def write_campaign_report(
 def _results_table(campaign: Campaign) -> str:
     titles, *rows = campaign_rows(campaign)
     notes = "".join(f"<p>{escape(note)}</p>" for note in campaign_notes(campaign))
-    return table((titles[0], "unit", *titles[2:]), rows) + notes
+    return html_table((titles[0], "unit", *titles[2:]), rows) + notes
 
 
 def _drawn_parameters_table(campaign: Campaign) -> str:

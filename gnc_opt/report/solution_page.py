@@ -152,7 +152,9 @@ def _conditions_table(verdict: Verdict | None) -> str:
         for c in verdict.conditions
         if c.result is not ConditionResult.PASS
     )
-    return html_table(("condition", "result", "violation or margin", "tolerance", "largest at"), rows) + meanings
+    return (
+        html_table(("condition", "result", "violation or margin", "tolerance", "largest at"), rows) + meanings
+    )
 
 
 def _arcs_table(solution: Solution) -> str:
