@@ -129,7 +129,7 @@ def test_json_summary_lists_every_value(key: str, kind: Iterable[Enum]) -> None:
 def test_json_of_a_problem_file(tmp_path: Path) -> None:
     minimum_fuel.main(["--json", str(tmp_path / "out.json")])
     reference = json.loads((tmp_path / "out.json").read_text())["reference"]
-    sentence = re.search(r"\n\n([^|]*?`reference`.*?)\n\n", doc("problems").text, re.DOTALL)
+    sentence = re.search(r"\n\n([^|]*?`reference`.*?)(?:\n\n|\Z)", doc("problems").text, re.DOTALL)
     assert sentence
     for key in reference:
         assert f"`{key}`" in sentence[1], key
@@ -196,7 +196,9 @@ def test_version_is_the_same_everywhere() -> None:
 
 
 def test_problems_lists_every_file() -> None:
-    table = set(re.findall(r"(?m)^\| \[`(\w+)`\]", doc("problems").text))
+    table = set(
+        re.findall(r"(?m)^\| \[!.*?\]\(\.\./problems/(?:\w+/)?(\w+)(?:\.py)?\)", doc("problems").text)
+    )
     files = [
         path
         for path in (ROOT / "problems").glob("*/*.py")

@@ -100,7 +100,7 @@ def test_the_command_line_takes_a_systems_folder_or_a_file_of_its_name(
 
 def test_the_index_lists_every_system() -> None:
     index = (FOLDER.parent / "docs" / "problems.md").read_text("utf-8")
-    assert sorted(re.findall(r"\(\.\./problems/(\w+)\)", index)) == SYSTEMS
+    assert sorted(set(re.findall(r"\(\.\./problems/(\w+)\)", index))) == SYSTEMS
 
 
 # --- python -m problems.NAME ----------------------------------------------------------------------------
