@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
-from gnc_opt.tolerances import RANK, ROUNDING, nonzero_magnitude
+from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, nonzero_magnitude
 
 CELLS = 40
 """Cells of a phase, at least, in which its linearised dynamics are constant."""
@@ -49,8 +49,8 @@ class Ellipsoid:
     shares: Array
 
     @classmethod
-    def of(cls, gramian: Array, radius: Array) -> Ellipsoid:
-        """Take the correlation from a Gramian (n, n), and the sizes as given (n,)."""
+    def of(cls, gramian: Array, radius: Array, least: float = ROUNDING) -> Ellipsoid:
+        """Take the correlation, its eigenvalues at least ``least``, from a Gramian (n, n), the sizes as given (n,)."""
         sizes = np.sqrt(np.maximum(np.diag(gramian), 0.0))
         reached = sizes > 0
         scale = np.where(reached, sizes, 1.0)
@@ -58,7 +58,7 @@ class Ellipsoid:
         correlation[~reached], correlation[:, ~reached] = 0.0, 0.0
         correlation[np.diag_indices_from(correlation)] = 1.0
         values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-        return cls(radius, axes, np.sqrt(np.clip(values, ROUNDING, None)))
+        return cls(radius, axes, np.sqrt(np.clip(values, least, None)))
 
     def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) in shares of the ellipsoid (...)."""
@@ -214,7 +214,7 @@ def phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
     initial = np.where(start > 0, start, radius)
     return (
         Ellipsoid.of(gramian.start, initial),
-        Ellipsoid.of(gramian.mean, radius),
+        Ellipsoid.of(gramian.mean, radius, NEGLIGIBLE),  # defects have the errors of interpolation
         Ellipsoid.of(gramian.end, final),
         Ellipsoid.of(gramian.whole, np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))),
     )

@@ -926,3 +926,20 @@ def test_an_end_is_missed_by_a_thousandth_however_states_are_mixed(mixture: floa
     for share, right in ((1.0, True), (0.999, False)):
         states = {"s": share * (q + mixture * speed), "v": share * speed}
         assert go.verify_trajectory(problem, t, states, {"a": share * push}).ok is right
+
+
+@pytest.mark.parametrize(("wave", "right"), [(0.0, True), (0.02, False)])
+def test_nearly_dependent_states_may_be_rounded_to_nine_digits(wave: float, right: bool) -> None:
+    """y = x + 1e-4 int x: the defects of samples with nine digits are not those of the answer, a wave of 2 % is."""
+    model = go.Model("pair")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: u, y: u + 1e-4 * x})
+    problem, leg = one_phase("pair", model, 0.0, 1.0)
+    leg.initial(x=1.0, y=1.0)
+    problem.minimize(leg.integral(x**2 + u**2))
+    t = np.linspace(0.0, 1.0, 41)
+    place = np.cosh(1 - t) / np.cosh(1) + wave * np.sin(np.pi * t) ** 2
+    rate = -np.sinh(1 - t) / np.cosh(1) + wave * np.pi * np.sin(2 * np.pi * t)
+    area = (np.sinh(1) - np.sinh(1 - t)) / np.cosh(1) + wave * (t / 2 - np.sin(2 * np.pi * t) / (4 * np.pi))
+    states = {"x": np.round(place, 9), "y": np.round(place + 1e-4 * area, 9)}
+    assert go.verify_trajectory(problem, t, states, {"u": rate}).ok is right
