@@ -767,3 +767,18 @@ def test_a_parameter_is_stationary_or_pushes_at_its_limit(
         solution, [], evaluate_ends(solution), given_scales([], cost=amount, parameters=[1.0])
     )
     assert found.value == pytest.approx(left) and found.where == "parameter k"
+
+
+def test_a_final_limit_that_is_reached_pays_for_its_costate() -> None:
+    """Least u^2 / 2 less 2 x(1) with x(1) <= 1: u = 1, costate -1, 1 per metre by the limit, whatever comes before."""
+    model = go.Model("runner")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("runner")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=(None, 1.0))
+    problem.minimize(leg.integral(u**2 / 2) - 2 * leg.final_state("x"))
+    verdict = go.verify(go.solve(problem, mesh="1x3", tol=None))
+    assert verdict["stationarity"].result is go.ConditionResult.PASS

@@ -6,6 +6,8 @@ import pytest
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.planning.solution.verdict import Condition
+from gnc_opt.planning.verification.smoothness import Roughness, mark_theorem_inapplicable
 
 pytestmark = pytest.mark.filterwarnings("ignore::gnc_opt.ProblemWarning")
 
@@ -172,3 +174,15 @@ def test_a_concave_kink_does_not_enlarge_the_scale_by_which_it_is_measured(reach
     t = np.linspace(0.0, 1.0, 61)
     verdict = go.verify_trajectory(problem, t, {"x": 0 * t, "y": 0 * t}, {"u": 0 * t})
     assert verdict["kinks"].result.value == "FAIL"
+
+
+@pytest.mark.parametrize(
+    ("name", "of_states", "fails"),
+    [("minimum principle", False, True), ("minimum principle", True, False), ("stationarity", False, False)],
+)
+def test_only_values_of_the_hamiltonian_fail_at_kinks_and_of_controls_alone(
+    name: str, of_states: bool, fails: bool
+) -> None:
+    failed = Condition(name, go.ConditionResult.FAIL, 1.0, 0.0, "here", "meaning")
+    found = mark_theorem_inapplicable(failed, Roughness(0.0, "there", jump=False, of_states=of_states))
+    assert (found.result is go.ConditionResult.FAIL) == fails
