@@ -42,24 +42,9 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt import simulation
 from gnc_opt.control import Controller, law, with_dropout_handling
 from gnc_opt.estimation import Estimator, Measurement, output_feedback
-from gnc_opt.simulation import (
-    Bias,
-    Campaign,
-    ClosedLoop,
-    Delay,
-    Noise,
-    Normal,
-    Quantity,
-    RandomRotation,
-    RandomWalk,
-    ScaleFactor,
-    SensorOutage,
-    Uniform,
-    ZeroOrderHold,
-    monte_carlo,
-)
 from gnc_opt.simulation.block import clip
 from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import quaternion_retraction
@@ -155,43 +140,47 @@ LIMITS = {
 """rad, N m, rpm."""
 
 DISPERSIONS: dict[str, Dispersion] = {
-    "initial.q": RandomRotation(Uniform(0.0, float(np.radians(1.0)))),
-    "initial.omega": Normal(float(np.radians(0.02))),
-    "initial.h": Normal(50.0 * model.WHEEL_INERTIA * model.RPM),
-    "plant.inertia": Uniform(-0.05, 0.05, relative=True),
-    "plant.lag": Uniform(-0.3, 0.3, relative=True),
-    "plant.external": Normal(2e-5),
-    "motors.factor": Uniform(-0.02, 0.02),
-    "gyro bias.bias": Normal(model.GYRO_BIAS),
-    "glare.begin": Uniform(-5.0, 5.0),
-    "glare.end": Uniform(-5.0, 5.0),
+    "initial.q": simulation.RandomRotation(simulation.Uniform(0.0, float(np.radians(1.0)))),
+    "initial.omega": simulation.Normal(float(np.radians(0.02))),
+    "initial.h": simulation.Normal(50.0 * model.WHEEL_INERTIA * model.RPM),
+    "plant.inertia": simulation.Uniform(-0.05, 0.05, relative=True),
+    "plant.lag": simulation.Uniform(-0.3, 0.3, relative=True),
+    "plant.external": simulation.Normal(2e-5),
+    "motors.factor": simulation.Uniform(-0.02, 0.02),
+    "gyro bias.bias": simulation.Normal(model.GYRO_BIAS),
+    "glare.begin": simulation.Uniform(-5.0, 5.0),
+    "glare.end": simulation.Uniform(-5.0, 5.0),
 }
 
 
-def loop(name: str, *, bias: bool = True) -> ClosedLoop:
+def loop(name: str, *, bias: bool = True) -> simulation.ClosedLoop:
     """Return the loop of one of `LAWS`, before it is dispersed; with a filter that estimates the bias or does not."""
     craft = model.plant()
     t, q = craft.time, craft.symbol("q")
-    return ClosedLoop(
+    return simulation.ClosedLoop(
         craft,
         controller(name, bias=bias),
-        [ScaleFactor("motors", np.ones(4), on="T")],
+        [simulation.ScaleFactor("motors", np.ones(4), on="T")],
         [
-            Noise("star tracker", model.TRACKER_NOISE, quaternion_retraction, on="q"),
-            SensorOutage("too fast", where=lambda t, x: ca.norm_2(x["omega"]) - model.TRACKER_RATE, on="q"),
-            SensorOutage("glare", 60.0, 80.0, on="q"),
-            ZeroOrderHold("exposures", model.TRACKER_PERIOD, on="q"),
-            Delay("image processing", model.TRACKER_DELAY, on="q"),
-            Noise("gyro", model.GYRO_NOISE, on="omega"),
-            Bias("gyro bias", np.zeros(3), on="omega"),
-            RandomWalk("gyro drift", model.GYRO_WALK, on="omega"),
-            Noise("tachometers", model.TACHOMETER_NOISE, on="h"),
+            simulation.Noise("star tracker", model.TRACKER_NOISE, quaternion_retraction, on="q"),
+            simulation.SensorOutage(
+                "too fast", where=lambda t, x: ca.norm_2(x["omega"]) - model.TRACKER_RATE, on="q"
+            ),
+            simulation.SensorOutage("glare", 60.0, 80.0, on="q"),
+            simulation.ZeroOrderHold("exposures", model.TRACKER_PERIOD, on="q"),
+            simulation.Delay("image processing", model.TRACKER_DELAY, on="q"),
+            simulation.Noise("gyro", model.GYRO_NOISE, on="omega"),
+            simulation.Bias("gyro bias", np.zeros(3), on="omega"),
+            simulation.RandomWalk("gyro drift", model.GYRO_WALK, on="omega"),
+            simulation.Noise("tachometers", model.TACHOMETER_NOISE, on="h"),
         ],
         quantities=[
-            Quantity("pointing", ca.if_else(t > SETTLED, model.off_target(q), 0), "rad"),
-            Quantity("torque", ca.norm_inf(craft.symbol("motor")), "N m"),
-            Quantity("speed", ca.norm_inf(craft.symbol("h")) / model.WHEEL_INERTIA / model.RPM, "rpm"),
-            Quantity("rate", ca.norm_2(craft.symbol("omega")), "rad/s"),
+            simulation.Quantity("pointing", ca.if_else(t > SETTLED, model.off_target(q), 0), "rad"),
+            simulation.Quantity("torque", ca.norm_inf(craft.symbol("motor")), "N m"),
+            simulation.Quantity(
+                "speed", ca.norm_inf(craft.symbol("h")) / model.WHEEL_INERTIA / model.RPM, "rpm"
+            ),
+            simulation.Quantity("rate", ca.norm_2(craft.symbol("omega")), "rad/s"),
         ],
         dt=DT,
         accuracy=1e-6,
@@ -199,9 +188,9 @@ def loop(name: str, *, bias: bool = True) -> ClosedLoop:
     )
 
 
-def campaign(name: str, runs: int, seed: int, *, bias: bool = True, **options: Any) -> Campaign:
+def campaign(name: str, runs: int, seed: int, *, bias: bool = True, **options: Any) -> simulation.Campaign:
     """Simulate one of `LAWS`; the same seed gives all the same spacecraft and gaps; options as of `monte_carlo`."""
-    return monte_carlo(
+    return simulation.monte_carlo(
         loop(name, bias=bias),
         runs,
         x0=START,

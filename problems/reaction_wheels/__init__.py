@@ -15,22 +15,15 @@ To be read in this order:
 from problems.reaction_wheels.model import (
     AXES,
     DESIGN_SPEED,
-    DURATION,
     INERTIA,
     INVERSE,
     MANOEUVRES,
-    MAX_MOMENTUM,
     NOMINAL_SPEED,
     NULL,
     REST,
-    RPM,
-    TORQUE_CONSTANT,
-    VOLTAGE_CONSTANT,
     WHEEL_INERTIA,
-    Drive,
     paper_quaternion,
-    resting,
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels.optimal import REFERENCE, Goal, build, published_peak_torque
+from problems.reaction_wheels.optimal import REFERENCE, build, published_peak_torque

@@ -227,11 +227,6 @@ def design_quaternion_lqr(
     )
 
 
-def lqr_poles(k_q: float, k_w: float, moment: float) -> Array:
-    """Return the poles (1/s) of one axis at small angles: J theta'' + k_w theta' + k_q theta / 2 = 0."""
-    return np.sort(np.roots([moment, k_w, k_q / 2]))[::-1]
-
-
 # --- tracking -------------------------------------------------------------------------------------------
 
 ATTITUDE_ERROR, RATE_ERROR, NULL_ERROR = np.radians(0.1), np.radians(0.1), 0.02

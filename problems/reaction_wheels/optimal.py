@@ -144,15 +144,6 @@ def optimal_slew(name: Name) -> go.Solution:
     return go.solve(SLEWS[name](), tol=_TOLERANCE)
 
 
-def eigenaxis_energy(inertia: float, angle: float, duration: float) -> float:
-    """Return the least energy (N^2 m^2 s) of a body with equal moments (kg m^2): a turn about one axis, in closed form.
-
-    The least integral of the squared torque on a double integrator is 12 (J angle)^2 / duration^3, and the wheels of
-    this pyramid need 3/4 of it.
-    """
-    return 0.75 * 12 * (inertia * angle) ** 2 / duration**3
-
-
 def fastest_wheel(solution: go.Solution) -> float:
     """Return the largest speed of a wheel, rpm."""
     times = solution.phase().sample_times(24)

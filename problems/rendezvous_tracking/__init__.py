@@ -9,29 +9,18 @@ To be read in this order: `problems.rendezvous.model`, then here
 * `replanning`: the same, with the problem solved again in flight.
 """
 
-from problems.rendezvous import CASES
 from problems.rendezvous_tracking.control import (
-    ACCEPTED,
-    AUTHORITY,
-    CONTROLLERS,
-    CORRECTIONS,
-    DIFFERENTIAL_FORCE,
     DISPERSIONS,
     DT,
     FORCE_STEP,
-    HORIZON,
-    LAG,
-    LAYER,
     LIMITS,
     NOISE,
-    REACHING,
     RESERVE,
     SETTLING,
     TORQUE_STEP,
     Tracking,
     example_run,
     plan,
-    turned,
 )
 from problems.rendezvous_tracking.guidance import Filtered, Guided, Measured, settled
 from problems.rendezvous_tracking.replanning import Replanned

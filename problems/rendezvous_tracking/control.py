@@ -28,36 +28,8 @@ from typing import Any
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt import control, simulation
 from gnc_opt.arrays import Array
-from gnc_opt.control import (
-    ConstantRate,
-    Controller,
-    Reference,
-    SaturationLayer,
-    bryson,
-    design_integral_sliding_mode,
-    design_mpc,
-    design_tvlqr,
-    feedforward,
-)
-from gnc_opt.simulation import (
-    Block,
-    Campaign,
-    ClosedLoop,
-    ConstantDisturbance,
-    Disturbance,
-    Lag,
-    Noise,
-    Normal,
-    Quantisation,
-    RandomDirection,
-    RandomRotation,
-    Run,
-    Saturation,
-    Uniform,
-    UniformInBall,
-    monte_carlo,
-)
 from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import mrp_rate
 from problems.rendezvous import MASS, MAX_FORCE, MAX_TORQUE, PAPER_MESH, build, chaser_model
@@ -126,13 +98,13 @@ def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go
 
 
 DISPERSIONS: dict[str, Dispersion] = {
-    "plant.mass": Normal(0.01, relative=True, truncate=3.0),
-    "plant.inertia": Uniform(-0.05, 0.05, relative=True),
-    "initial.r_L": UniformInBall(0.2),
-    "initial.sigma": RandomRotation(Uniform(0.0, float(np.deg2rad(2.0)))),
-    "torque lag.tau": Uniform(-0.2, 0.2, relative=True),
-    "force lag.tau": Uniform(-0.2, 0.2, relative=True),
-    "differential force.level": RandomDirection(DIFFERENTIAL_FORCE / MASS),
+    "plant.mass": simulation.Normal(0.01, relative=True, truncate=3.0),
+    "plant.inertia": simulation.Uniform(-0.05, 0.05, relative=True),
+    "initial.r_L": simulation.UniformInBall(0.2),
+    "initial.sigma": simulation.RandomRotation(simulation.Uniform(0.0, float(np.deg2rad(2.0)))),
+    "torque lag.tau": simulation.Uniform(-0.2, 0.2, relative=True),
+    "force lag.tau": simulation.Uniform(-0.2, 0.2, relative=True),
+    "differential force.level": simulation.RandomDirection(DIFFERENTIAL_FORCE / MASS),
 }
 """In what the runs differ."""
 
@@ -150,16 +122,16 @@ class Tracking:
     solution: go.Solution
 
     @cached_property
-    def reference(self) -> Reference:
+    def reference(self) -> control.Reference:
         """The plan, and rest at its end."""
-        return Reference(self.solution)
+        return control.Reference(self.solution)
 
     @property
     def end(self) -> float:
         """When the runs are evaluated, s."""
         return self.reference.final_time + SETTLING
 
-    def arrivals(self, campaign: Campaign) -> Array:
+    def arrivals(self, campaign: simulation.Campaign) -> Array:
         """Return when each run arrives by its last plan (m,), s."""
         return np.full(len(campaign), self.reference.final_time)
 
@@ -169,72 +141,79 @@ class Tracking:
         return self.reference.x(self.reference.initial_time)
 
     @cached_property
-    def tvlqr(self) -> Controller:
+    def tvlqr(self) -> control.Controller:
         """The regulator, sampled; also the nominal law of the sliding mode."""
-        return design_tvlqr(self.reference.model, self.reference, **self.weights, dt=DT, limits=AUTHORITY)
+        return control.design_tvlqr(
+            self.reference.model, self.reference, **self.weights, dt=DT, limits=AUTHORITY
+        )
 
     @property
     def weights(self) -> dict[str, Any]:
         """Q and R of the regulators, by Bryson's rule."""
         model = self.reference.model
-        return {"Q": bryson(model.errors, **ACCEPTED), "R": bryson(model.controls, **CORRECTIONS)}
+        return {
+            "Q": control.bryson(model.errors, **ACCEPTED),
+            "R": control.bryson(model.controls, **CORRECTIONS),
+        }
 
-    def controller(self, name: str) -> Controller:
+    def controller(self, name: str) -> control.Controller:
         """Return one of `CONTROLLERS`."""
         model, reference = self.reference.model, self.reference
         if name == "open loop":
-            return feedforward(reference)
+            return control.feedforward(reference)
         if name == "TVLQR":
             return self.tvlqr
         if name == "MPC":
-            return design_mpc(model, reference, **self.weights, horizon=HORIZON, dt=DT, limits=AUTHORITY)
-        return design_integral_sliding_mode(
+            return control.design_mpc(
+                model, reference, **self.weights, horizon=HORIZON, dt=DT, limits=AUTHORITY
+            )
+        return control.design_integral_sliding_mode(
             model,
             reference,
             nominal=self.tvlqr,
-            reaching=ConstantRate(REACHING),
-            boundary=SaturationLayer(LAYER),
+            reaching=control.ConstantRate(REACHING),
+            boundary=control.SaturationLayer(LAYER),
             dt=DT,
             limits=AUTHORITY,
         )
 
     @property
-    def actuators(self) -> list[Block]:
+    def actuators(self) -> list[simulation.Block]:
         """The thrusters."""
         return [
-            Quantisation("torque steps", TORQUE_STEP, on="T_B"),
-            Quantisation("force steps", FORCE_STEP, on="F_B"),
-            Saturation("torque limit", -MAX_TORQUE, MAX_TORQUE, on="T_B"),
-            Saturation("force limit", -MAX_FORCE, MAX_FORCE, on="F_B"),
-            Lag("torque lag", LAG, on="T_B"),
-            Lag("force lag", LAG, on="F_B"),
+            simulation.Quantisation("torque steps", TORQUE_STEP, on="T_B"),
+            simulation.Quantisation("force steps", FORCE_STEP, on="F_B"),
+            simulation.Saturation("torque limit", -MAX_TORQUE, MAX_TORQUE, on="T_B"),
+            simulation.Saturation("force limit", -MAX_FORCE, MAX_FORCE, on="F_B"),
+            simulation.Lag("torque lag", LAG, on="T_B"),
+            simulation.Lag("force lag", LAG, on="F_B"),
         ]
 
     @property
-    def disturbances(self) -> list[Disturbance]:
+    def disturbances(self) -> list[simulation.Disturbance]:
         """What pushes."""
-        return [ConstantDisturbance("differential force", np.zeros(3), on="v_L")]
+        return [simulation.ConstantDisturbance("differential force", np.zeros(3), on="v_L")]
 
-    def loop(self, controller: Controller) -> ClosedLoop:
+    def loop(self, controller: control.Controller) -> simulation.ClosedLoop:
         """Return the closed loop with all effects, before they are dispersed."""
-        return ClosedLoop(
+        return simulation.ClosedLoop(
             chaser_model("exact"),
             controller,
             self.actuators,
             [
-                Noise("gyro", NOISE["omega"], on="omega"),
-                Noise("attitude sensor", np.full(3, NOISE["sigma"]), turned, on="sigma"),
-                Noise("velocity filter", NOISE["v_L"], on="v_L"),
-                Noise("position filter", NOISE["r_L"], on="r_L"),
+                simulation.Noise("gyro", NOISE["omega"], on="omega"),
+                simulation.Noise("attitude sensor", np.full(3, NOISE["sigma"]), turned, on="sigma"),
+                simulation.Noise("velocity filter", NOISE["v_L"], on="v_L"),
+                simulation.Noise("position filter", NOISE["r_L"], on="r_L"),
             ],
             self.disturbances,
             dt=DT,
             accuracy=ACCURACY,
         )
 
-    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> Campaign:
+    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> simulation.Campaign:
         """Simulate one of `CONTROLLERS`; the same seed gives all the same plants; options as of `monte_carlo`."""
-        return monte_carlo(
+        return simulation.monte_carlo(
             self.loop(self.controller(name)),
             runs,
             x0=self.initial,
@@ -250,7 +229,7 @@ AUTHORITY = (np.repeat([-MAX_TORQUE, -MAX_FORCE], 3), np.repeat([MAX_TORQUE, MAX
 """Of all controls, N m and N."""
 
 
-def example_run() -> Run:
+def example_run() -> simulation.Run:
     """Return one undispersed run of the plan under TVLQR, with sensors, actuators and their noise."""
     tracking = Tracking(plan())
     return tracking.loop(tracking.tvlqr).simulate(x0=tracking.initial, tf=tracking.end, seed=1)

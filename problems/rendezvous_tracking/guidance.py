@@ -28,17 +28,7 @@ from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.simulation import Campaign, ClosedLoop, Event, Noise, Run
 from gnc_opt.spacecraft import apply, mrp_to_dcm
 from problems.rendezvous import chaser_model
-from problems.rendezvous_tracking.control import (
-    ACCURACY,
-    AUTHORITY,
-    DT,
-    LAG,
-    LIMITS,
-    NOISE,
-    SETTLING,
-    Tracking,
-    turned,
-)
+from problems.rendezvous_tracking import control
 
 LAST = 10.0
 """Of the flight, s, in which the regulator follows."""
@@ -47,7 +37,7 @@ REGULATED = 0.08
 
 
 @dataclass(frozen=True)
-class Guided(Tracking):
+class Guided(control.Tracking):
     """A plan with the whole authority, and the loop that guides it."""
 
     @cached_property
@@ -55,9 +45,9 @@ class Guided(Tracking):
         """The guidance, with the regulator about the end."""
         model, reference = self.reference.model, self.reference
         final = reference.x(reference.final_time)
-        regulator = design_lqr(model, final, **self.weights, dt=DT, limits=AUTHORITY)
+        regulator = design_lqr(model, final, **self.weights, dt=control.DT, limits=control.AUTHORITY)
         return design_neighbouring_optimal(
-            self.solution, regulator, Q=self.weights["Q"], last=LAST, reserve=REGULATED, delay=LAG
+            self.solution, regulator, Q=self.weights["Q"], last=LAST, reserve=REGULATED, delay=control.LAG
         )
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
@@ -68,7 +58,7 @@ class Guided(Tracking):
     def end(self) -> float:
         """When the runs are evaluated, s."""
         first = self.guidance.initial_memory(0.0, self.initial)
-        return float(first[self.guidance.memory.slice("final_time")][0]) + SETTLING
+        return float(first[self.guidance.memory.slice("final_time")][0]) + control.SETTLING
 
     def arrivals(self, campaign: Campaign) -> Array:
         """Return when each run arrives by its last plan (m,), s."""
@@ -81,8 +71,8 @@ def settled(run: Run, target: Array) -> float:
     goal = {name: target[states.slice(name)] for name in states.names}
     # of small turns the parameters change by a quarter of the angle times 1 + sigma^2
     turn = 0.25 * (1 + float(goal["sigma"] @ goal["sigma"]))
-    bands = {name: LIMITS[name] for name in ("r_L", "v_L", "omega")} | {
-        "sigma": turn * LIMITS["angle(sigma)"]
+    bands = {name: control.LIMITS[name] for name in ("r_L", "v_L", "omega")} | {
+        "sigma": turn * control.LIMITS["angle(sigma)"]
     }
     return max(run.settling_time(name, band, target=goal[name]) for name, band in bands.items())
 
@@ -98,8 +88,8 @@ UNKNOWN = {"omega": 3e-4, "v_L": 1e-3}
 KNOWN: dict[str, Any] = {
     "sigma0": FIRST,
     "process_noise": UNKNOWN,
-    "dt": DT,
-    "options": FilterOptions(limits=AUTHORITY),
+    "dt": control.DT,
+    "options": FilterOptions(limits=control.AUTHORITY),
 }
 """What the filters assume."""
 
@@ -115,8 +105,8 @@ def observed_chaser() -> go.Model:
 
 
 SENSORS = (
-    Measurement("omega", NOISE["omega"]),
-    Measurement("sigma", NOISE["sigma"]),
+    Measurement("omega", control.NOISE["omega"]),
+    Measurement("sigma", control.NOISE["sigma"]),
     Measurement("range", RANGE_NOISE),
     Measurement("bearing", BEARING_NOISE),
 )
@@ -129,13 +119,13 @@ def kalman_filter(start: tuple[float, ...]) -> Estimator:
     return design_ekf(observed_chaser(), np.array(start), SENSORS, **KNOWN)
 
 
-def sensed(flown: Tracking, controller: Controller, *, keep_out: bool = False) -> ClosedLoop:
+def sensed(flown: control.Tracking, controller: Controller, *, keep_out: bool = False) -> ClosedLoop:
     """Return the loop of `control` with these sensors, a controller of them and, if wanted, the keep-out sphere."""
     chaser = observed_chaser()
     r = chaser.symbol("r_L")
     sensors = [
-        Noise("gyro", NOISE["omega"], on="omega"),
-        Noise("attitude sensor", np.full(3, NOISE["sigma"]), turned, on="sigma"),
+        Noise("gyro", control.NOISE["omega"], on="omega"),
+        Noise("attitude sensor", np.full(3, control.NOISE["sigma"]), control.turned, on="sigma"),
         Noise("range finder", RANGE_NOISE, on="range"),
         Noise("camera", BEARING_NOISE, on="bearing"),
     ]
@@ -146,13 +136,13 @@ def sensed(flown: Tracking, controller: Controller, *, keep_out: bool = False) -
         sensors,
         flown.disturbances,
         events=[Event("too close", r.T @ r - KEEP_OUT**2, "falling", failure=True)] if keep_out else [],
-        dt=DT,
-        accuracy=ACCURACY,
+        dt=control.DT,
+        accuracy=control.ACCURACY,
     )
 
 
 @dataclass(frozen=True)
-class Filtered(Tracking):
+class Filtered(control.Tracking):
     """The plan with reserve, followed by the TVLQR behind the extended Kalman filter."""
 
     @property

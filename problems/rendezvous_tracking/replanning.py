@@ -21,16 +21,8 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt import control
 from gnc_opt.arrays import Array
-from gnc_opt.control import (
-    Controller,
-    DesignReport,
-    Reference,
-    ReportEntry,
-    initial_state_function,
-    law,
-    with_dropout_handling,
-)
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signal_layout
 from gnc_opt.estimation import output_feedback
@@ -66,14 +58,14 @@ class Arrival:
 
 def follow(solution: go.Solution) -> Schedule:
     """Return what the regulator has to know of a plan: its states and controls, and its end."""
-    return _schedule(Reference(solution))
+    return _schedule(control.Reference(solution))
 
 
-def _schedule(reference: Reference) -> Schedule:
+def _schedule(reference: control.Reference) -> Schedule:
     return StackedSchedule(ReferenceSchedule(reference), Arrival(reference.final_time))
 
 
-def follower(reference: Reference) -> Controller:
+def follower(reference: control.Reference) -> control.Controller:
     """Return the regulator about a plan, which remembers when that ends."""
     signals = reference_signal_layout(reference, Variable("arrival", 1, "s"))
     t, x, row, z = (ca.SX.sym(n, k) for n, k in (("t", 1), ("x", 12), ("row", signals.size), ("z", 1)))
@@ -86,29 +78,29 @@ def follower(reference: Reference) -> Controller:
         torque[0] * turn + torque[1] * (planned[:3] - x[:3]), apply(mrp_to_dcm(x[3:6]), push)
     )
     facts = [
-        ReportEntry(f"gains of {what}", np.concatenate(each))
+        control.ReportEntry(f"gains of {what}", np.concatenate(each))
         for what, each in (("attitude and rate", torque), ("position and velocity", force))
     ]
-    return with_dropout_handling(
-        Controller(
+    return control.with_dropout_handling(
+        control.Controller(
             name="follower",
-            step=law(t, x, row, z, u, row[18]),
-            start=initial_state_function(t, x, row, row[18]),
+            step=control.law(t, x, row, z, u, row[18]),
+            start=control.initial_state_function(t, x, row, row[18]),
             states=reference.model.states,
             commands=reference.model.controls,
             signals=signals,
             memory=Layout("memory", (Variable("final_time", 1, "s"),)),
             schedule=_schedule(reference),
             dt=DT,
-            explanation=DesignReport(f"follower of '{reference.model.name}'", tuple(facts)),
+            explanation=control.DesignReport(f"follower of '{reference.model.name}'", tuple(facts)),
         )
     )
 
 
-def _gains(error: str, rate: str, control: str, inertia: Array) -> tuple[Array, Array]:
+def _gains(error: str, rate: str, command: str, inertia: Array) -> tuple[Array, Array]:
     """Return k_1 and k_2 of three axes."""
-    k_1 = np.full(3, CORRECTIONS[control] / ACCEPTED[error])
-    return k_1, np.sqrt((CORRECTIONS[control] / ACCEPTED[rate]) ** 2 + 2 * inertia * k_1)
+    k_1 = np.full(3, CORRECTIONS[command] / ACCEPTED[error])
+    return k_1, np.sqrt((CORRECTIONS[command] / ACCEPTED[rate]) ** 2 + 2 * inertia * k_1)
 
 
 @dataclass(frozen=True)
@@ -124,15 +116,15 @@ class Replanned(Measured):
     case: int = 1
 
     @cached_property
-    def follower(self) -> Controller:
+    def follower(self) -> control.Controller:
         """The regulator about the first plan."""
         return follower(self.reference)
 
-    def controller(self, name: str = "planned again") -> Controller:
+    def controller(self, name: str = "planned again") -> control.Controller:
         """Return the regulator fed by the filter."""
         return output_feedback(self.follower, self.filter)
 
-    def loop(self, controller: Controller) -> ClosedLoop:
+    def loop(self, controller: control.Controller) -> ClosedLoop:
         """Return the loop of `measured` with the re-planner."""
         again = Replanner(partial(resolver, self.case), EVERY, latency=LATENCY, last=LAST, follow=follow)
         return replace(super().loop(controller), replanner=again)

@@ -38,33 +38,12 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt import control, simulation
 from gnc_opt.arrays import Array
-from gnc_opt.control import (
-    Controller,
-    DesignReport,
-    Reference,
-    ReportEntry,
-    initial_state_function,
-    law,
-    with_dropout_handling,
-)
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
 from gnc_opt.guidance import Replanner
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation import (
-    Bias,
-    Campaign,
-    ClosedLoop,
-    Event,
-    Lag,
-    Noise,
-    Normal,
-    ScaleFactor,
-    SinusoidalDisturbance,
-    Uniform,
-    monte_carlo,
-)
 from gnc_opt.simulation.dispersions import Dispersion
 from problems.landing.mars_landing import FULL, GRAVITY
 from problems.rocket_landing.model import ENGINES, MESH, SETTLING, START, UP, build, descent, norm, plant
@@ -77,18 +56,21 @@ HELD = 2.0
 """s."""
 
 
-def regulator(reference: Reference) -> Controller:
+def regulator(reference: control.Reference) -> control.Controller:
     """Return the regulator about a plan."""
     k_1, k_2 = POLES[0] * POLES[1], sum(POLES)
 
     def thrust(t: ca.SX, r: ca.SX, v: ca.SX, m: ca.SX, row: ca.SX) -> ca.SX:
         return row[7:] + m * (k_1 * (row[:3] - r) + k_2 * (row[3:6] - v))
 
-    facts = (ReportEntry("gain of position", k_1, "1/s^2"), ReportEntry("gain of velocity", k_2, "1/s"))
+    facts = (
+        control.ReportEntry("gain of position", k_1, "1/s^2"),
+        control.ReportEntry("gain of velocity", k_2, "1/s"),
+    )
     return _controller("regulator", reference, facts, thrust)
 
 
-def zem_zev(reference: Reference, final_time: float) -> Controller:
+def zem_zev(reference: control.Reference, final_time: float) -> control.Controller:
     """Return the published law that is at the ground at a time (s); the reference is to compare with."""
     gravity, target = -GRAVITY * UP, -SETTLING * UP
 
@@ -99,29 +81,32 @@ def zem_zev(reference: Reference, final_time: float) -> Controller:
         zev = target - (v + left * gravity)
         return m * (6 / left**2 * zem - 2 / left * zev)
 
-    return _controller("ZEM/ZEV", reference, (ReportEntry("end", final_time, "s"),), thrust)
+    return _controller("ZEM/ZEV", reference, (control.ReportEntry("end", final_time, "s"),), thrust)
 
 
 def _controller(
-    name: str, reference: Reference, facts: tuple[ReportEntry, ...], thrust: Callable[..., ca.SX]
-) -> Controller:
+    name: str,
+    reference: control.Reference,
+    facts: tuple[control.ReportEntry, ...],
+    thrust: Callable[..., ca.SX],
+) -> control.Controller:
     model, signals = reference.model, reference_signal_layout(reference)
     t, x, row, z = ca.SX.sym("t"), ca.SX.sym("x", 7), ca.SX.sym("row", signals.size), ca.SX.sym("z", 0)
     wanted = thrust(t, x[:3], x[3:6], x[6], row)
     least, most = (share * FULL for share in ENGINES)
     u = wanted * ca.fmin(ca.fmax(norm(wanted), least), most) / norm(wanted)
-    return with_dropout_handling(
-        Controller(
+    return control.with_dropout_handling(
+        control.Controller(
             name=name,
-            step=law(t, x, row, z, u, z),
-            start=initial_state_function(t, x, row, z),
+            step=control.law(t, x, row, z, u, z),
+            start=control.initial_state_function(t, x, row, z),
             states=model.states,
             commands=model.controls,
             signals=signals,
             memory=Layout("memory"),
             schedule=ReferenceSchedule(reference),
             dt=DT,
-            explanation=DesignReport(f"{name} of '{model.name}'", facts),
+            explanation=control.DesignReport(f"{name} of '{model.name}'", facts),
         )
     )
 
@@ -141,15 +126,15 @@ LIMITS = {"miss": 5.0, "speed across": 0.5, "speed downward": 2.0}
 """m, m/s, m/s."""
 
 DISPERSIONS: dict[str, Dispersion] = {
-    "initial.r": Normal(20.0),
-    "initial.v": Normal(2.0),
-    "initial.mass": Normal(0.005, relative=True),
-    "plant.wind": Normal([0.0, 10.0, 10.0]),
-    "plant.drag_area": Uniform(-0.3, 0.3, relative=True),
-    "gusts.phase": Uniform(-np.pi, np.pi),
-    "engines.factor": Normal(0.01),
-    "engine lag.tau": Uniform(-0.3, 0.3, relative=True),
-    "mass gauge.bias": Normal(0.005 * 1905.0),
+    "initial.r": simulation.Normal(20.0),
+    "initial.v": simulation.Normal(2.0),
+    "initial.mass": simulation.Normal(0.005, relative=True),
+    "plant.wind": simulation.Normal([0.0, 10.0, 10.0]),
+    "plant.drag_area": simulation.Uniform(-0.3, 0.3, relative=True),
+    "gusts.phase": simulation.Uniform(-np.pi, np.pi),
+    "engines.factor": simulation.Normal(0.01),
+    "engine lag.tau": simulation.Uniform(-0.3, 0.3, relative=True),
+    "mass gauge.bias": simulation.Normal(0.005 * 1905.0),
 }
 
 CONTROLLERS = ("as planned", "planned again", "ZEM/ZEV")
@@ -176,35 +161,38 @@ class Landing:
         return resolver().solution
 
     @cached_property
-    def reference(self) -> Reference:
+    def reference(self) -> control.Reference:
         """The plan, and what follows it."""
         return descent(self.plan)
 
-    def controller(self, name: str) -> Controller:
+    def controller(self, name: str) -> control.Controller:
         """Return the law of one of `CONTROLLERS`."""
         if name == "ZEM/ZEV":
             return zem_zev(self.reference, self.plan.phase().final_time)
         return regulator(self.reference)
 
-    def loop(self, name: str) -> ClosedLoop:
+    def loop(self, name: str) -> simulation.ClosedLoop:
         """Return the loop of one of `CONTROLLERS`, before it is dispersed."""
         lander = plant()
         height, downward = lander.symbol("r")[0], -lander.symbol("v")[0]
         again = Replanner(resolver, EVERY, latency=LATENCY, last=LAST, follow=follow)
-        return ClosedLoop(
+        return simulation.ClosedLoop(
             lander,
             self.controller(name),
-            [ScaleFactor("engines", np.ones(3), on="T"), Lag("engine lag", LAG, on="T", initial="trim")],
             [
-                Noise("radar", 0.1, on="r"),
-                Noise("Doppler radar", 0.02, on="v"),
-                Bias("mass gauge", 0.0, on="mass"),
+                simulation.ScaleFactor("engines", np.ones(3), on="T"),
+                simulation.Lag("engine lag", LAG, on="T", initial="trim"),
             ],
-            [SinusoidalDisturbance("gusts", np.full(3, GUST), GUST_RATE, np.zeros(3), on="v")],
+            [
+                simulation.Noise("radar", 0.1, on="r"),
+                simulation.Noise("Doppler radar", 0.02, on="v"),
+                simulation.Bias("mass gauge", 0.0, on="mass"),
+            ],
+            [simulation.SinusoidalDisturbance("gusts", np.full(3, GUST), GUST_RATE, np.zeros(3), on="v")],
             events=[
-                Event("touchdown", height, "falling", where=downward <= HARD),
-                Event("crash", height, "falling", where=downward > HARD, failure=True),
-                Event("empty", lander.symbol("mass") - EMPTY, "falling", failure=True),
+                simulation.Event("touchdown", height, "falling", where=downward <= HARD),
+                simulation.Event("crash", height, "falling", where=downward > HARD, failure=True),
+                simulation.Event("empty", lander.symbol("mass") - EMPTY, "falling", failure=True),
             ],
             replanner=again if name == "planned again" else None,
             dt=DT,
@@ -212,9 +200,9 @@ class Landing:
             substeps=2,
         )
 
-    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> Campaign:
+    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> simulation.Campaign:
         """Simulate one of `CONTROLLERS`; the same seed gives all the same landers; options as of `monte_carlo`."""
-        return monte_carlo(
+        return simulation.monte_carlo(
             self.loop(name),
             runs,
             x0=START,
@@ -233,7 +221,7 @@ class Landing:
         )
 
 
-def _landed(campaign: Campaign, values: Array) -> Array:
+def _landed(campaign: simulation.Campaign, values: Array) -> Array:
     """Return values of runs that have met the ground, not-a-number of the others."""
     met = campaign.event_occurred("touchdown") | campaign.event_occurred("crash")
     return np.where(met, values, np.nan)

@@ -14,18 +14,13 @@ To be read in this order:
 
 from problems.tethered_formation.model import (
     DURATION,
-    FIRST_SWING,
     FORCE,
     MAX_ANGLE,
-    MAX_RATE,
     PAIR,
     RADIUS,
-    RATE,
-    Gravity,
     Orbit,
-    equilibrium,
     first_state,
     reference,
     tether_model,
 )
-from problems.tethered_formation.optimal import MESH, REFERENCE, Goal, build, solve
+from problems.tethered_formation.optimal import MESH, REFERENCE, build

@@ -7,7 +7,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.simulation import Saturation
 from problems._example import example_main
-from problems.tethered_formation.control import STEP, design_tracker, held
+from problems.tethered_formation.control import STEP, design_swing_law, held
 from problems.tethered_formation.model import DURATION, MAX_RATE, first_state, tether_model
 from problems.tethered_formation.optimal import REFERENCE, build, optimum
 
@@ -17,7 +17,7 @@ def tracked(solution: go.Solution) -> str:
     plan = optimum("planned").solution
     loop = go.ClosedLoop(
         tether_model(gravity="exact"),
-        design_tracker(held(plan), "published"),
+        design_swing_law(held(plan), unknown="modelled"),
         actuators=[Saturation("drive", -MAX_RATE, MAX_RATE)],
         dt=STEP,
         substeps=1,

@@ -219,13 +219,11 @@ def held(solution: go.Solution, duration: float = DURATION) -> go.Reference:
     )
 
 
-def design_tracker(reference: go.Reference, kind: Literal["TVLQR", "published"]) -> go.Controller:
-    """Return a time-varying LQR, or the published structure with the model's Gamma, about a planned manoeuvre.
+def design_tracker(reference: go.Reference) -> go.Controller:
+    """Return a time-varying LQR about a planned manoeuvre.
 
     The place along the orbit cannot be steered, so the LQR does not weigh it.
     """
-    if kind == "published":
-        return design_swing_law(reference, unknown="modelled")
     states = reference.model.states
     weights = go.bryson(
         states, height=2.0, climb=0.2, lead=300.0, drift=30.0, theta=0.02, theta_rate=2e-3, gamma=0.1

@@ -45,7 +45,6 @@ from problems.reaction_wheels.control import (
     flc_gains,
     flc_output,
     lqr_gains,
-    lqr_poles,
     peak_speed,
 )
 
@@ -53,6 +52,11 @@ BOTH = ("FLC", "LQR")
 
 
 # --- geometry and conventions ---------------------------------------------------------------------------
+
+
+def lqr_poles(k_q: float, k_w: float, moment: float) -> np.ndarray:
+    """Return the poles (1/s) of one axis at small angles: J theta'' + k_w theta' + k_q theta / 2 = 0."""
+    return np.sort(np.roots([moment, k_w, k_q / 2]))[::-1]
 
 
 def test_pyramid_serves_all_axes_alike_and_survives_a_lost_wheel() -> None:

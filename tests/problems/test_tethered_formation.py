@@ -184,7 +184,7 @@ def test_published_structure_tracks_the_optimum(gentlest):
     plan = go.Reference(
         gentlest.solution, tail="hold"
     )  # held for the part of a control step that is left at the end
-    law, duration = design_tracker(plan, "published"), 0.1 * np.floor(plan.final_time / 0.1 + 1e-9)
+    law, duration = design_swing_law(plan, unknown="modelled"), 0.1 * np.floor(plan.final_time / 0.1 + 1e-9)
     right = fly_law(law, first_state(), duration)
     assert max(abs(right.swing[-1]), abs(right.height[-1]), abs(right.climb[-1])) < 1e-3
     off = fly_law(law, first_state(float(np.radians(33.0))), duration)
@@ -220,7 +220,7 @@ def test_tracker_has_the_gains_of_its_riccati_recursion():
         ad, bd = step[:7, :7], step[:7, 7:]
         gain = np.linalg.solve(2e4 * dt + bd.T @ cost @ bd, bd.T @ cost @ ad)
         cost = weights * dt + ad.T @ cost @ (ad - bd @ gain)
-    law = design_tracker(plan, "TVLQR")
+    law = design_tracker(plan)
     rest = law(0.0, plan.x(0.0), dt=dt)[0]
     found = [(law(0.0, plan.x(0.0) + 1e-6 * e, dt=dt)[0] - rest) / 1e-6 for e in np.eye(7)]
     np.testing.assert_allclose(-np.squeeze(found), gain[0], rtol=0.04, atol=1e-9)
