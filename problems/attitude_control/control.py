@@ -17,15 +17,10 @@ published ones, feedback linearisation and quaternion feedback, which turn strai
 (:math:`\dot h_i = -T_i`): no wheel comes closer to its largest speed than by the time constant :math:`\tau_c`, which
 leaves its motor time to follow; :math:`\eta` is for motors that give more than they are commanded, and for noise.
 
-**Dispersions.** Every run differs from what is known on board in
+**Dispersions.** Every run differs from what is known on board by `DISPERSIONS` (the start, moments of inertia, motors
+and their lag, a constant torque from outside, bias of the gyro), and by the noise of all sensors.
 
-* attitude at the start: up to 1 degree about any axis; rates and wheels there: 1 sigma 0.02 deg/s and 50 rpm;
-* moments of inertia: uniform within 5 %; torques of the motors: within 2 % per wheel; their lag: within 30 %;
-* a constant torque from outside: 1 sigma 2e-5 N m per axis;
-* bias of the gyro: 1 sigma 0.05 deg/s per axis, and its drift;
-* noise of star tracker, gyro and tachometers.
-
-The star tracker tells the attitude twice a second, 0.1 s late, and nothing while the body turns faster than 1.5 deg/s,
+The star tracker measures the attitude twice a second, 0.1 s late, and not while the body turns faster than 1.5 deg/s,
 which is most of the slew; later it is blinded once, from 55 to 65 s until 75 to 85 s.
 
 From `SETTLED` on the spacecraft has to point to within `POINTING`; no wheel may ever have more torque or speed than it

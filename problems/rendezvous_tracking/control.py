@@ -3,19 +3,11 @@
 **Plan.** The problem of `problems.rendezvous` ("exact" equation) with 85 % of the torques and forces, refined until
 the switch times are exact. The controllers have the rest of the authority.
 
-**Plant.** Every run differs from the plan in
+**Plant.** Every run differs from the plan by `DISPERSIONS`. Commands are rounded, limited to the full torques and
+forces, and follow with a first-order lag. Measurements, every 0.1 s, have white noise (`NOISE`): what the filter of a
+relative navigation by lidar or camera at about 10 m and a gyro deliver, at most a fifth of the limits at the end.
 
-* mass: normal, 1 sigma 1 %, truncated at 3 %; each moment of inertia: uniform within 5 %;
-* initial position: uniform in a ball of 0.2 m; initial attitude: turned about a random axis (all directions equally
-  probable) by an angle uniform in [0, 2 deg];
-* thrusters: commands rounded to 1 N and 0.1 N m, limited to the full 320 N and 50 N m, first-order lag of 50 ms
-  (uniform within 20 %);
-* a constant differential force of 1 N in a random direction of L, as the acceleration of the nominal mass;
-* measurements, every 0.1 s, with white noise (1 sigma, per axis): 5 mm, 1 mm/s, 0.02 deg, 0.002 deg/s. This is what
-  the filter of a relative navigation by lidar or camera at about 10 m and a gyro deliver. It is consistent with the
-  limits: every standard deviation is at most a fifth of what is permitted at the end.
-
-**Judgement.** 20 s after the planned arrival the chaser has to be within 5 cm, 5 mm/s, 0.5 deg and 0.05 deg/s
+**Evaluation.** 20 s after the planned arrival the chaser has to be within 5 cm, 5 mm/s, 0.5 deg and 0.05 deg/s
 (Euclidean norms; the attitude error is an angle of rotation).
 """
 

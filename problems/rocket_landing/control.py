@@ -14,14 +14,9 @@ generalized zero-effort-miss/zero-effort-velocity feedback guidance algorithm, J
 
 Both cut the size of the thrust to what the engines can.
 
-**Loops.** Every run differs from the plan in
-
-* initial position and velocity: normal, 1 sigma 20 m and 2 m/s per axis; initial mass: 1 sigma 0.5 %;
-* wind: normal, 1 sigma 10 m/s to the east and to the north; gusts: an acceleration of 0.05 m/s^2 per axis at 0.2 rad/s
-  with a random phase; drag area: uniform within 30 %;
-* engines: thrust factor normal, 1 sigma 1 %; lag of 150 ms, uniform within 30 %, in trim when the engines burn already;
-* measurements, every 0.1 s, with white noise (1 sigma, per axis): 0.1 m, 0.02 m/s, and a mass that is off by 1 sigma
-  0.5 % for the whole flight.
+**Loops.** Every run differs from the plan by `DISPERSIONS`: start, wind, drag area, thrust factor and lag of the
+engines (in trim when they burn already), the phase of gusts, and a mass gauge that is off for the whole flight.
+Positions and velocities are measured every 0.1 s with white noise of 0.1 m and 0.02 m/s (1 sigma, per axis).
 
 A run ends where the lander meets the ground: as *touchdown*, or as *crash* if it is faster than 2.5 m/s downward; or
 where the tanks are empty. It has to be within 5 m of the target, below 0.5 m/s across and below 2 m/s downward.
