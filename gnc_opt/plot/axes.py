@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.plot.style import QUIET, line_style, variable_name_text
 from gnc_opt.text_formatting import derivative_unit
 from gnc_opt.tolerances import ROUNDING, nonzero_magnitude
@@ -42,7 +43,7 @@ def cost_unit(solution: Solution) -> str:
 def hamiltonian_unit(solution: Solution) -> str:
     """Return the unit of the cost per second; "" for a time or without a unit."""
     unit = cost_unit(solution)
-    return "" if unit in ("", "s") else derivative_unit(unit, "s")
+    return "" if unit in ("", time_unit(solution)) else derivative_unit(unit, time_unit(solution))
 
 
 def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
@@ -72,13 +73,13 @@ def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
 
 
-def label_times(figure: Figure) -> None:
+def label_times(figure: Figure, unit: str) -> None:
     """Label the time axis below the last axes of each column."""
     columns: dict[int, list[Axes]] = {}
     for ax in figure.axes:
         columns.setdefault(ax.get_subplotspec().colspan.start, []).append(ax)
     for column in columns.values():
-        column[-1].set_xlabel("time (s)")
+        column[-1].set_xlabel(f"time ({unit})")
         column[-1].tick_params(labelbottom=True)
         figure.align_ylabels(column)
 

@@ -15,6 +15,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
@@ -109,7 +110,7 @@ def plot_controls(
                 ax.remove()
         for ax in figure.axes:
             draw_phase_boundaries(ax, legs)
-        label_times(figure)
+        label_times(figure, time_unit(solution))
         legend_on_top(figure, _control_legend_handles(columns == 2))
     return figure
 

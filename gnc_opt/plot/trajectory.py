@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
@@ -150,7 +151,7 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
             ax.plot(leg.point_times, points, zorder=3, **_AT_POINTS)
         set_minimum_y_range(ax, HAMILTONIAN_ROUNDING_SHARE * max(abs(low), abs(high)))
         draw_phase_boundaries(ax, legs)
-        ax.set_xlabel("time (s)")
+        ax.set_xlabel(f"time ({time_unit(solution)})")
         ax.set_ylabel(axis_label("Hamiltonian", hamiltonian_unit(solution)))
         legend_on_top(figure, _hamiltonian_legend_handles(low, high), columns=2)
     return figure
@@ -185,7 +186,7 @@ def _draw_state_axes(
             draw_phase_boundaries(ax, legs)
             if max(leg.states[name].size for leg in legs if name in leg.states) > 1:
                 legend_above(ax)
-        label_times(figure)
+        label_times(figure, time_unit(solution))
     return figure
 
 

@@ -21,7 +21,7 @@ from gnc_opt.report.html_document import (
     status_label_html,
     write_page,
 )
-from gnc_opt.report.solution_page import TRAJECTORY_CAPTION
+from gnc_opt.report.solution_page import CAPTIONS
 from gnc_opt.simulation.campaign_text import campaign_notes, campaign_rows
 from gnc_opt.text_formatting import html_preformatted, html_table
 
@@ -65,11 +65,13 @@ def write_run_report(
     >>> print([file.name for file in write_run_report(run, "report")][:2])
     ['report.html', 'run.npz']
     """
+    from gnc_opt.plot.motion_scene import scene_html
+
     folder = report_folder(directory)
-    motion = "" if view is None else _scene_section({title: run}, view)
+    motion = "" if view is None else scene_html({title: run}, view)
     files = save_figures(folder, _draw_run_figures(run, view))
     sections = {
-        "Overview": figure_html(files, "trajectory", TRAJECTORY_CAPTION) + html_preformatted(str(run)),
+        "Overview": figure_html(files, "trajectory", CAPTIONS["trajectory"]) + html_preformatted(str(run)),
         "Motion": motion,
         "States": figure_html(files, "states", "States of the plant over time."),
         "Controls": figure_html(files, "controls", "Commands and applied controls over time."),
@@ -192,13 +194,9 @@ def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str)
 # --- motion -----------------------------------------------------------------------------------------------
 
 
-def _scene_section(shown: dict[str, Run], view: View, regular: dict[str, bool] | None = None) -> str:
+def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
     from gnc_opt.plot.motion_scene import scene_html
 
-    return scene_html(shown, view, regular=regular)
-
-
-def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
     passed = campaign.passed()
     chosen = np.argsort(passed, kind="stable")[:runs]
     flown, regular = {}, {}
@@ -209,7 +207,7 @@ def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
         name = f"run {index}: {word}"
         flown[name], regular[name] = campaign.rerun(index), outcome.ok
     count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
-    return count + _scene_section(flown, view, regular)
+    return count + scene_html(flown, view, regular=regular)
 
 
 # --- figures ----------------------------------------------------------------------------------------------

@@ -39,10 +39,10 @@ def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, 
 def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str:
     """Return a page: sections of HTML below their titles, empty ones left out."""
     shown = {name: body for name, body in sections.items() if body}
-    links = "".join(f'<a href="#{_section_anchor(name)}">{name}</a>' for name in shown)
+    anchors = {name: name.lower().replace(" ", "-") for name in shown}
+    links = "".join(f'<a href="#{anchor}">{name}</a>' for name, anchor in anchors.items())
     bodies = "".join(
-        f'<section id="{_section_anchor(name)}"><h2>{name}</h2>{body}</section>'
-        for name, body in shown.items()
+        f'<section id="{anchors[name]}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
     )
     name = escape(title)
     written = f"{date.today().isoformat()}, gnc_opt {package_version('gnc_opt')}"
@@ -57,7 +57,12 @@ def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str
 
 def figures_html(figures: Mapping[Path, str]) -> str:
     """Return SVG files with their captions as part of a page."""
-    return "".join(_svg_html(path, caption) for path, caption in figures.items())
+    text = ""
+    for path, caption in figures.items():
+        source = f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+        name = escape(caption)
+        text += f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
+    return text
 
 
 def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:
@@ -73,17 +78,6 @@ def status_label_html(word: str, tone: str) -> str:
 def command_html(command: str | None) -> str:
     """Return the command that writes the same page."""
     return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""
-
-
-def _section_anchor(title: str) -> str:
-    return title.lower().replace(" ", "-")
-
-
-def _svg_html(path: Path, caption: str) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    name = escape(caption)
-    source = f"data:image/svg+xml;base64,{data}"
-    return f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
 
 
 _STYLE = """

@@ -115,11 +115,11 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
     initial, final = leg.times()
     span = leg.numbers.duration
     times = [
-        ("initial time", interval_text(initial, [0]), "s"),
-        ("final time", interval_text(final, [0]), "s"),
+        ("initial time", interval_text(initial, [0]), problem.time_unit),
+        ("final time", interval_text(final, [0]), problem.time_unit),
     ]
     if span.lower[0] > 0 or np.isfinite(span.upper[0]):
-        times.append(("duration", interval_text(span, [0]), "s"))
+        times.append(("duration", interval_text(span, [0]), problem.time_unit))
     body = [
         f"<h3>Phase {escape(leg.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (leg.restatement.texts if leg.restatement else ())),

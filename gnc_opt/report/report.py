@@ -63,25 +63,15 @@ def write_report(
     >>> print([path.name for path in paths[:3]])
     ['report.html', 'summary.json', 'solution.npz']
     """
+    from gnc_opt.plot.motion_scene import scene_html
     from gnc_opt.report.solution_page import solution_page_html
 
     folder = report_folder(directory)
-    motion = "" if view is None else _motion_scene(solution, view)
+    motion = "" if view is None else scene_html({solution.problem_name: solution}, view)
     files = save_figures(folder, _draw_figures(solution, view))
     text = solution_page_html(solution, verdict, files, motion=motion, command=command)
     summary = write_json(folder / "summary.json", solution, verdict)
-    return [
-        write_page(folder, text),
-        summary,
-        solution.save(folder / "solution.npz"),
-        *files.values(),
-    ]
-
-
-def _motion_scene(solution: Solution, view: View) -> str:
-    from gnc_opt.plot.motion_scene import scene_html
-
-    return scene_html({solution.problem_name: solution}, view)
+    return [write_page(folder, text), summary, solution.save(folder / "solution.npz"), *files.values()]
 
 
 def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:

@@ -8,21 +8,14 @@ from pathlib import Path
 
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import (
-    left_tables,
-    mesh_text,
-    objective_text,
-)
+from gnc_opt.planning.solution.summary import left_tables, mesh_text, objective_text, time_unit
 from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe, violation_text
 from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.text_formatting import derivative_unit, html_table
 
-TRAJECTORY_CAPTION = (
-    "Trajectory in space: circle at the start, square at the end, vehicle drawn at equal intervals of time."
-)
-
 CAPTIONS = {
+    "trajectory": "Trajectory: circle at the start, square at the end, vehicle drawn at equal intervals of time.",
     "states": "States over time; dashed: limits.",
     "controls": (
         "Controls, each with its switching function ∂H/∂u on its right. A control is at its lower limit where its "
@@ -34,7 +27,7 @@ CAPTIONS = {
     ),
     "refinement": "Mesh and estimated error of each refinement iteration.",
 }
-"""Captions of the figures that every report has, by file stem."""
+"""Captions of the figures, by file stem."""
 
 
 def solution_page_html(
@@ -80,7 +73,7 @@ def _headline_text(solution: Solution, verdict: Verdict | None) -> str:
 
 
 def _overview_section(solution: Solution, verdict: Verdict | None, files: Mapping[str, Path]) -> str:
-    trajectory = figure_html(files, "trajectory", TRAJECTORY_CAPTION) or figure_html(
+    trajectory = figure_html(files, "trajectory", CAPTIONS["trajectory"]) or figure_html(
         files, "states", CAPTIONS["states"]
     )
     controls = figure_html(files, "controls", CAPTIONS["controls"])
@@ -119,8 +112,9 @@ def open_conditions_html(verdict: Verdict) -> list[str]:
 
 
 def _solve_facts_table(solution: Solution) -> str:
+    unit = time_unit(solution)
     rows = [
-        (f"phase {name}", f"{leg.initial_time:.10g} s to {leg.final_time:.10g} s")
+        (f"phase {name}", f"{leg.initial_time:.10g} to {leg.final_time:.10g} {unit}")
         for name, leg in solution.phases.items()
     ]
     rows += [(f"parameter {name}", f"{solution.parameter(name)}") for name in solution.free_parameters.names]
@@ -162,7 +156,9 @@ def _arcs_table(solution: Solution) -> str:
     for arc in solution.structure:
         channels.setdefault((arc.phase, arc.channel), []).append(f"{arc.kind.value} to {arc.end:.8g}")
     rows = [(phase, channel, ", ".join(arcs)) for (phase, channel), arcs in channels.items()]
-    return html_table(("phase", "control or constraint", "arcs, each to its end (s)"), rows)
+    return html_table(
+        ("phase", "control or constraint", f"arcs, each to its end ({time_unit(solution)})"), rows
+    )
 
 
 def _refinement_table(history: History | None) -> str:
@@ -182,7 +178,13 @@ def _refinement_table(history: History | None) -> str:
         for i, p in enumerate(history.passes)
     ]
     titles = (
-        *("iteration", "segments", "points", "error", "objective", "solver iterations", "time (s)"),
+        "iteration",
+        "segments",
+        "points",
+        "error",
+        "objective",
+        "solver iterations",
+        "time (s)",
         "changes",
     )
     return f"<p>{escape(history.message)}</p>" + html_table(titles, rows)

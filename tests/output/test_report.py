@@ -375,3 +375,16 @@ def test_what_is_maximised_is_shown_as_it_was_stated(capsys: pytest.CaptureFixtu
     go.solve(problem, mesh="2x3", tol=None, progress=True)
     shown = capsys.readouterr().err
     assert float(shown.split("objective ")[1].split()[0]) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_time_has_the_unit_of_a_final_time_that_is_minimised(tmp_path: Path) -> None:
+    model, *_ = dynamics("tug", "v", "a", lambda v, a: {v: a})
+    problem, leg = one_phase("fastest", model, initial=0.0, final=(0.1, 9.0))
+    leg.initial(v=0.0)
+    leg.final(v=2.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time, unit="h")
+    solution = go.solve(problem)
+    assert "leg 0 to 2 h" in str(solution)
+    page = write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")
+    assert "0 to 2 h" in page and "<td>0.1 to 9</td><td>h</td>" in page

@@ -86,6 +86,15 @@ class Statement(Strict):
         counted = {unit for unit, weight in zip(units, weights, strict=True) if weight}
         return counted.pop() if len(counted) == 1 and np.all((weights == 0) | (weights == 1)) else ""
 
+    @property
+    def time_unit(self) -> str:
+        """Unit of time: the stated unit of a cost that is a final time or a duration itself, else s."""
+        times = [
+            t for leg in self.phases.values() for t in (leg.final_time, leg.final_time - leg.initial_time)
+        ]
+        stated = self.stated_cost_unit and any(ca.is_equal(self.cost, t, 2) for t in times)
+        return self.stated_cost_unit if stated else "s"
+
     def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
         """Let a symbol be a free parameter from now on."""
         name = symbol.variable.name

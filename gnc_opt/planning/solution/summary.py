@@ -257,11 +257,17 @@ def _reformulated_norms(solution: SummarisedSolution) -> Iterator[str]:
             yield _labelled_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
 
 
+def time_unit(solution: SummarisedSolution) -> str:
+    """Return the unit of time; s for a solution without its problem."""
+    return "s" if solution.problem is None else solution.problem.time_unit
+
+
 def _times(solution: SummarisedSolution) -> str:
+    unit = time_unit(solution)
     return _labelled_line(
         "time",
         "; ".join(
-            f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} s"
+            f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} {unit}"
             for leg in solution.phases.values()
         ),
     )
