@@ -28,8 +28,9 @@ from gnc_opt.tolerances import ROUNDING, SHORTEST
 
 
 def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
-    """Return a phase's model parameters (n,), optimised ones replaced by their values in q."""
+    """Return a phase's model parameters, optimised ones replaced by their values in q (n,) or (n, n_columns)."""
     p = leg.model.parameter_values
+    p = p if q.ndim == 1 else np.repeat(p[:, None], q.shape[1], axis=1)
     for name in problem.parameters.names:
         if name in leg.model.parameters:
             p[leg.model.parameters.slice(name)] = q[problem.parameters.slice(name)]

@@ -2,8 +2,8 @@ r"""The trajectory with shifted jumps of its controls: second-order changes of t
 
 Second-order conditions of bang-bang arcs suppose that switches are simple, distinct and inside of phases. Here every
 jump of a control component is shifted by itself, also across the boundary of two phases and where several coincide, and
-the trajectory is integrated with it. Along directions that keep the end conditions to first order, which regular
-controls :math:`\delta u \sim q^2 B^T \Phi(t_f, t)^T e_i` help to meet, the Lagrangian
+the trajectory is integrated with it. Along directions that keep the end conditions to first order, of jumps, regular
+controls :math:`\delta u \sim q^2 B^T \Phi(t_f, t)^T e_i`, free starts, times and parameters, the Lagrangian
 
 .. math:: J + \nu^T \psi + (\lambda - \Phi_x)^T \Delta x_f + \int \mu^T c + z^T x\,dt
           + \sum_k [\lambda]_k^T \Delta x(t_k)
@@ -14,7 +14,7 @@ must not fall at second order, by its values at two steps. Shifts are measured b
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,9 +26,12 @@ from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, end_re
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.functions import EndGradients, build_end_value_function
+from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
 SHIFT_STEP_SHARE = 0.02
@@ -53,120 +56,92 @@ class Jump:
     beyond: str = ""
 
 
-@dataclass(frozen=True)
-class Fall:
-    """A direction in which the cost falls: gain at the larger step, in shares of the cost scale, and its place."""
-
-    value: float
-    where: str
-
-
 @dataclass(frozen=True, eq=False)
 class ShiftedTrajectory:
-    """The trajectory with shifted jumps and ``regular`` control variations (phase, times, (m, n_times))."""
+    """The trajectory, by phases in the order of their times (``samples``), with shifted jumps."""
 
     solution: Solution
     samples: list[PhaseSamples]
     ends: EndGradients
     scales: Scales
     jumps: list[Jump]
-    regular: list[tuple[str, Array, Array]]
 
-    @classmethod
-    def of(
-        cls,
-        solution: Solution,
-        samples: list[PhaseSamples],
-        ends: EndGradients,
-        scales: Scales,
-        jumps: list[Jump],
-    ) -> ShiftedTrajectory:
-        regular = [v for s in samples for v in _regular_variations(s, scales)]
-        order = sorted(samples, key=lambda s: s.leg.initial_time)
-        return cls(solution, order, ends, scales, jumps, regular)
+    @cached_property
+    def regular(self) -> list[tuple[str, Array, Array]]:
+        """Control variations: phase, times, (m, n_times)."""
+        return [variation for s in self.samples for variation in _regular_variations(s, self.scales)]
 
-    def find_decrease(self, groups: list[list[int]]) -> Fall | None:
-        """Return the direction in which the Lagrangian falls most, if it does so at second order.
+    @cached_property
+    def further(self) -> list[tuple[str, str, Array]]:
+        """Variations of "start", "times" or "parameters": kind, phase, step."""
+        return _further_variations(self.solution, self.samples, self.scales)
 
-        Shifts of the jumps of a group (indices of ``jumps``) are combined; all groups share three integrations.
-        """
-        n, m = len(self.jumps), len(self.regular)
+    def find_decrease(self) -> Worst | None:
+        """Return the direction in which the Lagrangian falls most, if it does so at second order."""
+        n, m = len(self.jumps), len(self.regular) + len(self.further)
         unit = np.eye(n + m)
-        values, misses = self.integrate(np.concatenate([unit, -unit]).T)
+        values, misses = self.integrate(np.hstack([unit, -unit]))
         if not np.all(np.isfinite(values)):
             return None
         slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :])
-        inverse = np.asarray(np.linalg.pinv(slopes[:, n:], rcond=NEGLIGIBLE)) if m else slopes[:, n:].T
-        bases = [basis for group in groups if (basis := _free_directions(slopes, n, group, inverse)).size]
-        if not bases:
+        basis = _free_directions(slopes[:, :n], slopes[:, n:])
+        if not np.any(basis[:n]):
             return None
-        pairs = [np.array(_build_unit_pairs(basis.shape[1])).T for basis in bases]
-        moves = np.hstack([basis @ pair for basis, pair in zip(bases, pairs, strict=True)])
+        pairs = itertools.combinations(basis.T, 2)
+        moves = np.array([*basis.T, *(a + b for a, b in pairs)]).T
         values, _ = self.integrate(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
-        halves = np.split(half, np.cumsum([pair.shape[1] for pair in pairs])[:-1])
-        chosen = [_trial_directions(basis, own) for basis, own in zip(bases, halves, strict=True)]
-        return self._second_order_decrease(
-            *(np.concatenate(part, axis=-1) for part in zip(*chosen, strict=True))
-        )
+        return self._second_order_decrease(*_trial_directions(basis, half))
 
-    def _second_order_decrease(self, directions: Array, terms: Array) -> Fall | None:
-        """Return the largest fall along directions (n_jumps + n_regular, n), if it is of second order at two steps."""
+    def _second_order_decrease(self, directions: Array, terms: Array) -> Worst | None:
+        """Return the largest fall along directions (n_unknowns, n), if it is of second order at two steps."""
         n = len(self.jumps)
-        largest = np.max(np.abs(directions[:n]), axis=0)
+        largest = np.max(np.abs(directions), axis=0)
         directions = directions / np.maximum(largest, TINY)
         terms = terms / np.maximum(largest, TINY) ** 2
         count = directions.shape[1]
         values, misses = self.integrate(np.hstack([directions, 0.5 * directions]))
-        gains, ratio = -values, np.zeros(count)
-        coarse, fine = gains[:count], gains[count:]
-        np.divide(fine, coarse, out=ratio, where=coarse > 0)
+        coarse, fine = -values[:count], -values[count:]
+        ratio = np.divide(fine, coarse, out=np.zeros(count), where=coarse > 0)
         sizes = np.linalg.norm(misses, axis=0)
         kept = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
-        falls = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & kept
-        falls &= (fine > (SMALL * COSTATE_MIN_SHARE_OF_COST) * self.scales.cost) & (
-            fine > SMALL * 0.25 * terms
-        )
+        least = SMALL * np.maximum(COSTATE_MIN_SHARE_OF_COST * self.scales.cost, 0.25 * terms)
+        falls = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & kept & (fine > least)
         if not np.any(falls):
             return None
         best = int(np.argmax(np.where(falls, coarse, 0.0)))
         moved = np.argsort(-np.abs(directions[:n, best]))[:2]
         named = [
-            f"{self._jump_label(self.jumps[k])} at t = {self.jumps[k].time:.6g} s by "
-            f"{directions[k, best] * SHIFT_STEP_SHARE * self.jumps[k].shorter_arc:+.2g} s"
-            for k in moved
-            if abs(directions[k, best]) > SMALL
+            f"phase {jump.phase}, {self.solution.phases[jump.phase].controls.labels[jump.channel]} at t = "
+            f"{jump.time:.6g} s by {amount * SHIFT_STEP_SHARE * jump.shorter_arc:+.2g} s"
+            for jump, amount in ((self.jumps[k], directions[k, best]) for k in moved)
+            if abs(amount) > SMALL
         ]
-        return Fall(float(coarse[best]) / self.scales.cost, "switch of " + ", ".join(named))
-
-    def _jump_label(self, jump: Jump) -> str:
-        leg = self.solution.phases[jump.phase]
-        return f"phase {jump.phase}, {leg.controls.labels[jump.channel]}"
+        return Worst(float(coarse[best]) / self.scales.cost, "switch of " + ", ".join(named))
 
     def integrate(self, amounts: Array) -> tuple[Array, Array]:
-        """Return changes of L (n_columns,) and active end conditions for amounts (n_jumps + n_regular, n_columns)."""
+        """Return changes of L (n_columns,) and active end conditions for amounts (n_unknowns, n_columns)."""
         count = amounts.shape[1] + 1
-        amounts = np.hstack(
-            [amounts, np.zeros((amounts.shape[0], 1))]
-        )  # the trajectory itself, by the same steps
+        # The last column is the trajectory itself, by the same steps.
+        amounts = np.hstack([amounts, np.zeros((amounts.shape[0], 1))])
         arguments: list[Array] = []
         lagrangian, rows = np.zeros(count), []
         finals: dict[str, Array] = {}
-        position = {s.leg.name: k for k, s in enumerate(self.samples)}
-        found: dict[str, list[Any]] = {}
+        found: dict[str, list[Array]] = {}
+        q = self.solution.parameter_values
+        q = q[:, None] + self._total("parameters", "", amounts, q.size)
         for s in self.samples:
             leg, name = s.leg, s.leg.name
-            begin = np.repeat(leg.x(leg.breaks[0])[:, None], count, axis=1)
+            begin = leg.x(leg.breaks[0])[:, None] + self._total("start", name, amounts, leg.states.size)
             for other, by_end in self.scales.links.get(name, {}).items():
-                if other in finals and position[other] < position[name]:
+                if other in finals:
                     begin = begin + by_end @ (finals[other] - finals[other][:, -1:])
-            x, integrals, extra, active_rows = self._shift_phase(s, amounts).integrate(
-                begin, self.scales.cost
-            )
+            shifted = self._shift_phase(s, amounts, q)
+            x, integrals, extra, active_rows = shifted.integrate(begin, self.scales.cost)
             rows += active_rows
             finals[name] = x
             lagrangian += extra
-            found[name] = [begin, x, leg.initial_time, leg.final_time, integrals, leg.parameters]
+            found[name] = [begin, x, *shifted.times[:, None], integrals, shifted.samples.functions.p]
             gap = s.lam[:, -1] - self.ends.final_state[name]
             moved = x - x[:, -1:]
             lagrangian += gap @ moved
@@ -176,12 +151,10 @@ class ShiftedTrajectory:
             held = box.fixed | at_limit[0] | at_limit[1]
             rows.append(moved[held] / np.where(radius[held] > 0, radius[held], 1.0)[:, None])
         for name in self.solution.phases:
-            arguments += [v if np.ndim(v) == 2 else np.reshape(v, (np.size(v), 1)) for v in found[name]]
-        columns = [np.broadcast_to(a, (a.shape[0], count)) if a.shape[1] == 1 else a for a in arguments]
+            arguments += found[name]
         problem = self.solution.need_problem("verify")
-        q = np.repeat(self.solution.parameter_values[:, None], count, axis=1)
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_columns(build_end_value_function(problem), count, *columns, q, nu)
+        values = evaluate_columns(build_end_value_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         reach = self.scales.constraints[0]
@@ -192,8 +165,16 @@ class ShiftedTrajectory:
         misses = np.vstack(rows)
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
-    def _shift_phase(self, s: PhaseSamples, amounts: Array) -> _ShiftedPhase:
-        """Return a phase with amounts (n_jumps + n_regular, n_columns)."""
+    def _total(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
+        """Return the further variations of a kind in a phase, added up (size, n_columns)."""
+        total = np.zeros((size, amounts.shape[1]))
+        rows = amounts[len(self.jumps) + len(self.regular) :]
+        for (*key, step), row in zip(self.further, rows, strict=True):
+            total += np.outer(step, row) if key == [kind, phase] else 0.0
+        return total
+
+    def _shift_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
+        """Return a phase with amounts (n_unknowns, n_columns) and free parameters (n, n_columns)."""
         name = s.leg.name
         jumps, steps = [], []
         for jump, shifts in zip(self.jumps, amounts, strict=False):
@@ -202,9 +183,14 @@ class ShiftedTrajectory:
                 before, after = self._control_beside(jump, "left"), self._control_beside(jump, "right")
                 jumps.append((jump.channel, jump.time, before, after, jump.time + step * shifts))
                 steps.append(step)
-        of_regular = zip(self.regular, amounts[len(self.jumps) :], strict=True)
+        of_regular = zip(self.regular, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
-        return _ShiftedPhase.of(s, jumps, steps, variations, amounts.shape[1])
+        if q.size:
+            problem = self.solution.need_problem("verify")
+            functions = phase_functions_at(problem, name, q, s.functions.weights)
+            s = replace(s, functions=functions)
+        times = s.leg.breaks[[0, -1], None] + self._total("times", name, amounts, 2)
+        return _ShiftedPhase.of(s, jumps, steps, variations, times)
 
     def _control_beside(self, jump: Jump, side: Any) -> float:
         leg = self.solution.phases[jump.phase]
@@ -228,6 +214,8 @@ class _ShiftedPhase:
         Cells of the mesh outside of windows around the jumps, within which columns have times of their own.
     nodes : array (n_nodes, n_columns)
         Ends of the integration steps.
+    times : array (2, n_columns)
+        At which the phase starts and ends.
     """
 
     samples: PhaseSamples
@@ -235,6 +223,7 @@ class _ShiftedPhase:
     variations: list[tuple[Array, Array, Array]]
     edges: Array
     nodes: Array
+    times: Array
 
     @classmethod
     def of(
@@ -243,11 +232,11 @@ class _ShiftedPhase:
         jumps: list[tuple[int, float, float, float, Array]],
         steps: list[float],
         variations: list[tuple[Array, Array, Array]],
-        count: int,
+        times: Array,
     ) -> _ShiftedPhase:
-        """Return a phase in which shifts are at most ``steps`` (s); ``count`` is the number of columns."""
-        cells = compute_cell_edges(s.leg.breaks)
-        windows = [
+        """Return a phase in which shifts are at most ``steps`` (s), from and to ``times`` (2, n_columns)."""
+        cells, count = compute_cell_edges(s.leg.breaks), times.shape[1]
+        windows = [(np.min(own), np.max(own)) for own in times] + [
             (jump[1] - (1 + SMALL) * h, jump[1] + (1 + SMALL) * h)
             for jump, h in zip(jumps, steps, strict=True)
         ]
@@ -258,8 +247,8 @@ class _ShiftedPhase:
             np.concatenate([cells[~inside], *[np.clip(w, cells[0], cells[-1]) for w in windows]])
         )
         own = [row for _, time, _, _, shifted in jumps for row in (shifted, np.full(count, time))]
-        nodes = np.vstack([np.repeat(edges[:, None], count, axis=1), *own])
-        return cls(s, jumps, variations, edges, np.sort(np.clip(nodes, cells[0], cells[-1]), axis=0))
+        nodes = np.vstack([np.repeat(edges[:, None], count, axis=1), *own, times])
+        return cls(s, jumps, variations, edges, np.sort(np.clip(nodes, *times), axis=0), times)
 
     @cached_property
     def common(self) -> Array:
@@ -305,7 +294,7 @@ class _ShiftedPhase:
         parts = [functions.rates(t, states, u)]
         if leg.integrals.size:
             parts.append(functions.integrands(t, states, u))
-        terms = np.zeros(t.size)
+        terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
         if self._has_limits:
             if len(leg.path_labels):
                 terms = np.sum(leg.path_multiplier(t) * functions.paths(t, states, u), axis=0)
@@ -383,6 +372,32 @@ def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Arra
     return found
 
 
+def _further_variations(
+    solution: Solution, samples: list[PhaseSamples], scales: Scales
+) -> list[tuple[str, str, Array]]:
+    """Return steps of free parameters, of free starts, and of free times, away from their limits."""
+    box, sizes = solution.need_problem("verify").parameter_interval(), scales.parameters
+    found = _steps_within("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    for s in samples:
+        leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
+        radius = scales.phases[name].start.radius
+        starts = (scales.links[name][""] * radius).T
+        found += _steps_within("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
+        if not np.any(leg.duration_bounds.near(lasts[:1], AT_LIMIT * lasts[:1])):
+            box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
+            found += _steps_within("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
+    return found
+
+
+def _steps_within(
+    kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
+) -> list[tuple[str, str, Array]]:
+    """Return steps along the rows (k, n) that change values (n,), none of them at a limit."""
+    held = box.fixed | np.logical_or(*box.near(values, AT_LIMIT * scale))
+    chosen = [row for row in rows if np.any(row) and not np.any(row[held])]
+    return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
+
+
 def _active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     """Return gradients (n,) of the limits that act along arcs, at some edges of cells, by what they change the cost."""
     leg, found = s.leg, {}
@@ -404,25 +419,19 @@ def _active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     return found
 
 
-def _free_directions(slopes: Array, n: int, group: list[int], inverse: Array) -> Array:
-    """Return amounts (n_jumps + n_regular, d) of a group of jumps, and of the controls that keep the end conditions."""
-    shifts = slopes[:, group]
-    rest = shifts - slopes[:, n:] @ (inverse @ shifts)
+def _free_directions(shifts: Array, others: Array) -> Array:
+    """Return a basis (n_unknowns, d) of what keeps the end conditions, from their slopes: by jumps with what corrects
+    them, then without jumps."""
+    inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)
     size = np.linalg.norm(shifts, axis=0)
-    free = _null_space(rest, max(NOTABLE * float(np.max(size, initial=0.0)), RANK))
-    full = np.zeros((slopes.shape[1], free.shape[1]))
-    full[group], full[n:] = free, -inverse @ shifts @ free
-    return full
-
-
-def _build_unit_pairs(d: int) -> list[Array]:
-    """Return the unit vectors of dimension d, and the sums of every two."""
-    unit = np.eye(d)
-    return [*unit, *(unit[i] + unit[j] for i, j in itertools.combinations(range(d), 2))]
+    least = max(NOTABLE * float(np.max(size, initial=0.0)), RANK)
+    free, alone = _null_space(shifts - others @ (inverse @ shifts), least), _null_space(others, RANK)
+    none = np.zeros((free.shape[0], alone.shape[1]))
+    return np.block([[free, none], [-inverse @ shifts @ free, alone]])
 
 
 def _trial_directions(basis: Array, half: Array) -> tuple[Array, Array]:
-    """Return directions (n_jumps + n_regular, n) in the span of a basis, and the sizes of their terms (n,).
+    """Return directions (n_unknowns, n) in the span of a basis, and the sizes of their terms (n,).
 
     ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of every two.
     """

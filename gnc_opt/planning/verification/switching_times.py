@@ -7,7 +7,6 @@ phases and where switches coincide, the trajectory is integrated with shifted ju
 from __future__ import annotations
 
 import itertools
-import math
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,14 @@ from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult
+from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicability
+from gnc_opt.planning.verification.feasibility import combine_results
 from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
-MOST_TOGETHER = 8
-"""Jumps whose shifts are combined, at most."""
+MOST_TOGETHER = 24
+"""Jumps whose shifts are combined, at most; not all combinations of more are tested."""
 
 
 _MEANING = (
@@ -40,10 +40,14 @@ def check_switching_times(
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
     if jumps and _are_jumps_unknowns(jumps, samples, scales):
         jumps, place = [], f"{place}: see second order"
-    shifted = ShiftedTrajectory.of(solution, samples, ends, scales, jumps)
-    fall = shifted.find_decrease(_group_jumps(jumps)) if jumps else None
-    value, place = (0.0, place) if fall is None else (fall.value, fall.where)
-    result = ConditionResult.PASS if fall is None else ConditionResult.FAIL
+    jumps = sorted(jumps, key=lambda jump: jump.time)
+    groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
+    order = sorted(samples, key=lambda s: s.leg.initial_time)
+    shifted = [ShiftedTrajectory(solution, order, ends, scales, group) for group in groups]
+    falls = list(filter(None, (group.find_decrease() for group in shifted)))
+    place += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
+    value, place = (falls[0].value, falls[0].where) if falls else (0.0, place)
+    result = combine_results(len(groups) <= 1, bool(falls))
     return Condition("switching times", result, value, 0.0, place, _MEANING, sufficient=True)
 
 
@@ -132,17 +136,3 @@ def _is_held(s: PhaseSamples, i: int, time: float) -> bool:
         return False
     jacobian = s.functions.path_control_jacobian(s.times[at], s.x[:, at], u)[:, i]
     return bool(np.any((jacobian != 0) & (np.abs(s.mu[:, at]) > 0)))
-
-
-def _group_jumps(jumps: list[Jump]) -> list[list[int]]:
-    """Return the indices of all jumps together if they are few, else those that coincide, and the others one by one."""
-    if len(jumps) <= MOST_TOGETHER:
-        return [list(range(len(jumps)))]
-    found: list[list[int]] = []
-    for k in sorted(range(len(jumps)), key=lambda k: jumps[k].time):
-        time, last = jumps[k].time, jumps[found[-1][0]].time if found else math.nan
-        if abs(last - time) <= SAME_TIME * max(abs(time), 1.0) and len(found[-1]) < MOST_TOGETHER:
-            found[-1].append(k)
-        else:
-            found.append([k])
-    return found

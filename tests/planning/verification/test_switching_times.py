@@ -139,3 +139,105 @@ def test_a_control_jumps_between_phases_that_follow_each_other_without_a_pause(
     assert [(jump.phase, jump.time, jump.channel, jump.beyond) for jump in found] == [
         ("up", 1.0, 0, "down")
     ] * jumps
+
+
+def coupled(coupling: float, what: str, others: int = 0) -> go.Verdict:
+    """Verdict on two controls that switch at 1, coupled with an unknown of another kind by ``coupling``.
+
+    Shifts of the switches by d and e change the cost by d^2 + e^2, the unknown's deviation k by k^2, and both by
+    coupling k (d - e): the stated answer is a minimum below sqrt(2). ``others``: further controls, each with one switch
+    at a time of its own; "switch": k is half a shift of the last one, so that the limit is 2.
+    """
+    model = go.Model("two switches")
+    x, y, z = model.state("x"), model.state("y"), model.state("z")
+    u, v, w = model.control("u"), model.control("v"), model.control("w")
+    rates = {x: u, y: v, z: w}
+    if what == "start":
+        rates[model.state("q")] = 0.0
+    if what == "dynamics":
+        rates[model.state("q")] = model.parameter("k", 1.0)
+    times = np.linspace(0.1, 0.9, others)
+    more = [model.control(f"u{k}") for k in range(others)]
+    rates |= {model.state(f"x{k}"): control for k, control in enumerate(more)}
+    model.ode(rates)
+    problem, leg = one_phase("two switches", model, 0.0, (1.0, 3.0) if what == "time" else 2.0)
+    leg.initial(x=0.0, y=0.0, z=0.0, **{f"x{k}": 0.0 for k in range(others)})
+    leg.final(z=1.0)
+    leg.bounds(u=(-1, 1), v=(-1, 1), **{f"u{k}": (-1, 1) for k in range(others)})
+    cost = leg.integral((model.time - 1) * (u + v) + w**2)
+    unknown, shifts = 0.0, (leg.final_state("x") - leg.final_state("y")) / 2
+    if what in ("cost", "dynamics"):
+        unknown = problem.parameter("k", guess=1.0) - 1
+    if what == "dynamics":
+        leg.initial(q=0.0)
+        unknown = leg.final_state("q") / 2 - 1
+    if what == "start":
+        unknown = leg.initial_state("q") - 3
+    if what == "time":  # with what the time changes the cost of the switches and of w
+        unknown = leg.final_time - 2
+        cost += 2.25 * unknown + (1 - 1 / 8) * unknown**2
+    for control, time in zip(more, times, strict=True):
+        cost += leg.integral((model.time - time) * control)
+    if others:
+        unknown = (leg.final_state(f"x{others - 1}") - (2 * times[-1] - 2)) / 2
+        shifts = leg.final_state("x") / 2
+    problem.minimize(cost + (0.0 if others else unknown**2) + coupling * unknown * shifts)
+    t = np.sort(np.concatenate([np.linspace(0, 2, 80), [1.0, 1.0], times, times]))
+    after = np.append(False, np.diff(t) == 0)
+
+    def switched(time: float) -> tuple[np.ndarray, np.ndarray]:
+        before = (t < time) | ((t == time) & ~after)
+        return np.where(before, t, 2 * time - t), np.where(before, 1.0, -1.0)
+
+    at_one, own = switched(1.0), [switched(time) for time in times]
+    states = {"x": at_one[0], "y": at_one[0], "z": t / 2}
+    states |= {f"x{k}": path for k, (path, _) in enumerate(own)}
+    states |= {"q": 3.0 + 0 * t if what == "start" else t} if what in ("start", "dynamics") else {}
+    controls = {"u": at_one[1], "v": at_one[1], "w": 0.5 + 0 * t}
+    controls |= {f"u{k}": values for k, (_, values) in enumerate(own)}
+    p = {"k": 1.0} if what in ("cost", "dynamics") else None
+    return go.verify_trajectory(problem, t, states, controls, p)
+
+
+@pytest.mark.parametrize("what", ["cost", "dynamics", "start", "time"])
+def test_switches_at_one_time_are_coupled_with_other_unknowns(what: str) -> None:
+    assert coupled(1.3, what).minimum
+    assert not coupled(1.55, what).ok
+
+
+def test_one_of_two_switches_at_one_time_is_coupled_with_a_later_one() -> None:
+    assert coupled(1.8, "", others=8).minimum
+    assert not coupled(2.5, "", others=8).ok
+
+
+def test_a_switch_at_the_end_of_a_phase_is_coupled_with_a_parameter() -> None:
+    """A shift d costs d^2, the parameter's deviation k^2, both coupling d k: a minimum below 2."""
+
+    def verdict(coupling: float) -> go.Verdict:
+        model = go.Model("leg")
+        x, z, u, w = model.state("x"), model.state("z"), model.control("u"), model.control("w")
+        model.ode({x: u, z: w})
+        problem = go.Problem("two legs")
+        first, second = problem.phase("first", model), problem.phase("second", model)
+        first.time(0.0, 1.0)
+        second.time(1.0, 2.0)
+        problem.link(first, second)
+        first.initial(x=0.0, z=0.0)
+        second.final(z=1.0)
+        first.bounds(u=(-1, 1))
+        second.bounds(u=(-1, 1))
+        k = problem.parameter("k", guess=1.0) - 1
+        rate = (model.time - 1) * u + w**2
+        shift = second.final_state("x") / 2
+        problem.minimize(first.integral(rate) + second.integral(rate) + k**2 + coupling * k * shift)
+        t = np.linspace(0, 1, 41)
+        return go.verify_trajectory(
+            problem,
+            {"first": t, "second": 1 + t},
+            {"first": {"x": t, "z": t / 2}, "second": {"x": 1 - t, "z": 0.5 + t / 2}},
+            {"first": {"u": 1 + 0 * t, "w": 0.5 + 0 * t}, "second": {"u": -1 + 0 * t, "w": 0.5 + 0 * t}},
+            {"k": 1.0},
+        )
+
+    assert verdict(1.9).minimum
+    assert not verdict(2.1).ok
