@@ -106,7 +106,7 @@ class Consistency(Strict, Printed):
     @property
     def within(self) -> float:
         """Share of the values of ``nees`` within the band of single values; the confidence is to be expected."""
-        low, high = _mean_chi_square_interval(self.components, 1, self.confidence)
+        low, high = _compute_chi_square_interval(self.components, 1, self.confidence)
         known = self.nees[np.isfinite(self.nees)]
         return float(np.mean((known >= low) & (known <= high))) if known.size else float("nan")
 
@@ -175,7 +175,7 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     return Consistency(
         nees=nees,
         average=float(np.mean(known)) if known.size else float("nan"),
-        band=_mean_chi_square_interval(components, known.size if independent else 1, level),
+        band=_compute_chi_square_interval(components, known.size if independent else 1, level),
         components=components,
         independent=independent,
         confidence=level,
@@ -226,7 +226,7 @@ def _test_innovations(estimator: Estimator, name: str, ends: Array, confidence: 
     )
     return InnovationTest(
         average=total / taken if taken else float("nan"),
-        band=_mean_chi_square_interval(
+        band=_compute_chi_square_interval(
             estimator.sizes[name], int(taken), confidence, estimator.gates.get(name)
         ),
         taken=int(taken),
@@ -234,19 +234,19 @@ def _test_innovations(estimator: Estimator, name: str, ends: Array, confidence: 
     )
 
 
-def _mean_chi_square_interval(
+def _compute_chi_square_interval(
     components: int, values: int, confidence: float, gate: float | None = None
 ) -> Band:
     """Return the interval of the mean of independent chi-square values (behind a gate), equal tails."""
     if values < 1:
         return float("nan"), float("nan")
-    mean, freedom = (components, components) if gate is None else _gated_chi_square(components, gate)
+    mean, freedom = (components, components) if gate is None else _compute_gated_chi_square(components, gate)
     tails = [0.5 - confidence / 2, 0.5 + confidence / 2]
     low, high = scipy.stats.chi2.ppf(tails, freedom * values).tolist()
     return mean * low / (freedom * values), mean * high / (freedom * values)
 
 
-def _gated_chi_square(components: int, gate: float) -> tuple[float, float]:
+def _compute_gated_chi_square(components: int, gate: float) -> tuple[float, float]:
     """Return the mean of a chi-square value that passes a gate, and the degrees of freedom of a scaled one like it."""
     half, limit = components / 2, float(scipy.stats.chi2.ppf(gate, components)) / 2
     first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))

@@ -113,7 +113,7 @@ class LinearCovariance(Strict, Printed):
 
     def std(self, signal: str) -> Array:
         """Return the standard deviations (1 sigma) of a signal over time, (size, n_times)."""
-        return _standard_deviations(self.covariance(signal))
+        return _compute_standard_deviations(self.covariance(signal))
 
     def by_source(self, signal: str) -> Array:
         """Return the covariances of a signal due to each of `sources`, (n_sources, n_times, size, size)."""
@@ -267,6 +267,6 @@ class _Pass:
         )
 
 
-def _standard_deviations(covariance: Array) -> Array:
+def _compute_standard_deviations(covariance: Array) -> Array:
     """Return the standard deviations (size, n_times) in covariances (n_times, size, size)."""
     return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).T, 0.0))

@@ -89,7 +89,7 @@ class LoopResponse(Strict):
         closed = self._closed_loop_transfer(omega, index)
         left = np.eye(closed.shape[1]) + closed
         if np.any(np.linalg.norm(left, -2, axis=(1, 2)) <= ROUNDING * np.linalg.norm(closed, 2, axis=(1, 2))):
-            raise _pole_frequency_error()
+            raise _estimate_pole_error()
         return _solve_systems(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
@@ -193,10 +193,10 @@ def _solve_systems(matrices: Array, columns: Array) -> Array:
     try:
         return np.asarray(np.linalg.solve(matrices, columns))
     except np.linalg.LinAlgError:
-        raise _pole_frequency_error() from None
+        raise _estimate_pole_error() from None
 
 
-def _pole_frequency_error() -> ArgumentError:
+def _estimate_pole_error() -> ArgumentError:
     return ArgumentError(
         "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
         "ask beside it, at 1e-6 rad/s, say."

@@ -79,7 +79,7 @@ class ProgrammeCode:
         arrays = {
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
-            "state_lower": _finite_limits(rows.state_lower), "state_upper": _finite_limits(rows.state_upper),
+            "state_lower": _find_finite_limits(rows.state_lower), "state_upper": _find_finite_limits(rows.state_upper),
             "row_lower": self._row_limits[0], "row_upper": self._row_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
@@ -201,6 +201,6 @@ def _qp_solver_placeholder(n: int, m: int) -> Any:
     return ca.Function("programme", inputs, nothing, {"never_inline": True})
 
 
-def _finite_limits(limits: Array) -> Array:
+def _find_finite_limits(limits: Array) -> Array:
     """Limits with numbers in place of none, whose rows are never outside."""
     return np.where(np.isfinite(limits), limits, 0.0)

@@ -63,7 +63,7 @@ class Inverse:
     lowest: float
 
     @property
-    def fact(self) -> ReportEntry:
+    def report_condition(self) -> ReportEntry:
         """The smallest |det E| on the reference."""
         name, remark = "smallest determinant on the reference", f"largest {self.scale:.6g}"
         return ReportEntry(name, self.lowest, remark=remark)

@@ -117,14 +117,14 @@ def _bridged_law_functions(inner: Controller, bare: Any, hold: int, safe: Any) -
     memory, last, lost, invalid = ca.vertsplit(
         z, [0, size, size + states, size + states + 1, size + states + 2]
     )
-    good = _all_finite(x)
+    good = _are_all_finite(x)
     # the sample that a law begins with when there is none: any number, what it makes of it is not used
     first = inner.start(t, ca.if_else(good, x, 0), r)
     usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
     y = ca.if_else(good, x, last)
     u, after, *enough = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
-    works = ca.logic_and(usable, ca.logic_and(_all_finite(u), _all_finite(after)))
-    spare = _feedforward_of_row(inner, r) if safe is None else ca.DM(safe)
+    works = ca.logic_and(usable, ca.logic_and(_are_all_finite(u), _are_all_finite(after)))
+    spare = _find_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
         y,
@@ -136,13 +136,13 @@ def _bridged_law_functions(inner: Controller, bare: Any, hold: int, safe: Any) -
     return step, initial_state_function(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
 
 
-def _feedforward_of_row(inner: Controller, r: Any) -> Any:
+def _find_feedforward(inner: Controller, r: Any) -> Any:
     """Return the feedforward of a row of the schedule, zero where it has none."""
     names = [(f"{v.name}_ff", v.size) for v in inner.commands.variables]
     parts = [r[inner.signals.slice(n)] if n in inner.signals else ca.DM.zeros(size) for n, size in names]
     return ca.vertcat(*parts)
 
 
-def _all_finite(column: Any) -> Any:
+def _are_all_finite(column: Any) -> Any:
     """Return 1 if all entries are finite and at most `LARGEST` in magnitude; comparisons with NaN are false."""
     return ca.sum1(ca.fabs(column) <= LARGEST) == column.shape[0]

@@ -95,14 +95,14 @@ def design_feedback_linearization(
     inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     gain = _chain_gain(errors, poles)
-    closed = _closed_loop_poles(errors, gain)
+    closed = _compute_closed_loop_poles(errors, gain)
     facts = [
         ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
         ReportEntry("closed-loop poles", closed, "1/s"),
-        inverse.fact,
+        inverse.report_condition,
         *zeros,
-        *_sampling_facts(errors, gain, dt),
+        *_report_sampling(errors, gain, dt),
         *authority_margin_fact(reference, authority, required=True),
     ]
     u = inverse(-ca.DM(gain) @ _stack_chain_errors(errors) - errors.drift)
@@ -126,18 +126,18 @@ def design_feedback_linearization(
     )
 
 
-def _chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
+def _report_chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
     """Return (component, order) of the entries of eta: by order, then by component."""
     return [(i, k) for k in range(max(errors.degrees)) for i, r in enumerate(errors.degrees) if k < r]
 
 
 def _stack_chain_errors(errors: OutputErrors) -> Any:
-    return ca.vertcat(*[errors.chains[i][k] for i, k in _chain_entries(errors)])
+    return ca.vertcat(*[errors.chains[i][k] for i, k in _report_chain_entries(errors)])
 
 
 def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
-    places = _chain_entries(errors)
+    places = _report_chain_entries(errors)
     a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.size))
     for row, (i, k) in enumerate(places):
         if k + 1 < errors.degrees[i]:
@@ -150,8 +150,8 @@ def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
 def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
     """Return K (n_outputs, sum of the relative degrees)."""
     a, b = _integrator_chains(errors)
-    gain = np.zeros((errors.size, len(_chain_entries(errors))))
-    for column, (i, k) in enumerate(_chain_entries(errors)):
+    gain = np.zeros((errors.size, len(_report_chain_entries(errors))))
+    for column, (i, k) in enumerate(_report_chain_entries(errors)):
         label, degree = errors.labels[i], errors.degrees[i]
         gain[i, column] = _pole_placement_gains(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)
@@ -182,12 +182,12 @@ def _pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: 
     return polynomial[:0:-1]
 
 
-def _closed_loop_poles(errors: OutputErrors, gain: Array) -> Array:
+def _compute_closed_loop_poles(errors: OutputErrors, gain: Array) -> Array:
     a, b = _integrator_chains(errors)
     return np.asarray(np.linalg.eigvals(a - b @ gain))
 
 
-def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
+def _report_sampling(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
     if dt is None:
         return []
     dt = read_positive(dt, "the control step dt", DesignError)

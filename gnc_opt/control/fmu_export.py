@@ -115,13 +115,13 @@ def export_fmu(
         controller = flight_controller(controller).controller
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
-        guid = _source_digest(sources)
+        guid = _compute_source_digest(sources)
         (sources / _LAW_HEADER).write_text(_write_law_header(controller, code, guid), encoding="ascii")
         members = {f"sources/{path.name}": path.read_bytes() for path in sorted(sources.iterdir())}
-        members["modelDescription.xml"] = _model_description_xml(controller, code, guid)
+        members["modelDescription.xml"] = _write_model_description(controller, code, guid)
         place = None
         if compiler is not None and binary is not False:
-            place = _binary_folder()
+            place = _find_binary_folder()
             name = code.name + _SUFFIXES[sys.platform]
             members[f"binaries/{place}/{name}"] = _compile_library(compiler, sources, code, name)
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -129,7 +129,7 @@ def export_fmu(
     return Fmu(file, code.name, guid, code.dt, place)
 
 
-def _source_digest(sources: Path) -> str:
+def _compute_source_digest(sources: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(sources.iterdir()):
         digest.update(path.read_bytes())
@@ -156,7 +156,7 @@ def _write_law_header(controller: Controller, code: CCode, guid: str) -> str:
     )
 
 
-def _model_description_xml(controller: Controller, code: CCode, guid: str) -> bytes:
+def _write_model_description(controller: Controller, code: CCode, guid: str) -> bytes:
     """``modelDescription.xml``."""
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -236,7 +236,7 @@ def _add_child(parent: ElementTree.Element, tag: str, **attributes: str) -> Elem
     return ElementTree.SubElement(parent, tag, attributes)
 
 
-def _binary_folder() -> str:
+def _find_binary_folder() -> str:
     bits = "64" if sys.maxsize > 2**32 else "32"
     if sys.platform not in _FOLDERS:
         raise GncOptError(

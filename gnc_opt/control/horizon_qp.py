@@ -125,11 +125,11 @@ class Horizon:
         """Return the programme from first errors, feedforward, limited states and previous command (m,)."""
         rows, m, errors = self.rows, self.rows.lower.size, self._predict_errors(e_0)
         commands = [self._command_rows(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
-        found = [_interval_rows(*command, rows.lower, rows.upper) for command in commands]
+        found = [_build_interval_rows(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
             before = (ca.DM(m, self.unknowns), previous)
             for row, u in commands:
-                found.append(_interval_rows(row - before[0], u - before[1], -rows.change, rows.change))
+                found.append(_build_interval_rows(row - before[0], u - before[1], -rows.change, rows.change))
                 before = (row, u)
         found += self._state_limit_rows(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
@@ -194,7 +194,7 @@ class Horizon:
         return found
 
 
-def _interval_rows(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
+def _build_interval_rows(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
     """The rows of ``lower <= value + row y <= upper``, scaled to [-1, 1]."""
     scale, middle = 2 / (upper - lower), 0.5 * (upper + lower)
     offset = (value - middle) * scale

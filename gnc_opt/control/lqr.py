@@ -42,7 +42,7 @@ from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import are_equal
 
 
-def regulator_facts(
+def report_regulator(
     regulator: Steady,
     plant: tuple[Array, Array],
     dt: float | None,
@@ -55,12 +55,12 @@ def regulator_facts(
     residual = "of the Riccati equation, relative to its largest term"
     return [
         ReportEntry(name, poles, "1/s", remark),
-        *_margin_facts(*plant, regulator.gain, dt),
+        *_report_margins(*plant, regulator.gain, dt),
         ReportEntry("Riccati residual", regulator.residual, "", residual),
     ]
 
 
-def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
+def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
     """Return the facts about the margins at the plant's input."""
     found = stability_margins(a, b, gain, dt)
     alpha = found.disk
@@ -140,7 +140,7 @@ def design_lqr(
     bounds = read_limits(model, limits)
     step, start, memory = _lqr_law(model, deviation, solution.gain, integrals, bounds)
     signals = reference_signal_layout(reference, *([Variable("step", 1, "s")] if integrals.size else []))
-    facts = [*_lqr_facts(solution, plant, model.controls, dt), *authority_margin_fact(reference, bounds)]
+    facts = [*_report_lqr(solution, plant, model.controls, dt), *authority_margin_fact(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
@@ -279,7 +279,7 @@ def _lqr_law(
     u, z_next = u_ff - ca.DM(k_e) @ e, z
     if integrals.size:
         u = u - ca.DM(k_i) @ z
-        z_next = z + r[-1] * _integral_rates(deviation, integrals, t, x, x_ref, e)
+        z_next = z + r[-1] * _compute_integral_rates(deviation, integrals, t, x, x_ref, e)
         if limits is not None:
             z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip(u, *limits))
     return (
@@ -289,7 +289,7 @@ def _lqr_law(
     )
 
 
-def _integral_rates(
+def _compute_integral_rates(
     deviation: ErrorDynamics, integrals: _Integrals, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
 ) -> ca.SX:
     model = deviation.model
@@ -302,7 +302,7 @@ def _integral_rates(
     return ca.vertcat(*parts)
 
 
-def _lqr_facts(
+def _report_lqr(
     solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: float | None
 ) -> list[ReportEntry]:
     poles = to_continuous_poles(solution.poles, dt)
@@ -317,4 +317,4 @@ def _lqr_facts(
     )
     facts.append(ReportEntry("damping", damping, "", "of each closed-loop pole"))
     remark = "slowest first" if dt is None else "ln(z)/dt, slowest first"
-    return [*facts, *regulator_facts(solution, plant, dt, remark=remark)]
+    return [*facts, *report_regulator(solution, plant, dt, remark=remark)]

@@ -45,11 +45,11 @@ from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
 from gnc_opt.control.horizon_qp import Horizon, Rows
-from gnc_opt.control.lqr import regulator_facts
+from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.riccati import riccati_backward_step
-from gnc_opt.control.tvlqr_gains import SampledGains, riccati_gains
+from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError, shown, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
@@ -135,9 +135,9 @@ def design_mpc(
     reference = read_plant(model, reference, "design_mpc")
     limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
     dt = read_positive(dt, "the control step dt")
-    count = _horizon_steps(read_positive(horizon, "the horizon"), dt)
+    count = _count_horizon_steps(read_positive(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
-    gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
+    gains = compute_riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
     assert isinstance(gains, SampledGains)
     bounds = read_limits(model, limits)
     if bounds is None:
@@ -173,7 +173,7 @@ def design_mpc(
         explanation=DesignReport(
             f"{name} of '{model.name}' along {reference!r}",
             (
-                *_mpc_facts(gains, windows, rows, model.states),
+                *_report_mpc(gains, windows, rows, model.states),
                 *beyond,
                 *margin,
             ),
@@ -267,7 +267,7 @@ class _Law:
                 "either", keep, self._horizon_function("solve", ca.MX, self._solve_horizon_qp)
             )
             omega, solved = either(inside, *known)  # calls one of them
-        _, _, k, g = (parts[0] for parts in _step_matrices(self.schedule, matrices))
+        _, _, k, g = (parts[0] for parts in _compute_step_matrices(self.schedule, matrices))
         u = limit_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
         return law(t, x, r, z, u, after, *([solved] if easy else []))
@@ -302,7 +302,7 @@ class _Law:
         rest = 0 if self.schedule.windows.constant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
         e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
-        horizon = Horizon(self.rows, _step_matrices(self.schedule, matrices))
+        horizon = Horizon(self.rows, _compute_step_matrices(self.schedule, matrices))
         return ca.Function(name, arguments, outputs(horizon, e, u_ff, x_limited, previous))
 
     def _solve_horizon_qp(self, horizon: Horizon, *known: Any) -> list[Any]:
@@ -327,7 +327,7 @@ def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
     return ProgrammeCode(rows, rows.price_roots, tuple(parts), windows.count, model.states.size)
 
 
-def _step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
+def _compute_step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
     """Return A - B K, B L^-T, K, L^-T of each step: constant, or from the end of the schedule's row."""
     windows, place = schedule.windows, 0
     if windows.constant:
@@ -344,7 +344,7 @@ def _step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
     return found
 
 
-def _horizon_steps(horizon: float, dt: float) -> int:
+def _count_horizon_steps(horizon: float, dt: float) -> int:
     count = round(horizon / dt)
     if count < 1 or not np.isclose(count * dt, horizon, rtol=SAME_TIME):
         raise ArgumentError(
@@ -416,25 +416,25 @@ def _read_state_limits(
     return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 
-def _mpc_facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
+def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
     size, limits = (m + len(rows.soft_limited)) * count, rows.count * count
     remark = f"{size} unknowns, {limits} rows"
     first = windows(0)
     facts = [
         ReportEntry("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
-        *_limit_facts(rows, states),
+        *_report_limits(rows, states),
         ReportEntry("dynamics along the horizon", "constant" if windows.constant else "from the schedule"),
         ReportEntry("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
     ]
     if gains.steady is not None:
         last = gains.steps[-1]
         remark = "without limits, after the end; slowest first"
-        facts += regulator_facts(gains.steady, (last.a, last.b), gains.dt, remark=remark)
+        facts += report_regulator(gains.steady, (last.a, last.b), gains.dt, remark=remark)
     return facts
 
 
-def _limit_facts(rows: Rows, states: Layout) -> list[ReportEntry]:
+def _report_limits(rows: Rows, states: Layout) -> list[ReportEntry]:
     """Return the facts about which limits are hard and which soft."""
     soft = [states.labels[rows.states[i]] for i in rows.soft_limited]
     hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited]

@@ -28,7 +28,7 @@ _DYNAMICS_CHECK_TOLERANCE = 1e-3
 """Error of a rate, as a share of its terms, above which a warning is given."""
 
 
-def reference_residual_text(model: Model, x: Signal, u: Signal, edges: Array) -> str:
+def describe_reference_residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
     """Return which state is furthest from obeying the model, when and by how much; "" if all do."""
     lengths = np.diff(edges)
     pieces = np.unique(np.linspace(0, lengths.size - 1, _DYNAMICS_CHECK_TIMES).astype(int))
@@ -40,10 +40,10 @@ def reference_residual_text(model: Model, x: Signal, u: Signal, edges: Array) ->
     rates = [model.f(t, x(t), u(t)) for t in (times, times + h / 2, times + h)]
     left = np.abs((last - first) / h - (rates[0] + 4 * rates[1] + rates[2]) / 6)  # Simpson's rule
     rounded = 8 * np.finfo(float).eps * (np.abs(first) + np.abs(last)) / h
-    return _residual_text(model, times, np.maximum(left - rounded, 0.0), first, u(times))
+    return _describe_residual(model, times, np.maximum(left - rounded, 0.0), first, u(times))
 
 
-def _residual_text(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
+def _describe_residual(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
     terms = np.abs(model.f(times, x, u)) + left
     for j, t in enumerate(times):
         a, b = model.linearize(float(t), x[:, j], u[:, j])
@@ -333,7 +333,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
 def _warn_of_residual(
     model: Model, x: Callable[[Array], Array], u: Callable[[Array], Array], edges: Array
 ) -> None:
-    found = reference_residual_text(model, x, u, np.unique(edges))
+    found = describe_reference_residual(model, x, u, np.unique(edges))
     if found:
         warn_user(
             f"the reference does not obey '{model.name}': {found}; give the u that makes the model move along x, or an "

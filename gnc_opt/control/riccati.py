@@ -106,7 +106,7 @@ def riccati_residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array,
 def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
     """Raise `DesignError` if a mode that does not decay is out of the controls' reach."""
     for mode in uncontrollable_modes(a, b, labels):
-        if not _decays(mode.eigenvalue, a, sampled):
+        if not _is_decaying(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
                 f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_join_names(mode.states)} "
@@ -118,7 +118,7 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
 def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
     """Raise `DesignError` if a mode that does not decay has no cost."""
     for mode in uncontrollable_modes(a.T, q.T, labels):
-        if not _decays(mode.eigenvalue, a, sampled):
+        if not _is_decaying(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the weights are not detectable: the mode with eigenvalue "
                 f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_join_names(mode.states)} "
@@ -130,9 +130,9 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
 def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     """Return the modes of ``de/dt = A e + B v`` that v does not reach, by a staircase."""
     size = a.shape[0]
-    balanced, scale = _balance(a)
+    balanced, scale = _balance_matrices(a)
     balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
-    rate = np.linalg.norm(_balance(a)[0], 2)
+    rate = np.linalg.norm(_balance_matrices(a)[0], 2)
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
@@ -160,17 +160,17 @@ def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mo
     return modes
 
 
-def _balance(a: Array) -> tuple[Array, Array]:
+def _balance_matrices(a: Array) -> tuple[Array, Array]:
     """Return ``a`` balanced by a diagonal similarity, and its scales (n,), powers of two."""
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     return balanced, scale
 
 
-def _decays(eigenvalue: complex, a: Array, sampled: bool) -> bool:
+def _is_decaying(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
         return abs(eigenvalue) < 1 - EQUAL
-    rate = float(np.linalg.norm(_balance(a)[0], 2))
+    rate = float(np.linalg.norm(_balance_matrices(a)[0], 2))
     return eigenvalue.real < -EQUAL * rate
 
 

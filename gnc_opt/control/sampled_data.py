@@ -105,7 +105,7 @@ def discretize(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> S
     flow = _van_loan_generator(a, b, _cost_matrix(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
-    phi, cost = _transition_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
+    phi, cost = _compute_transition_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
     with np.errstate(over="ignore", invalid="ignore"):  # `_build_sampled_step` refuses what overflows
         for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
             cost = cost + phi.T @ cost @ phi
@@ -128,7 +128,7 @@ def discretize_time_varying(
         first, second = (_van_loan_generator(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
         commutator = second @ first - first @ second
         exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator
-        step, part = _transition_and_cost(scipy.linalg.expm(exponent))
+        step, part = _compute_transition_and_cost(scipy.linalg.expm(exponent))
         cost = cost + phi.T @ part @ phi
         phi = step @ phi
     return _build_sampled_step(phi, cost, q.shape[0], dt)
@@ -157,7 +157,7 @@ def _van_loan_generator(a: Array, b: Array, weight: Array) -> Array:
     return np.block([[-m.T, weight], [np.zeros((size, size)), m]])
 
 
-def _transition_and_cost(flow: Array) -> tuple[Array, Array]:
+def _compute_transition_and_cost(flow: Array) -> tuple[Array, Array]:
     size = flow.shape[0] // 2
     phi = flow[size:, size:]
     cost = phi.T @ flow[:size, size:]

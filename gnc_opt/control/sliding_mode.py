@@ -101,7 +101,7 @@ def _sum_weighted_derivatives(c: Array, chain: Any, order: int) -> Any:
     return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
 
 
-def _surface_facts(
+def _report_surface(
     errors: OutputErrors, coefficients: Sequence[Array], switching: Switching
 ) -> list[ReportEntry]:
     """Return poles, the band of s and the steady error that it allows, and the sampling limit."""
@@ -329,8 +329,8 @@ def design_sliding_mode(
     memory, u = _sliding_mode_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
-        *_surface_facts(errors, coefficients, switching),
-        inverse.fact,
+        *_report_surface(errors, coefficients, switching),
+        inverse.report_condition,
         *zeros,
         *switching.authority_margin_facts(errors, reference),
     ]

@@ -27,10 +27,10 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_sample_times, reference_signal_layout
-from gnc_opt.control.lqr import regulator_facts
+from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr_gains import Gains, SampledGains, riccati_gains
+from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.runtime_environment import one_thread
@@ -103,10 +103,10 @@ def design_tvlqr(
         "give a Reference of the trajectory to follow",
     )
     deviation = ErrorDynamics(model)
-    gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
+    gains = compute_riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _tvlqr_law(deviation)
-    facts = [*_tvlqr_facts(deviation, reference, gains), *authority_margin_fact(reference, bounds)]
+    facts = [*_report_tvlqr(deviation, reference, gains), *authority_margin_fact(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
@@ -137,7 +137,7 @@ def _tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     return law(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 
-def _tvlqr_facts(
+def _report_tvlqr(
     deviation: ErrorDynamics,
     reference: Reference,
     gains: Gains,
@@ -163,5 +163,5 @@ def _tvlqr_facts(
         a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
         if dt is not None:
             a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
-        facts += regulator_facts(gains.steady, (a, b), dt, name="closed-loop poles after the end")
+        facts += report_regulator(gains.steady, (a, b), dt, name="closed-loop poles after the end")
     return facts

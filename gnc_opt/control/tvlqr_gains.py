@@ -89,7 +89,7 @@ class SampledGains:
 Gains: TypeAlias = ContinuousGains | SampledGains
 
 
-def riccati_gains(
+def compute_riccati_gains(
     deviation: ErrorDynamics,
     reference: Reference,
     cost: QuadraticCost,
@@ -103,7 +103,7 @@ def riccati_gains(
         return _sampled_gains(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
     t_f = reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
-    regulator = _tail_regulator((a, b), cost, deviation, end, sampled=False)
+    regulator = _design_tail_regulator((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
     tail = (
@@ -119,7 +119,7 @@ def _read_terminal_weight(terminal: Weight, deviation: ErrorDynamics) -> Array:
     return weight
 
 
-def _tail_regulator(
+def _design_tail_regulator(
     plant: tuple[Array, Array],
     cost: QuadraticCost,
     deviation: ErrorDynamics,
@@ -193,7 +193,7 @@ def _sampled_gains(
     t_0, t_f = reference.initial_time, reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     resting = discretize(a, b, *cost, dt)
-    regulator = _tail_regulator(
+    regulator = _design_tail_regulator(
         (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
     )
     p = regulator.cost if end is None and regulator is not None else end

@@ -56,8 +56,8 @@ def euclidean_space(size: int) -> Space:
 
 def product_space(spaces: Sequence[Space]) -> Space:
     """Return the space of stacked columns."""
-    sizes = [0, *_cumulative_sums(s.size for s in spaces)]
-    errors = [0, *_cumulative_sums(s.errors for s in spaces)]
+    sizes = [0, *_compute_offsets(s.size for s in spaces)]
+    errors = [0, *_compute_offsets(s.errors for s in spaces)]
 
     def stacked_difference(x: Any, ref: Any) -> Any:
         parts = zip(spaces, ca.vertsplit(x, sizes), ca.vertsplit(ref, sizes), strict=True)
@@ -70,7 +70,7 @@ def product_space(spaces: Sequence[Space]) -> Space:
     return Space(sizes[-1], errors[-1], stacked_difference, stacked_retraction)
 
 
-def _cumulative_sums(numbers: Any) -> list[int]:
+def _compute_offsets(numbers: Any) -> list[int]:
     total, found = 0, []
     for number in numbers:
         total += number

@@ -280,7 +280,7 @@ def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any
             # left h is k where rounding is left out: with it in its place no difference is left in that column
             (j,) = h.sparsity().row()
             left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
-            P = _mirror_row(left, j)
+            P = _copy_upper_to_lower(left, j)
         else:
             P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
     return error, P, nis
@@ -293,7 +293,7 @@ def _select_matrix(condition: Any, yes: Any, no: Any) -> Any:
     return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))
 
 
-def _mirror_row(matrix: Any, j: int) -> Any:
+def _copy_upper_to_lower(matrix: Any, j: int) -> Any:
     """Return the symmetric matrix of the lower part, with its row j from its column j."""
     matrix[j, :] = matrix[:, j].T
     return ca.tril2symm(ca.tril(matrix))

@@ -54,8 +54,8 @@ class Prediction:
 
     def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
         """Return their mean (SX) over a step; after the end they keep the final state at rest."""
-        late = _share_of_step_after(begin, length, tau[-1] - self.ending.length)
-        over, rest = _share_of_step_after(begin, length, tau[-1]), self.plan.reference.tail_control
+        late = _compute_step_share(begin, length, tau[-1] - self.ending.length)
+        over, rest = _compute_step_share(begin, length, tau[-1]), self.plan.reference.tail_control
         before = self.plan.mean_control(begin, length, tau) * (1 - self.ending.reserve * late)
         return before * (1 - over) + ca.DM(rest) * over
 
@@ -105,7 +105,7 @@ class Prediction:
         return ca.Function("arc", [t, x, u, length], [after])
 
 
-def _share_of_step_after(begin: Any, length: float, since: Any) -> Any:
+def _compute_step_share(begin: Any, length: float, since: Any) -> Any:
     """Return which share of a step is later than a time."""
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 

@@ -85,11 +85,11 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
             plan.initial_time, plan.initial, y[: tau.size] * duration, y[tau.size :]
         )
         stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
-        return np.concatenate([stationary, psi.full()[:, 0] / _row_norms(first.S) / duration])
+        return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
 
     found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
     optimum, gradient, psi = _terminal_derivatives(prediction, found.x[: tau.size] * duration)
-    missed = np.max(np.abs(psi) / _row_norms(optimum.S))
+    missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
             f"no switch times of least time were found beside those of the plan of '{name}': give the regulator a "
@@ -109,13 +109,13 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
     return optimum
 
 
-def _row_norms(S: Array) -> Array:
+def _compute_row_norms(S: Array) -> Array:
     return np.asarray(np.maximum(np.linalg.norm(S, axis=1), TINY))
 
 
 def _has_full_row_rank(S: Array) -> bool:
     """Whether every condition at the end can be moved by itself."""
-    sizes = np.linalg.svd(S / _row_norms(S)[:, None], compute_uv=False)
+    sizes = np.linalg.svd(S / _compute_row_norms(S)[:, None], compute_uv=False)
     return bool(sizes[-1] > RANK * sizes[0])
 
 

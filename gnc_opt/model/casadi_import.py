@@ -27,9 +27,9 @@ def read_variables(given: Any, what: str) -> list[Declared]:
     Symbols without a mapping keep their names. ``what`` is for the `ModelError` of anything else.
     """
     if isinstance(given, Mapping):
-        return [_input_entry(name, value, what) for name, value in given.items()]
+        return [_describe_input(name, value, what) for name, value in given.items()]
     columns = given if isinstance(given, (list, tuple)) else [given]
-    return [entry for column in columns for entry in _named_variables(_input_column(column, what))]
+    return [entry for column in columns for entry in _name_variables(_stack_input(column, what))]
 
 
 def read_named_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def express_derivative(
     arguments, symbols : mapping
         The new SX symbols (n, 1) of t, x, u and p; those in ``f``.
     """
-    function = f if isinstance(f, ca.Function) else _as_function(f, symbols, what)
+    function = f if isinstance(f, ca.Function) else _make_function(f, symbols, what)
     _check_inputs(function, arguments, what)
     inputs = {name: arguments[name] for name in function.name_in()}
     names = function.name_out()
@@ -63,7 +63,7 @@ def express_derivative(
     return value
 
 
-def _as_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
+def _make_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
     """Return an expression as a function of all of t, x, u, p."""
     if any(symbol is None for stack in symbols.values() for symbol in stack):
         raise ModelError(f"{what} is an expression: give the symbols that it is written in, not their sizes.")
@@ -93,20 +93,20 @@ def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> Non
             )
 
 
-def _input_entry(name: str, value: Any, what: str) -> Declared:
+def _describe_input(name: str, value: Any, what: str) -> Declared:
     if isinstance(value, Integral):
         return Declared(name, int(value))
-    column = _input_column(value, what)
+    column = _stack_input(value, what)
     return Declared(name, column.shape[0], column)
 
 
-def _input_column(value: Any, what: str) -> Any:
+def _stack_input(value: Any, what: str) -> Any:
     if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
         raise ModelError(f"{what} are given as {shown(value)}: give columns of SX or MX symbols.")
     return value
 
 
-def _named_variables(column: Any) -> Iterator[Declared]:
+def _name_variables(column: Any) -> Iterator[Declared]:
     """Yield the variables of a column by the names of its symbols."""
     if isinstance(column, ca.MX):
         for part in column.primitives():

@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.tolerances import EQUAL
 
 
-def nodes_of(expression: Any) -> Iterator[Any]:
+def list_nodes(expression: Any) -> Iterator[Any]:
     """Yield every scalar node of an expression once, parents before their children."""
     seen: set[int] = set()
     waiting = list(reversed(ca.vertsplit(ca.densify(ca.vec(expression)))))
@@ -28,7 +28,7 @@ def nodes_of(expression: Any) -> Iterator[Any]:
             waiting += [node.dep(i) for i in range(node.n_dep())]
 
 
-def rebuild(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
+def rebuild_node(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     """Return a column in which ``replacement(node)`` replaces nodes; None visits the operands of a node."""
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
@@ -51,8 +51,8 @@ def rebuild(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
 
 
 def replace_in(expression: Any, instead: Mapping[int, Any]) -> Any:
-    """Return a column with nodes replaced by their hashes, see `rebuild`."""
-    return rebuild(expression, lambda node: instead.get(node.element_hash()))
+    """Return a column with nodes replaced by their hashes, see `rebuild_node`."""
+    return rebuild_node(expression, lambda node: instead.get(node.element_hash()))
 
 
 def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
@@ -61,13 +61,13 @@ def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
     return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
 
 
-def operations_in(expression: Any) -> set[int]:
-    """Return the codes of the operations (``casadi.OP_...``) in an expression; much faster than `nodes_of`."""
+def find_operations(expression: Any) -> set[int]:
+    """Return the codes of the operations (``casadi.OP_...``) in an expression; much faster than `list_nodes`."""
     function = ca.Function("operations", [ca.vertcat(*ca.symvar(expression))], [expression])
     return {function.instruction_id(i) for i in range(function.n_instructions())}
 
 
-def holds_nan(expression: Any) -> bool:
+def contains_nan(expression: Any) -> bool:
     """Whether a constant in an expression is NaN."""
     function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
     places = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
@@ -123,7 +123,7 @@ class NormNodes:
     @classmethod
     def of(cls, expression: Any, vector: Any) -> NormNodes:
         """Find them in a column, SX."""
-        nodes = _smooth_nodes(expression, vector)
+        nodes = _find_smooth_nodes(expression, vector)
         if not nodes:
             return cls(vector, {})
         values = _values_along_directions(ca.vertcat(*nodes), vector)
@@ -142,16 +142,16 @@ class NormNodes:
             factor = ca.substitute(node, self.vector, unit)
             return factor * (norm if degree == 1 else norm**2)
 
-        return rebuild(expression, replacement)
+        return rebuild_node(expression, replacement)
 
 
-def _smooth_nodes(expression: Any, vector: Any) -> list[Any]:
+def _find_smooth_nodes(expression: Any, vector: Any) -> list[Any]:
     """Return the nodes that depend on a vector, by smooth operations alone."""
     leaves = {s.element_hash() for s in ca.vertsplit(vector)}
     depends: dict[int, bool] = {}
     smooth: dict[int, bool] = {}
     found = []
-    for node in _operands_first(expression):
+    for node in _sort_operands_first(expression):
         place, operands = node.element_hash(), [node.dep(i).element_hash() for i in range(node.n_dep())]
         depends[place] = place in leaves or any(depends[o] for o in operands)
         jumps = depends[place] and node.op() in _JUMPS
@@ -161,9 +161,9 @@ def _smooth_nodes(expression: Any, vector: Any) -> list[Any]:
     return found
 
 
-def _operands_first(expression: Any) -> list[Any]:
+def _sort_operands_first(expression: Any) -> list[Any]:
     """All nodes, operands before their results."""
-    nodes = {node.element_hash(): node for node in nodes_of(expression)}
+    nodes = {node.element_hash(): node for node in list_nodes(expression)}
     done: dict[int, Any] = {}
     for root in nodes.values():
         waiting = [root]

@@ -60,7 +60,7 @@ class Operations:
     steps: tuple[tuple[int, Sequence[int], Sequence[Any]], ...]
 
     @classmethod
-    def of(cls, function: Any) -> Operations | None:
+    def from_function(cls, function: Any) -> Operations | None:
         """Read a function; None if it is too long, or has operations beyond those known here."""
         if not function.is_a("SXFunction") or not function.sparsity_out(0).is_dense():
             return None
@@ -143,13 +143,13 @@ def make_fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]
     if result.size:
         buffer.set_res(0, memoryview(result.data))
 
-    def call(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
+    def call_compiled(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
         for argument, value in zip(arguments[:free], values, strict=True):
             argument[:] = value
         run()
         return result.copy()
 
-    return call
+    return call_compiled
 
 
 def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:

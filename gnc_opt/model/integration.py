@@ -45,19 +45,19 @@ class Budget:
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
-    def watched(self, rate: Rate) -> Rate:
+    def count_calls(self, rate: Rate) -> Rate:
         """Return the rate, which raises `EndedError` when the budget is spent."""
 
         def counted(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
                 self._note_step(t, x, values)
-            self.spend(t)
+            self.spend_evaluations(t)
             return values
 
         return counted
 
-    def spend(self, t: float, evaluations: int = 1) -> None:
+    def spend_evaluations(self, t: float, evaluations: int = 1) -> None:
         """Count evaluations that led to a time; raise `SpentError` when the budget is spent."""
         self.count += evaluations
         if self.count > self.most:
@@ -134,19 +134,19 @@ def integrate(
         The dynamics are not finite, or diverge.
     """
 
-    def diverged(_: float, state: Array) -> float:
+    def has_diverged(_: float, state: Array) -> float:
         return float(GROWTH_LIMIT - np.max(np.abs(state) / tolerance.magnitude))
 
     def stopped(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)
 
-    events: list[Any] = [diverged, stopped] if stop is not None else [diverged]
+    events: list[Any] = [has_diverged, stopped] if stop is not None else [has_diverged]
     for event in events:
         event.terminal = True
     try:
         with np.errstate(all="ignore"):
             run = scipy.integrate.solve_ivp(
-                budget.watched(rate),
+                budget.count_calls(rate),
                 span,
                 x,
                 method="Radau" if tolerance.stiff else "DOP853",

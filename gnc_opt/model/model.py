@@ -25,7 +25,7 @@ from gnc_opt.model.variables import (
     VectorSymbols,
     as_expression,
     as_vector,
-    foreign_symbols,
+    find_foreign_symbols,
 )
 from gnc_opt.text_formatting import counted
 
@@ -631,7 +631,7 @@ class Model(Strict):
 
     def _own_expression(self, value: Any, what: str, size: int | None) -> Any:
         expression = as_expression(value, what, size)
-        foreign = foreign_symbols(expression, list(self.arguments()))
+        foreign = find_foreign_symbols(expression, list(self.arguments()))
         if foreign:
             raise ModelError(
                 f"{what} uses '{foreign[0]}', which is not a symbol of this model: "

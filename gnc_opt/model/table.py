@@ -17,7 +17,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, shown
 from gnc_opt.model.interpolation import METHODS, Method, Pieces
 from gnc_opt.model.tabular_data import read_columns
-from gnc_opt.model.variables import owners_of
+from gnc_opt.model.variables import find_owners
 
 Outside: TypeAlias = Literal["linear", "hold", "error"]
 
@@ -152,7 +152,7 @@ class Table(Strict):
             point = ca.vertcat(*(column[i if column.shape[0] > 1 else 0] for column in columns))
             value, comparisons = self._interpolate(point)
             use = TableUse(self, point, comparisons, value)
-            for symbol in owners_of(ca.symvar(point)):
+            for symbol in find_owners(ca.symvar(point)):
                 symbol.table_uses.append(use)
             values.append(value)
         return ca.vertcat(*values)
@@ -184,7 +184,7 @@ class Table(Strict):
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
             window, places = _window_of_axis(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
-            weights = here.weights(pieces, continued=self.outside != "hold")
+            weights = here.compute_weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
             window = ca.mtimes(ca.reshape(window, rest, weights.numel()), weights)
         return window, ca.vertcat(*(here.comparisons for here in found))
@@ -212,7 +212,7 @@ class _Found:
         comparisons = ca.vertcat(below, above, *steps)
         return cls(inside, (held - start) / width, (x - held) / width, comparisons)
 
-    def weights(self, pieces: Pieces, *, continued: bool) -> Any:
+    def compute_weights(self, pieces: Pieces, *, continued: bool) -> Any:
         """Return the weights of the window (window, 1), outside held or continued with their slopes."""
         n, window, powers = pieces.matrices.shape
         matrix = ca.SX(pieces.matrices[0])

@@ -137,7 +137,7 @@ def _write_csv(records: Records, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([records.axis.name, *records.columns])
-        writer.writerows(map(_csv_value, row) for row in rows)
+        writer.writerows(map(_format_csv_value, row) for row in rows)
 
 
 def _write_json(records: Records, path: Path) -> None:
@@ -151,12 +151,12 @@ def _write_json(records: Records, path: Path) -> None:
 
 
 def _write_mat(records: Records, path: Path) -> None:
-    content: dict[str, Any] = {_identifier(records.axis.name): np.asarray(records.points)[:, None]}
-    units = {_identifier(records.axis.name): records.axis.unit}
+    content: dict[str, Any] = {_make_identifier(records.axis.name): np.asarray(records.points)[:, None]}
+    units = {_make_identifier(records.axis.name): records.axis.unit}
     for variable, values in records.quantities:
-        name = _identifier(variable.name)
+        name = _make_identifier(variable.name)
         content[name] = (
-            np.array(list(values[0]), dtype=object)[:, None] if _is_words(values) else np.asarray(values).T
+            np.array(list(values[0]), dtype=object)[:, None] if _is_text(values) else np.asarray(values).T
         )
         units[name] = variable.unit
     scipy.io.savemat(path, {**content, "units": units}, long_field_names=True)
@@ -169,16 +169,16 @@ _WRITERS: dict[str, Callable[[Records, Path], None]] = {
 }
 
 
-def _csv_value(value: Any) -> Any:
+def _format_csv_value(value: Any) -> Any:
     """Return a Python number or string; "" for a number that is not finite."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if isinstance(plain, float) and not np.isfinite(plain) else plain
 
 
-def _is_words(values: Any) -> bool:
+def _is_text(values: Any) -> bool:
     return np.asarray(values).dtype.kind in "OU"
 
 
-def _identifier(name: str) -> str:
+def _make_identifier(name: str) -> str:
     """Return a name that MATLAB takes."""
     return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

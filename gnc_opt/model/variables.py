@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import ErrorType, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_error, shown, unknown_name
-from gnc_opt.model.expressions import holds_nan
+from gnc_opt.model.expressions import contains_nan
 
 
 @dataclass(frozen=True)
@@ -183,8 +183,8 @@ class Symbol(ca.SX):  # type: ignore[misc]
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         """Evaluate ``np.linalg.norm(v)`` and similar calls as CasADi does for plain SX."""
         return function(
-            *map(_with_plain_symbols, args),
-            **{name: _with_plain_symbols(value) for name, value in kwargs.items()},
+            *map(_replace_by_plain_symbols, args),
+            **{name: _replace_by_plain_symbols(value) for name, value in kwargs.items()},
         )
 
     __hash__ = object.__hash__
@@ -193,10 +193,10 @@ class Symbol(ca.SX):  # type: ignore[misc]
         return f"<{self.variable.name}[{self.variable.size}]>"
 
 
-def _with_plain_symbols(value: Any) -> Any:
+def _replace_by_plain_symbols(value: Any) -> Any:
     """Return a value with a plain SX for every symbol in it."""
     if isinstance(value, (list, tuple)):
-        return type(value)(map(_with_plain_symbols, value))
+        return type(value)(map(_replace_by_plain_symbols, value))
     return ca.SX(value) if isinstance(value, Symbol) else value
 
 
@@ -204,7 +204,7 @@ _OWNERS: WeakValueDictionary[int, Symbol] = WeakValueDictionary()
 """From scalar symbols to the declared symbol that they are part of."""
 
 
-def owners_of(scalars: Iterable[Any]) -> list[Symbol]:
+def find_owners(scalars: Iterable[Any]) -> list[Symbol]:
     """Return the declared symbols that scalar SX symbols are part of, each once."""
     found = (_OWNERS.get(scalar.element_hash()) for scalar in scalars)
     return list({id(symbol): symbol for symbol in found if symbol is not None}.values())
@@ -253,7 +253,7 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
         raise failure(f"{what} has the shape {expression.shape}: give a column vector.")
     if size is not None and expression.shape[0] != size:
         raise failure(f"{what} has {expression.shape[0]} components: give {size}.")
-    if holds_nan(expression):
+    if contains_nan(expression):
         raise failure(
             f"{what} contains nan: give numbers, and write ca.sqrt(x) or ca.sin(x), with casadi imported as ca, not "
             "math.sqrt(x) or math.sin(x)."
@@ -274,7 +274,7 @@ def call_user_function(
     return found
 
 
-def foreign_symbols(expression: Any, known: list[Any]) -> list[str]:
+def find_foreign_symbols(expression: Any, known: list[Any]) -> list[str]:
     """Return the names of the scalar symbols in ``expression`` that are not among ``known``."""
     allowed = {element.element_hash() for symbol in known for element in ca.vertsplit(ca.vec(symbol))}
     return [s.name() for s in ca.symvar(expression) if s.element_hash() not in allowed]

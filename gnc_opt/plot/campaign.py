@@ -107,13 +107,13 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
 def _dispersion_legend_handles(
     campaign: Campaign, name: str, passed: Any, finite: Any, drawn: bool
 ) -> list[Any]:
-    handles = [Line2D([], [], label=f"{_run_count_text(np.sum(passed))} within all limits", **_PASSED)]
+    handles = [Line2D([], [], label=f"{_format_run_count(np.sum(passed))} within all limits", **_PASSED)]
     if not campaign.limits:
-        handles = [Line2D([], [], label=f"{_run_count_text(np.sum(passed))}", **_PASSED)]
+        handles = [Line2D([], [], label=f"{_format_run_count(np.sum(passed))}", **_PASSED)]
     if not np.all(passed):
         unseen = int(np.sum(~finite))
         beyond = f" ({unseen} without an end)" if unseen else ""
-        handles.append(Line2D([], [], label=f"{_run_count_text(np.sum(~passed))} not{beyond}", **_FAILED))
+        handles.append(Line2D([], [], label=f"{_format_run_count(np.sum(~passed))} not{beyond}", **_FAILED))
     if name in campaign.limits:
         unit = campaign.layouts["error"][name].unit
         text = f"limit {campaign.limits[name]:.3g} {unit}".rstrip()
@@ -245,5 +245,5 @@ def measure_axis_label(name: str) -> str:
     return f"final error of {variable_name_text(name)}"
 
 
-def _run_count_text(count: Any) -> str:
+def _format_run_count(count: Any) -> str:
     return f"{int(count)} run{'s' * (int(count) != 1)}"

@@ -177,7 +177,7 @@ def _draw_switching_function(
     axes[1].locator_params(axis="y", nbins=3)
     per = derivative_unit(hamiltonian_unit(solution), leg.control(name).unit)
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
-    negligible = _negligible_switching_value(solution, leg, name, i)
+    negligible = _compute_negligible_switching(solution, leg, name, i)
     set_minimum_y_range(axes[1], negligible)
     on_bound = _is_control_at_bound(
         leg, leg.controls.slice(name).start + i, t
@@ -195,7 +195,7 @@ def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
     return room <= AT_LIMIT * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
 
 
-def _negligible_switching_value(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
+def _compute_negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
     """Return the switching function that changes H by 1e-7 of its terms over the control's range."""
     t, rows = leg.point_times, leg.controls.slice(name)
     row = rows.start + i

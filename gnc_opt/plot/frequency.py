@@ -77,7 +77,7 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
     for k in range(response.times.size):
         loop = response.channel(omega, label, k)
         gain.loglog(omega, np.abs(loop), **line_style(k))
-        phase.semilogx(omega, np.degrees(_unwrapped_phase(loop)), **line_style(k))
+        phase.semilogx(omega, np.degrees(_unwrap_phase(loop)), **line_style(k))
     gain.axhline(1.0, color=QUIET, linewidth=0.8)
     phase.axhline(-180.0, color=QUIET, linewidth=0.8)
     gain.set_ylabel(f"gain of the loop at {variable_name_text(label)}")
@@ -146,7 +146,7 @@ _KINDS: dict[str, Any] = {
 """What draws a figure, and its height and width (inch)."""
 
 
-def _unwrapped_phase(loop: Any) -> Any:
+def _unwrap_phase(loop: Any) -> Any:
     """Return the phase (rad), continuous, that is nearest to a lag of half a turn where the gain is one."""
     phase = np.unwrap(np.angle(loop))
     at = int(np.argmin(np.abs(np.log(np.abs(loop) + 1e-300))))

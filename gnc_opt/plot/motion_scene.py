@@ -44,7 +44,7 @@ def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, 
 
     Motions that are not ``regular`` do not count for the limits of the axes.
     """
-    data = _scene_dict(shown, view, regular or {})
+    data = _serialise_scene(shown, view, regular or {})
     try:
         plotly = Path(import_optional("plotly", "report").__file__).parent / "package_data" / "plotly.min.js"
     except GncOptError as error:
@@ -68,7 +68,7 @@ def _compress_json(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, compresslevel=9, mtime=0)).decode("ascii")
 
 
-def _scene_dict(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
+def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
     spans = np.array([motion_time_span(moved, view) for moved in shown.values()])
     n = int(np.clip(_SCENE_MAX_SAMPLES // len(shown), *_INSTANTS))
     times = np.linspace(spans[:, 0].min(), spans[:, 1].max(), n)
@@ -97,11 +97,11 @@ def _scene_dict(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bo
         "bodies": bodies,
         "half_edges": VEHICLE_HALF_EDGES,
         "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
-        "motions": {name: _motion_dict(each, digits) for name, each in motions.items()},
+        "motions": {name: _serialise_motion(each, digits) for name, each in motions.items()},
     }
 
 
-def _motion_dict(each: Motion, digits: int) -> dict[str, Any]:
+def _serialise_motion(each: Motion, digits: int) -> dict[str, Any]:
     """Numbers of one motion; of the body's axes the first two, the third stands upright on them."""
     axes = [] if each.dcm_BL is None else np.round(each.dcm_BL[:2], _DIGITS).tolist()
     return {

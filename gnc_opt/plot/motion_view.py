@@ -110,23 +110,23 @@ def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
 
     def stack_values(names: Names) -> Array:
         return np.concatenate(
-            [np.vstack([part.values(n, t) for n in _as_name_list(names)]) for part, t in groups], axis=1
+            [np.vstack([part.values(n, t) for n in _list_names(names)]) for part, t in groups], axis=1
         )
 
     position, unit = np.zeros((3, times.size)), ""
     if view.position is not None:
         position = _to_three_rows(
-            stack_values(view.position), f"the position {', '.join(_as_name_list(view.position))}"
+            stack_values(view.position), f"the position {', '.join(_list_names(view.position))}"
         )
-        unit = parts[0].unit(_as_name_list(view.position)[0])
+        unit = parts[0].unit(_list_names(view.position)[0])
     dcm = (
         None
         if view.attitude is None
-        else _attitude_matrix(stack_values(view.attitude), ", ".join(_as_name_list(view.attitude)))
+        else _attitude_matrix(stack_values(view.attitude), ", ".join(_list_names(view.attitude)))
     )
     force = None
     if view.force is not None:
-        force = _to_three_rows(stack_values(view.force), f"the force {', '.join(_as_name_list(view.force))}")
+        force = _to_three_rows(stack_values(view.force), f"the force {', '.join(_list_names(view.force))}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return Motion(times, position, dcm, force, unit)
 
@@ -165,7 +165,7 @@ class _Part:
             raise unknown_name("state or control", name, "the motion", known) from None
 
     def has_states(self, names: Names) -> bool:
-        return all(name.partition("[")[0] in self.layouts["state"] for name in _as_name_list(names))
+        return all(name.partition("[")[0] in self.layouts["state"] for name in _list_names(names))
 
     def unit(self, name: str) -> str:
         return self.layouts["state"][name.partition("[")[0]].unit
@@ -183,12 +183,12 @@ def _trajectory_parts(moved: Moved, view: View) -> list[_Part]:
     names = view.position if view.position is not None else view.attitude or ()
     found = [part for part in parts if part.has_states(names)]
     if not found:  # say so in the words of what was given
-        for name in _as_name_list(names):
+        for name in _list_names(names):
             parts[0].source.state(name.partition("[")[0])
     return sorted(found, key=lambda part: part.begin)
 
 
-def _as_name_list(names: Names) -> list[str]:
+def _list_names(names: Names) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
 
 

@@ -82,7 +82,7 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     cut: dict[str, Any] = {}
-    if not _labels_fit(figure):
+    if not _do_labels_fit(figure):
         labels = [
             axis.label for ax in figure.axes if ax.name == "3d" for axis in (ax.xaxis, ax.yaxis, ax.zaxis)
         ]
@@ -93,7 +93,7 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     return target
 
 
-def _labels_fit(figure: Figure) -> bool:
+def _do_labels_fit(figure: Figure) -> bool:
     """Whether the layout keeps all labels inside; where it does not, they are looked for by drawing twice."""
     arranged = figure.get_layout_engine() is not None
     return arranged and not any(ax.name == "3d" for ax in figure.axes)

@@ -16,7 +16,7 @@ from gnc_opt.report.html_document import (
     figure_html,
     figures_html,
     html_document,
-    report_folder,
+    make_report_folder,
     save_figures,
     status_label_html,
     write_page,
@@ -67,7 +67,7 @@ def write_run_report(
     """
     from gnc_opt.plot.motion_scene import scene_html
 
-    folder = report_folder(directory)
+    folder = make_report_folder(directory)
     motion = "" if view is None else scene_html({title: run}, view)
     files = save_figures(folder, _draw_run_figures(run, view))
     sections = {
@@ -132,7 +132,7 @@ def write_campaign_report(
     runs = read_integer(runs, "the number of runs to show", 1)
     if not len(campaign):
         raise GncOptError("no run of the campaign has ended: there is nothing to report.")
-    folder = report_folder(directory)
+    folder = make_report_folder(directory)
     motion = "" if view is None else _sample_runs_section(campaign, view, runs)
     files = save_figures(folder, _draw_campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]

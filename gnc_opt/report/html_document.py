@@ -13,7 +13,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.runtime_environment import package_version
 
 
-def report_folder(directory: str | Path) -> Path:
+def make_report_folder(directory: str | Path) -> Path:
     """Make a folder for a report and return its path; refuse a file."""
     folder = Path(directory)
     if folder.exists() and not folder.is_dir():

@@ -83,7 +83,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "build_s": spent.build_s,
                 "solve_s": spent.solve_s,
                 "scheme": next(iter(solution.phases.values())).scheme,
-                "mesh": _mesh_text(solution),
+                "mesh": _format_mesh(solution),
                 "max_defect": quality and quality.max_defect,
                 "max_defect_where": quality and quality.defect_location,
                 "max_bound_violation": quality and quality.max_bound_violation,
@@ -126,7 +126,7 @@ def write_json(path: str | Path, found: Solution | Multistart, verdict: Verdict 
     return target
 
 
-def _mesh_text(solution: Solution) -> str:
+def _format_mesh(solution: Solution) -> str:
     """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
     if len(solution.phases) == 1:
         return str(solution.phase().mesh)
@@ -168,8 +168,8 @@ def _phase_dict(leg: PhaseSolution) -> dict[str, Any]:
         **_select_attributes(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
-        "states": _layout_list(leg.states),
-        "controls": _layout_list(leg.controls),
+        "states": _list_layout(leg.states),
+        "controls": _list_layout(leg.controls),
     }
 
 
@@ -177,5 +177,5 @@ def _select_attributes(value: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names}
 
 
-def _layout_list(layout: Layout) -> list[dict[str, Any]]:
+def _list_layout(layout: Layout) -> list[dict[str, Any]]:
     return [{"name": v.name, "size": v.size, "unit": v.unit} for v in layout.variables]

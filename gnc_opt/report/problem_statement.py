@@ -28,7 +28,7 @@ _TIME = "<mi>t</mi>"
 
 def problem_statement_html(problem: Problem) -> str:
     """Return the cost, the constraints at the ends, the free parameters and every phase as HTML."""
-    writer = Formulas(_boundary_names(problem))
+    writer = Formulas(_name_boundaries(problem))
     shown: dict[str, str] = {}
     phases = "".join(_phase_section(problem, leg, shown) for leg in problem.phases.values())
     return (
@@ -42,7 +42,7 @@ def problem_statement_html(problem: Problem) -> str:
 # --- cost and ends ----------------------------------------------------------------------------------------
 
 
-def _boundary_names(problem: Problem) -> dict[int, str]:
+def _name_boundaries(problem: Problem) -> dict[int, str]:
     """Return the names of end states, times, integrals and free parameters."""
     names = component_names_mathml({s.variable.name: s for s in problem.free_symbols()})
     several = len(problem.phases) > 1
@@ -306,11 +306,11 @@ def interval_text(box: Interval, rows: Sequence[int]) -> str:
     lower, upper = box.lower[rows], box.upper[rows]
     if np.all(lower == upper):
         return _format_numbers(lower)
-    texts = [_scalar_interval_text(low, high) for low, high in zip(lower, upper, strict=True)]
+    texts = [_format_scalar_interval(low, high) for low, high in zip(lower, upper, strict=True)]
     return texts[0] if len(set(texts)) == 1 else "; ".join(texts)
 
 
-def _scalar_interval_text(lower: float, upper: float) -> str:
+def _format_scalar_interval(lower: float, upper: float) -> str:
     if lower == upper:
         return f"{lower:.6g}"
     if np.isfinite(lower) and np.isfinite(upper):

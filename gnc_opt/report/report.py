@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Verdict
-from gnc_opt.report.html_document import report_folder, save_figures, write_page
+from gnc_opt.report.html_document import make_report_folder, save_figures, write_page
 from gnc_opt.report.json_output import write_json
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def write_report(
     from gnc_opt.plot.motion_scene import scene_html
     from gnc_opt.report.solution_page import solution_page_html
 
-    folder = report_folder(directory)
+    folder = make_report_folder(directory)
     motion = "" if view is None else scene_html({solution.problem_name: solution}, view)
     files = save_figures(folder, _draw_figures(solution, view))
     text = solution_page_html(solution, verdict, files, motion=motion, command=command)

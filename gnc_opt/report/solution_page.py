@@ -55,13 +55,13 @@ def solution_page_html(
         "Multipliers": _multipliers_table(solution),
         "Software": _software_versions_table(solution, command),
     }
-    return html_document(solution.problem_name, _headline_text(solution, verdict), sections)
+    return html_document(solution.problem_name, _format_headline(solution, verdict), sections)
 
 
 # --- first section ----------------------------------------------------------------------------------------
 
 
-def _headline_text(solution: Solution, verdict: Verdict | None) -> str:
+def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
     """Return the status of solver and optimality check, and the objective, in one line."""
     solved = solution.status.solved
     chips = status_label_html(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")

@@ -83,7 +83,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
     return np.where(np.abs(n) < RANK, 0.0, n)
 
 
-def cheapest_outputs(
+def minimise_output_cost(
     matrix: ArrayLike, sign: float, failed: Sequence[int] = (), what: str = "the allocation"
 ) -> Array:
     """Return the outputs >= 0 (n, k) of least sum for a unit command of this sign along each component.
@@ -106,7 +106,7 @@ def cheapest_outputs(
     return np.stack(columns, axis=1)
 
 
-def min_max_shift(u: Any, n: Array) -> Any:
+def compute_min_max_shift(u: Any, n: Array) -> Any:
     """Return the SX factor lambda for which the largest ``|u + lambda n|`` is smallest."""
     best, peak = ca.SX(0), ca.mmax(ca.fabs(u))
     for i, j in itertools.combinations(range(n.size), 2):
@@ -180,12 +180,12 @@ class Allocation(Block):
     def _allocate(self, signal: Any) -> Any:
         about: tuple[Any, str] = self.failed, f"'{self.name}'"
         if self.method == "non-negative":
-            plus, minus = (cheapest_outputs(self.matrix, sign, *about) for sign in (1.0, -1.0))
+            plus, minus = (minimise_output_cost(self.matrix, sign, *about) for sign in (1.0, -1.0))
             positive = ca.if_else(signal < 0, 0.0, signal)
             return plus @ positive + minus @ (positive - signal)
         u = pseudo_inverse(self.matrix, *about) @ signal
         n = null_vector(self.matrix, *about) if self.method == "min-max" else None
-        return u if n is None else u + min_max_shift(u, n) * n
+        return u if n is None else u + compute_min_max_shift(u, n) * n
 
 
 @dataclass(frozen=True)
@@ -367,10 +367,10 @@ class WheelArray(Block):
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
         n = None if self.balance == "none" else null_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
-            wanted = wanted + min_max_shift(wanted, n) * n
+            wanted = wanted + compute_min_max_shift(wanted, n) * n
         elif n is not None:
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
-            shift = -min_max_shift(h_w - wanted * tick.h, n) / tick.h
+            shift = -compute_min_max_shift(h_w - wanted * tick.h, n) / tick.h
             wanted = wanted + _clip_null_space_shift(shift, wanted, n, p["max_torque"]) * n
         torque = clip(wanted, -p["max_torque"], p["max_torque"])
         torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)

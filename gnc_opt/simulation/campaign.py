@@ -304,7 +304,7 @@ class Campaign(Strict, Printed):
         campaign, _ = CAMPAIGN_FILES.read(path)
         assert isinstance(campaign, Campaign)
         if flight is not None:
-            _require_same(campaign, flight, path)
+            _require_same_campaign(campaign, flight, path)
         return replace(campaign, flight=flight)
 
     def _require_runs(self) -> int:
@@ -313,7 +313,7 @@ class Campaign(Strict, Printed):
         return len(self.outcomes)
 
 
-def _require_same(campaign: Campaign, flight: CompiledLoop, path: str | Path) -> None:
+def _require_same_campaign(campaign: Campaign, flight: CompiledLoop, path: str | Path) -> None:
     """Refuse a flight that would not fly a run of the campaign with the same bits."""
     span = (float(flight.times[0]), float(flight.times[-1]))
     if flight.layout.labels != campaign.layouts["parameter"].labels:

@@ -50,10 +50,10 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Flo
     found = []
     for path in sorted(folder.glob(_PATTERN)):
         part = _load_batch(path)
-        _require_same(part, mission, path)
+        _require_same_plan(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
-            found.append(_first_runs(part, count))
+            found.append(_find_first_runs(part, count))
     return found
 
 
@@ -72,7 +72,7 @@ def _load_batch(path: Path) -> Campaign:
         ) from error
 
 
-def _require_same(part: Campaign, mission: CampaignTask, path: Path) -> None:
+def _require_same_plan(part: Campaign, mission: CampaignTask, path: Path) -> None:
     first = int(part.indices[0])
     why = ""
     if part.fingerprint != mission.flight.fingerprint:
@@ -87,7 +87,7 @@ def _require_same(part: Campaign, mission: CampaignTask, path: Path) -> None:
         raise GncOptError(f"the checkpoint '{path}' is of a campaign with {why}: give another folder.")
 
 
-def _first_runs(part: Campaign, count: int) -> Flown:
+def _find_first_runs(part: Campaign, count: int) -> Flown:
     first = int(part.indices[0])
     ending = FinalValues(
         errors=None,
@@ -175,7 +175,7 @@ class CampaignTask:
         ]
         return np.stack(columns, axis=1)
 
-    def fly(self, batch: Batch) -> list[Flown]:
+    def simulate_runs(self, batch: Batch) -> list[Flown]:
         """Fly a batch of runs; those that raise an exception are set apart from the others."""
         try:
             P = self.parameters(batch)
@@ -183,7 +183,7 @@ class CampaignTask:
         except Exception as error:  # whatever a dispersion or a solver in the loop does, no run is lost
             if len(batch) == 1:
                 return [Flown(batch, None, None, format_error(error))]
-            return [flown for half in split_batch(batch) for flown in self.fly(half)]
+            return [flown for half in split_batch(batch) for flown in self.simulate_runs(half)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ class Flown:
     died: bool = False
 
 
-def remaining_batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
+def find_remaining_batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
     """Return runs 0 to ``runs`` - 1 without those already flown, cut into batches."""
     size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
     ends = sorted((batch.start, batch.stop) for batch in flown)

@@ -97,7 +97,7 @@ class Measures:
     def names(self) -> tuple[str, ...]:
         """All measures that have values."""
         controls, commands = self.layout("applied").names, self.layout("command").names
-        states = [n for n in self.layout("state").names if self._has_target(n)]
+        states = [n for n in self.layout("state").names if self._needs_target(n)]
         costs = [f"{cost}({n})" for cost in ("effort", "energy") for n in controls]
         costs += [f"{cost}({n})" for cost in ("saturation", "variation") for n in commands]
         times = [f"time({n})" for n in self.layout("event").names]
@@ -165,13 +165,13 @@ class Measures:
             known = [*self.names, *(n for n in states.names if n not in self.names)]
             known += [f"angle({n})" for n in states.names if states[n].size in ATTITUDE]
             raise unknown_name("measure", name, "the campaign", known)
-        if kind in ("error", "angle") and not self._has_target(subject):
+        if kind in ("error", "angle") and not self._needs_target(subject):
             raise ArgumentError(
                 f"the controller follows no reference of '{subject}': give target={{'{subject}': ...}}."
             )
         return kind, subject
 
-    def _has_target(self, name: str) -> bool:
+    def _needs_target(self, name: str) -> bool:
         return bool(np.all(np.isfinite(self._runs.target[self.layout("state").slice(name)])))
 
 

@@ -19,7 +19,7 @@ from gnc_opt.model.variables import Layout, as_point, as_vector
 from gnc_opt.simulation.active_reference import PlanUpdater
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
-from gnc_opt.simulation.control_step import alarm_labels, watched_labels
+from gnc_opt.simulation.control_step import list_alarm_labels, list_watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.loop_assembly import Blocks, Wiring, wire_loop
@@ -316,8 +316,8 @@ class ClosedLoop:
 
     def _outcome_classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
-            tuple(watched_labels(self.wiring)),
-            tuple(alarm_labels(self.wiring)),
+            tuple(list_watched_labels(self.wiring)),
+            tuple(list_alarm_labels(self.wiring)),
             self.plant.states,
             self.wiring.divergence_limits,
             self.wiring.events.layout.names,

@@ -141,7 +141,7 @@ class CompiledLoop:
         X, C = self._initial_columns(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
-            flight._propagate_leg(X, rows, C, end)
+            flight._propagate_time_span(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
@@ -224,13 +224,13 @@ class CompiledLoop:
             if at.size:
                 for name in ("measured", "commands", "applied"):
                     log[name].append(told[name][:, at])
-                self._log_leg(log, parts, at, course.reference_at(self.times[first + at]))
+                self._log_time_span(log, parts, at, course.reference_at(self.times[first + at]))
             if self._is_ended_by_event(X[0]):
                 last = first + flown
         final = self.kernel.state.split(X[:1].T)
         ended = self._end_times(final)
         followed = self._reference_at_end(course, X[:1].T)
-        self._log_leg(log, final, np.array([0]), followed)
+        self._log_time_span(log, final, np.array([0]), followed)
         ending = self._collect_final_values(X[None], {}, followed)
         arrays = {name: np.hstack(columns) for name, columns in log.items()}
         times = np.append(self.times[kept[kept < last]], ended)
@@ -288,7 +288,7 @@ class CompiledLoop:
 
     def _normal_number_source(self, seed: Any, size: int) -> Callable[[int, int], Array]:
         """Return the standard normal numbers (n, size) from one control step to before another, in their order."""
-        generator = np.random.Generator(np.random.Philox(_seed_sequence(seed)))
+        generator = np.random.Generator(np.random.Philox(_make_seed_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
@@ -341,10 +341,10 @@ class CompiledLoop:
         (X, C), (other, others) = (folded.initial_column(known, P) for folded in self._step_executors)
         return np.stack([X, other]), (C, others)
 
-    def _propagate_leg(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
+    def _propagate_time_span(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
         """Write the states of a run and its companion after the steps of a leg to ``final`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
-            folded.fly(x, rows, c, end)
+            folded.execute_steps(x, rows, c, end)
 
     def _propagate_legs(
         self,
@@ -365,15 +365,15 @@ class CompiledLoop:
             before, told = X.copy(), None
             if logged and not self._is_ended_by_event(X[0]):
                 told = self._step_executors[0].propagate_with_log(before[0], rows, C[0])
-                self._step_executors[1].fly(before[1], rows, C[1], X[1])
+                self._step_executors[1].execute_steps(before[1], rows, C[1], X[1])
                 X[0] = told[0][:, -1]
             else:
-                self._propagate_leg(before, rows, C, X)
+                self._propagate_time_span(before, rows, C, X)
             yield first + len(rows), X, told
             if all(self._is_ended_by_event(x) for x in X):
                 return
 
-    def _log_leg(
+    def _log_time_span(
         self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
     ) -> None:
         """Log the states of a leg at its columns ``at``, beside what is followed there."""
@@ -446,7 +446,7 @@ class CompiledLoop:
         return np.asarray(self.errors(states, follow).full())
 
 
-def _seed_sequence(seed: Any) -> np.random.SeedSequence:
+def _make_seed_sequence(seed: Any) -> np.random.SeedSequence:
     """Return what random numbers are drawn from; a seed that would draw others each time is refused."""
     if isinstance(seed, np.random.SeedSequence):
         return seed

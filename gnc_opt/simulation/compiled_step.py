@@ -35,7 +35,7 @@ class StepExecutor:
         self.kernel, self.library = kernel, library
         self._buffers: dict[Any, Any] = {}
 
-    def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def execute_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Write the state (n_state,) after the steps (n_steps, n_known) of a leg to ``final``."""
         if self._machine_code_function is None:
             self._propagate_interpreted(X, rows, C, final)
@@ -182,7 +182,7 @@ def build_step_library(step: Any) -> str:
         return ""
     compiled = (platform.machine(), os.path.realpath(compiler), step.serialize())
     told = (ca.__version__, *FLAGS, _LOOP, *compiled)
-    place = _cache_folder() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
+    place = _find_cache_folder() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
     try:
         if not place.exists():
             _compile_library(step, compiler, place)
@@ -209,7 +209,7 @@ def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], in
     return call_library
 
 
-def _cache_folder() -> Path:
+def _find_cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gnc_opt"
 
 

@@ -11,7 +11,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.dormand_prince import Taken, integrate_dormand_prince
 from gnc_opt.simulation.event_location import Watch, event_note_layout, event_record_layout
-from gnc_opt.simulation.intersample_input import Wave, stack_waves
+from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import Wiring
 from gnc_opt.simulation.quantities import Extremes
 from gnc_opt.simulation.signals import Link, Places, replace_signals, replace_waves, stack_signals
@@ -136,7 +136,7 @@ class ControlStep:
         for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
-            wave = stack_waves([waves[n] for n in link.on])
+            wave = concatenate_waves([waves[n] for n in link.on])
             wave, step = link.block.flow(tick, wave, memory[key], self.parameters_of(link), noise)
             memory[key] = step.state
             _mark_saturation(saturated, step, link, origin)
@@ -196,7 +196,7 @@ class ControlStep:
         watches: Sequence[Callable[[Taken, Callable[[Any], Any]], None]] = (),
     ) -> Any:
         """Integrate the plant over a minor step that begins at t, or over a ``span`` of it (s)."""
-        f, n, wave = self._plant_rate_function(state), self.substeps, stack_waves(waves)
+        f, n, wave = self._plant_rate_function(state), self.substeps, concatenate_waves(waves)
         begin, end = span or (ca.SX(0), ca.SX(self.h))
         length = end - begin
 
@@ -215,7 +215,7 @@ class ControlStep:
             f, t + begin, x, length, n, wave.sample_for_integration(begin, length / n), notify_watches
         )
 
-    def tick_at(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
+    def make_tick(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
         return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, self.split_state(state["plant"]))
 
     def update_disturbances(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
@@ -294,7 +294,7 @@ def watched_measurements(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
     return (measured,) if controller.unbridged is None and controller.estimated is None else ()
 
 
-def watched_labels(wiring: Wiring) -> list[str]:
+def list_watched_labels(wiring: Wiring) -> list[str]:
     """Return what the codes of the first non-finite quantity mean, code 1 first."""
     groups = (
         *watched_measurements(wiring, ("measured", wiring.controller.states)),
@@ -307,7 +307,7 @@ def watched_labels(wiring: Wiring) -> list[str]:
     return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
 
 
-def alarm_labels(wiring: Wiring) -> list[str]:
+def list_alarm_labels(wiring: Wiring) -> list[str]:
     """Return the controller's alarms by code, code 1 first."""
     memory = wiring.controller.memory
     return [label for name in wiring.controller.alarms for label in memory[name].labels]

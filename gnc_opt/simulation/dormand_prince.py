@@ -50,13 +50,13 @@ class Taken(NamedTuple):
     after: Any
     stages: list[Any]
 
-    def at(self, nu: float) -> tuple[Any, Any]:
+    def interpolate_state(self, nu: float) -> tuple[Any, Any]:
         """Return the state and its rate at ``nu`` (0 to 1) of the step."""
         k, rest = self.stages, 1 - nu
-        mean = _weighted_sum(STAGES[-1], k[:-1])
+        mean = _sum_weighted(STAGES[-1], k[:-1])
         first = k[0] - mean
         last = mean - k[-1] - first
-        bubble = _weighted_sum(DENSE_WEIGHTS, k)
+        bubble = _sum_weighted(DENSE_WEIGHTS, k)
         inner = last + rest * bubble
         middle, middle_slope = first + nu * inner, inner - nu * bubble
         outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
@@ -82,7 +82,7 @@ def integrate_dormand_prince(
         start = t + i * h
         k = [f(start, x, None if u is None else u(i, 0.0)) if rate is None else rate]
         for node, row in zip(NODES[1:], STAGES[1:], strict=True):
-            after = _stage_function(row, x.shape[0])(x, h, *k)
+            after = _build_stage_function(row, x.shape[0])(x, h, *k)
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
         if stepped is not None:
             stepped(Taken(i, h, start, x, after, k))
@@ -91,17 +91,17 @@ def integrate_dormand_prince(
 
 
 @cache
-def _stage_function(row: tuple[float, ...], n: int) -> Any:
+def _build_stage_function(row: tuple[float, ...], n: int) -> Any:
     """Return where a stage begins, from x (n,), h and the rates before it: CasADi expands a call faster than Python."""
     x, h, *k = _stage_symbols(n, len(row))
-    return ca.Function("stage", [x, h, *k], [x + h * _weighted_sum(row, k)])
+    return ca.Function("stage", [x, h, *k], [x + h * _sum_weighted(row, k)])
 
 
 def _stage_symbols(n: int, rates: int) -> list[Any]:
     return [ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(rates))]
 
 
-def _weighted_sum(weights: tuple[float, ...], k: list[Any]) -> Any:
+def _sum_weighted(weights: tuple[float, ...], k: list[Any]) -> Any:
     terms = [w * rate for w, rate in zip(weights, k, strict=True) if w != 0.0]
     total = terms[0]
     for term in terms[1:]:

@@ -106,7 +106,7 @@ class _Passage:
             )
         )
         self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._context_entries()
-        self.lowest = self._lowest_crossing_function()
+        self.lowest = self._build_crossing_function()
         self.newton = self._newton_or_bisection_step()
         self.effect = self._event_effect_function()
 
@@ -265,7 +265,7 @@ class _Passage:
         choice = ca.Function.if_else("improve", keep, step)
         return ca.Function("improve", inputs, [choice(r[4], *inputs)])
 
-    def _lowest_crossing_function(self) -> Any:
+    def _build_crossing_function(self) -> Any:
         """``(y, slope, crossing) -> (y, slope)`` of the lowest of the crossing rows."""
         y, slope, crossing = (ca.SX.sym(name, self.n_rows) for name in ("y", "slope", "crossing"))
         least, its = ca.SX(ca.inf), ca.SX(0)

@@ -17,14 +17,14 @@ from gnc_opt.arguments import expect, read_label, require_distinct
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, as_expression, foreign_symbols
+from gnc_opt.model.variables import Layout, Variable, as_expression, find_foreign_symbols
 
 
 def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
     """Return an SX expression (size, 1) of time, states and parameters of the plant, optionally of its controls."""
     expression = as_expression(value, what, size, ArgumentError)
     t, x, u, p = plant.arguments()
-    foreign = foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
+    foreign = find_foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
     if foreign:
         kinds = [plant.states, *([plant.controls] if controls else []), plant.parameters]
         wanted = "state, control or parameter" if controls else "state or parameter"

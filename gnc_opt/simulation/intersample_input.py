@@ -61,7 +61,7 @@ class Wave:
         return lambda k, node: self.evaluate_wave(lambda tau: projected(tau, k, node))
 
 
-def stack_waves(waves: Sequence[Wave]) -> Wave:
+def concatenate_waves(waves: Sequence[Wave]) -> Wave:
     """Return several waves as one column."""
     mean = ca.vertcat(*[wave.mean for wave in waves])
     if all(wave.at is None for wave in waves):

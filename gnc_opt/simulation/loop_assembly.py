@@ -20,7 +20,7 @@ from gnc_opt.simulation.block import Block, Tick
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event, Events
 from gnc_opt.simulation.quantities import Quantities, Quantity
-from gnc_opt.simulation.signals import Kinds, Link, link_blocks, sizes_and_units
+from gnc_opt.simulation.signals import Kinds, Link, link_blocks, list_sizes_and_units
 
 
 def check_measured_signals(plant: Model, controller: Controller) -> None:
@@ -199,11 +199,11 @@ def wire_loop(
             )
     every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
     require_distinct([block.name for block in every], "blocks of the closed loop")
-    actuators, applied = link_blocks(blocks.actuators, sizes_and_units(controller.commands), "command")
+    actuators, applied = link_blocks(blocks.actuators, list_sizes_and_units(controller.commands), "command")
     check_applied_signals(plant, applied, controller)
-    sensors = _sensor_links(controller, blocks.sensors)
-    targets = sizes_and_units(plant.controls) | {
-        n: (size, f"{unit}/s") for n, (size, unit) in sizes_and_units(plant.states).items()
+    sensors = _link_sensors(controller, blocks.sensors)
+    targets = list_sizes_and_units(plant.controls) | {
+        n: (size, f"{unit}/s") for n, (size, unit) in list_sizes_and_units(plant.states).items()
     }
     pushes = [link_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = Events.of(plant, blocks.events), Quantities.of(plant, blocks.quantities)
@@ -250,8 +250,8 @@ def _check_trim(wiring: Wiring) -> None:
             )
 
 
-def _sensor_links(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:
-    states = sizes_and_units(controller.states)
+def _link_sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:
+    states = list_sizes_and_units(controller.states)
     links, seen = link_blocks(blocks, states, "measured state")
     if seen != states:
         raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")

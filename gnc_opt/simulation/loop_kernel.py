@@ -18,7 +18,7 @@ from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.event_location import event_note_layout, event_passage_function
 from gnc_opt.simulation.loop_assembly import Wiring
-from gnc_opt.simulation.quantities import empty_record, join_records
+from gnc_opt.simulation.quantities import join_records, make_empty_record
 from gnc_opt.simulation.signals import Places, stack_signals
 
 
@@ -27,7 +27,7 @@ def add_event_handling(step: ControlStep, act: Any) -> Any:
     return _EventfulStep(step).function(act)
 
 
-def stop_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
+def hold_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
     """Return the step that is inactive after an event has ended the run, with the second output ``log``."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, log])
@@ -80,7 +80,7 @@ class _EventfulStep:
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
         state, w = self.state.split(column), self.known.split(known)
-        new, tick = dict(state), self.base.tick_at(i, w, state)
+        new, tick = dict(state), self.base.make_tick(i, w, state)
         waves, saturated = self.base.apply_actuators(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
@@ -194,7 +194,7 @@ class _Builder(ControlStep):
         y, sensors = self.apply_sensors(x, w["t"], None, w)
         tick = Tick(w["t"], self.h, wiring.dt, self.split_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
-        parts |= {"plant": x, **sensors, "quantities": empty_record(len(wiring.quantities))}
+        parts |= {"plant": x, **sensors, "quantities": make_empty_record(len(wiring.quantities))}
         parts |= self.initial_actuator_memories(tick, w["r"])
         if wiring.events:
             parts |= self.initial_event_record(w["t"], x)
@@ -212,7 +212,7 @@ class _Builder(ControlStep):
     def _step_function(self, constants: Any, act: Any) -> Any:
         inputs, after, log, _ = self._step_expressions(self.wiring.controller.step, constants, act)
         step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
-        return stop_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
+        return hold_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
 
     def _fast_step_function(self, constants: Any, act: Any) -> Any:
         easy = self.wiring.controller.easy
@@ -220,7 +220,7 @@ class _Builder(ControlStep):
             return None
         inputs, after, _, (enough,) = self._step_expressions(easy, constants, act)
         step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
-        return stop_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
+        return hold_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
     def _step_expressions(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
         """Return X, w, C as symbols, and of a step by a law the next X, the log, and whether an easy law is enough."""
@@ -254,7 +254,7 @@ class _Builder(ControlStep):
         new = self.update_disturbances(state, w)
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
-            tick = self.tick_at(i, w, new)
+            tick = self.make_tick(i, w, new)
             waves, saturated = self.apply_actuators(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch, extremes = (

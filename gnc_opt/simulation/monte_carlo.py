@@ -22,9 +22,9 @@ from gnc_opt.simulation.campaign_batch import (
     CampaignTask,
     Flown,
     batch_results,
+    find_remaining_batches,
     load_stored_runs,
     merge_batches,
-    remaining_batches,
     split_batch,
     store_runs,
 )
@@ -206,8 +206,8 @@ def monte_carlo(
 
         if before:
             show(*_count_failures(before))
-        todo = remaining_batches(n, [part.batch for part in before])
-        done = pool.run(CampaignTask.fly, todo, store_batch, split_batch)
+        todo = find_remaining_batches(n, [part.batch for part in before])
+        done = pool.run(CampaignTask.simulate_runs, todo, store_batch, split_batch)
     flown = sorted(
         [*before, *(part for batch in done for part in batch_results(batch))],
         key=lambda part: part.batch.start,

@@ -81,7 +81,7 @@ class Quantities:
         return cls(layout, ca.Function("quantities", plant.arguments(), [y]))
 
 
-def empty_record(count: int) -> Any:
+def make_empty_record(count: int) -> Any:
     """Return the record of ``count`` quantities over no time, (5 count,): see `join_records`."""
     values = (-ca.inf, ca.inf, 0.0, ca.inf, ca.inf)
     return ca.DM(np.repeat([float(v) for v in values], count))
@@ -105,7 +105,7 @@ class Extremes:
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
-        self.record = ca.SX(empty_record(len(quantities)))
+        self.record = ca.SX(make_empty_record(len(quantities)))
 
     def __call__(self, taken: Taken, applied: Callable[[float], Any]) -> None:
         """Take in an integration step."""
@@ -117,19 +117,19 @@ class Extremes:
         terms = [w * each for panel in panels for w, each in zip(BOOLE_WEIGHTS, panel, strict=True)]
         total = taken.length / self.panels * sum(terms)
         step = ca.vertcat(
-            _interpolated_maximum(y), -_interpolated_maximum([-each for each in y]), total, y[0], y[-1]
+            _interpolate_maximum(y), -_interpolate_maximum([-each for each in y]), total, y[0], y[-1]
         )
         flown = ca.repmat(taken.length > 0, step.shape[0], 1)
         self.record = join_records(
-            self.record, ca.if_else(flown, step, ca.SX(empty_record(len(self.quantities))))
+            self.record, ca.if_else(flown, step, ca.SX(make_empty_record(len(self.quantities))))
         )
 
     def _evaluate_rows(self, taken: Taken, nu: float, u: Any) -> Any:
-        x = taken.x if nu == 0 else taken.after if nu == 1 else taken.at(nu)[0]
+        x = taken.x if nu == 0 else taken.after if nu == 1 else taken.interpolate_state(nu)[0]
         return self.quantities.rows(taken.time + nu * taken.length, x, u, self.parameters)
 
 
-def _interpolated_maximum(y: Sequence[Any]) -> Any:
+def _interpolate_maximum(y: Sequence[Any]) -> Any:
     """Return the largest values of smooth curves through values at the nodes."""
     highest = y[0]
     for each in y[1:]:

@@ -142,13 +142,13 @@ class Run(Strict, Printed):
         ]
         if self.errors is not None:
             ends = np.abs(self.errors[:, -1])
-            lines.insert(1, "  final errors  " + _norms_text(self.layouts["error"], ends))
+            lines.insert(1, "  final errors  " + _format_norms(self.layouts["error"], ends))
         if self.events:
-            lines.insert(-1, "  events        " + _events_text(self.events))
+            lines.insert(-1, "  events        " + _format_events(self.events))
         if self.replans:
-            lines.insert(-1, "  re-plans      " + _replans_text(self.replans))
-        lines.insert(-1, "  effort        " + _norms_text(self.layouts["applied"], self.effort, " s"))
-        lines.insert(-1, "  saturated     " + _norms_text(self.layouts["command"], self.saturation, None))
+            lines.insert(-1, "  re-plans      " + _format_replans(self.replans))
+        lines.insert(-1, "  effort        " + _format_norms(self.layouts["applied"], self.effort, " s"))
+        lines.insert(-1, "  saturated     " + _format_norms(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -313,17 +313,17 @@ RUN_FILES = FileFormat(
 )
 
 
-def _events_text(events: Sequence[EventOccurrence]) -> str:
+def _format_events(events: Sequence[EventOccurrence]) -> str:
     more = f", ... ({len(events)})" if len(events) > LISTED else ""
     return ", ".join(str(event) for event in events[:LISTED]) + more
 
 
-def _replans_text(replans: Sequence[Replan]) -> str:
+def _format_replans(replans: Sequence[Replan]) -> str:
     failed, slowest = sum(r.failed for r in replans), max(r.solve_s for r in replans)
     return f"{len(replans)}, {failed} of them failed; the slowest took {slowest:.2g} s here"
 
 
-def _norms_text(layout: Layout, values: Array, suffix: str | None = "") -> str:
+def _format_norms(layout: Layout, values: Array, suffix: str | None = "") -> str:
     """Return the norm of every variable with its unit and a suffix; ``None`` stands for values in s."""
     parts = []
     for variable in layout.variables:

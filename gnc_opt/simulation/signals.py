@@ -60,7 +60,7 @@ class Link:
     outputs: Kinds
 
 
-def sizes_and_units(layout: Layout) -> Kinds:
+def list_sizes_and_units(layout: Layout) -> Kinds:
     """Return sizes and units of a layout's variables by name."""
     return {v.name: (v.size, v.unit) for v in layout.variables}
 

@@ -39,12 +39,12 @@ _MODE_MAX_ERROR = 1e-6
 _STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
 
 
-def stable_step_count(modes: Any, length: float) -> int:
+def count_stable_steps(modes: Any, length: float) -> int:
     """Return how many steps in a length (s) the fastest of modes (1/s, complex) needs to stay stable."""
     return max(1, int(np.ceil(np.max(np.abs(modes), initial=0.0) * length / _STABLE)))
 
 
-def accurate_step_count(modes: Any, length: float, duration: float, asked: float) -> int:
+def count_accurate_steps(modes: Any, length: float, duration: float, asked: float) -> int:
     """Return the steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex).
 
     If that takes too many, the steps for `_MODE_MAX_ERROR`: a run that excites the modes refines them.
@@ -89,12 +89,12 @@ class StepSelection:
         """Return the flight with as many integration steps as its accuracy needs."""
         if self.substeps is not None:
             return flight_with(self.substeps)
-        substeps = stable_step_count(modes, self.step)
+        substeps = count_stable_steps(modes, self.step)
         if substeps > MAX_SUBSTEPS:
             raise self._too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
         flight = flight_with(substeps)
         duration = float(flight.times[-1] - flight.times[0])
-        substeps = max(substeps, accurate_step_count(modes, self.step, duration, self.asked))
+        substeps = max(substeps, count_accurate_steps(modes, self.step, duration, self.asked))
         best, least, stalled = flight, np.inf, 0
         while True:
             flight = flight_with(substeps)

@@ -50,7 +50,7 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
     >>> print(np.round(quaternion_product(quarter, quarter), 6))
     [0. 1. 0. 0.]
     """
-    pv, qv = _vector(p), _vector(q)
+    pv, qv = _vector_part(p), _vector_part(q)
     across = cross(pv, qv)
     scalar = p[0] * q[0] - dot(pv, qv)
     return stack([scalar, *(p[0] * qv[i] + q[0] * pv[i] + across[i] for i in range(3))])
@@ -109,7 +109,7 @@ def quaternion_rate(q_BA: Quaternion, omega_BA_B: Vector) -> Quaternion:
     >>> print(quaternion_rate([1.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0]) + 0.0)
     [0.  0.1 0.  0. ]
     """
-    vector = _vector(q_BA)
+    vector = _vector_part(q_BA)
     across = cross(vector, omega_BA_B)
     scalar = -0.5 * dot(vector, omega_BA_B)
     return stack([scalar, *(0.5 * (q_BA[0] * omega_BA_B[i] + across[i]) for i in range(3))])
@@ -172,7 +172,7 @@ def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
         [root(largest(1 - square, 0)), *(0.5 * error[i] / root(largest(square, 1)) for i in range(3))]
     )
     q = quaternion_product(q_ref, turn)
-    length = root(q[0] ** 2 + dot(_vector(q), _vector(q)))
+    length = root(q[0] ** 2 + dot(_vector_part(q), _vector_part(q)))
     return stack([q[i] / length for i in range(4)])
 
 
@@ -192,5 +192,5 @@ def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
     return 2 * np.arctan2(np.linalg.norm(error[1:], axis=0), np.abs(error[0]))
 
 
-def _vector(q: Quaternion) -> Vector:
+def _vector_part(q: Quaternion) -> Vector:
     return stack([q[1], q[2], q[3]])

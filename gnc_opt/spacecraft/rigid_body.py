@@ -95,7 +95,7 @@ def array_momentum(axes: ArrayLike, momenta: Vector) -> Vector:
     >>> print(np.round(array_momentum(wheel_pyramid(), [1.0, 1.0, 1.0, 1.0]), 4) + 0.0)
     [0.     0.     2.3094]
     """
-    return _times(axes, momenta)
+    return _multiply_inertia(axes, momenta)
 
 
 def wheel_body_acceleration(
@@ -123,7 +123,7 @@ def wheel_body_acceleration(
     [0.     0.0025 0.    ]
     """
     total = total_momentum(inertia, axes, omega_BI_B, momenta)
-    gyroscopic, driving = cross(omega_BI_B, total), _times(axes, torques)
+    gyroscopic, driving = cross(omega_BI_B, total), _multiply_inertia(axes, torques)
     return divide_by_inertia(inertia, stack([driving[i] + external_B[i] - gyroscopic[i] for i in range(3)]))
 
 
@@ -146,11 +146,11 @@ def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: V
     >>> print(np.round(total_momentum(np.eye(3), wheel_pyramid(), [0.0, 0.0, 0.1], [0.0] * 4), 4))
     [0.  0.  0.1]
     """
-    body, wheels = angular_momentum(inertia, omega_BI_B), _times(axes, momenta)
+    body, wheels = angular_momentum(inertia, omega_BI_B), _multiply_inertia(axes, momenta)
     return stack([body[i] + wheels[i] for i in range(3)])
 
 
-def _times(matrix: ArrayLike | Matrix, vector: Vector) -> Vector:
+def _multiply_inertia(matrix: ArrayLike | Matrix, vector: Vector) -> Vector:
     """Return matrix times vector for any number of columns."""
     if is_symbolic(matrix, vector):
         return ca.mtimes(ca.DM(np.asarray(matrix)) if not is_symbolic(matrix) else matrix, vector)

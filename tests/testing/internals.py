@@ -26,7 +26,7 @@ from gnc_opt.control.sampled_data import (
     zero_order_hold,
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
-from gnc_opt.control.tvlqr_gains import riccati_gains
+from gnc_opt.control.tvlqr_gains import compute_riccati_gains
 from gnc_opt.estimation.error_space import euclidean_space
 from gnc_opt.estimation.linearization import (
     Regression,
@@ -118,8 +118,8 @@ from gnc_opt.report.html_document import html_document
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
+    compute_min_max_shift,
     effect_matrix,
-    min_max_shift,
     null_vector,
     pseudo_inverse,
 )
@@ -135,10 +135,10 @@ from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_p
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, integrate_dormand_prince
 from gnc_opt.simulation.event_location import Watch
 from gnc_opt.simulation.final_values import integration_errors
-from gnc_opt.simulation.intersample_input import Wave, stack_waves
+from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
 from gnc_opt.simulation.quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.run import Logged, compute_settling_time
 from gnc_opt.simulation.signals import Places, link_blocks
-from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, accurate_step_count
+from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, count_accurate_steps
 from gnc_opt.text_formatting import derivative_unit

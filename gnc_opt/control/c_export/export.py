@@ -113,7 +113,7 @@ def export_c(
     """
     expect(controller, Controller, "what export_c() got", "give what a design function returned")
     dt = controller.step_length(dt)
-    prefix = _read_prefix(_c_identifier(controller.name) if name is None else name)
+    prefix = _read_prefix(_make_c_identifier(controller.name) if name is None else name)
     form = flight_controller(controller)
     if form.solver is not None and span is not None:
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
@@ -129,19 +129,19 @@ def export_c(
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     header, source, driver = (folder / f"{prefix}{end}" for end in (".h", ".c", "_main.c"))
-    header.write_text(files.header(), encoding="ascii")
-    source.write_text(files.source(), encoding="ascii")
-    driver.write_text(files.driver(), encoding="ascii")
+    header.write_text(files.write_header(), encoding="ascii")
+    source.write_text(files.write_source(), encoding="ascii")
+    driver.write_text(files.write_driver(), encoding="ascii")
     size = table.size(files.numbers)
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
     missed = measure_command_error(controller, source, driver, samples, dt)
-    header.write_text(files.header(_comparison_remark(np.size(samples[0]), missed)), encoding="ascii")
+    header.write_text(files.write_header(_format_comparison(np.size(samples[0]), missed)), encoding="ascii")
     return replace(code, command_error=missed)
 
 
-def _comparison_remark(count: int, missed: Array) -> str:
+def _format_comparison(count: int, missed: Array) -> str:
     """Return the header's text on the comparison with the law."""
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
@@ -175,7 +175,7 @@ def _expand_to_scalar_operations(function: Any, form: FlightLaw) -> Any:
     return scalar
 
 
-def _c_identifier(name: str) -> str:
+def _make_c_identifier(name: str) -> str:
     text = "".join(c.lower() if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
     return f"law_{text}" if not text or text[0].isdigit() else text
 
@@ -252,14 +252,14 @@ class FlightFiles:
         return own + (0 if self.form.solver is None else self.form.solver.operations)
 
     @property
-    def stack(self) -> int:
+    def measure_stack(self) -> int:
         """Bytes of the local arrays of the larger of both functions and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
         own = self.step.sz_w() + memory + (0 if solver is None else solver.stack)
         return int(self.numbers.size * (row + max(self.start.sz_w(), own)))
 
-    def header(self, remark: str = "") -> str:
+    def write_header(self, remark: str = "") -> str:
         """Return the header; the remark is a line of comment at its top."""
         upper, prefix, controller = self.prefix.upper(), self.prefix, self.form.controller
         bounded = "at most" if self.form.solver is not None else "the same at every step, whatever the data"
@@ -282,7 +282,7 @@ class FlightFiles:
             "",
             f"/* Of a step, {bounded}; no memory is allocated. */",
             f"#define {upper}_OPERATIONS {self.operations} /* arithmetic, comparisons, calls */",
-            f"#define {upper}_STACK {self.stack} /* bytes of the arrays on the stack, at most */",
+            f"#define {upper}_STACK {self.measure_stack} /* bytes of the arrays on the stack, at most */",
             f"#define {upper}_TABLE {self.table.size(self.numbers)} /* bytes of the schedule */",
             "",
             "/* What the arrays hold, with units:",
@@ -295,7 +295,7 @@ class FlightFiles:
         }
         for title, layout in parts.items():
             lines.append(f" * {title}: {layout.size}")
-            lines += [f" *   {entry}" for entry in _layout_comments(layout)]
+            lines += [f" *   {entry}" for entry in _write_layout_comments(layout)]
         if controller.alarms:
             lines.append(f" * alarms (not 0: the law gave up): {', '.join(controller.alarms)}, entries of z")
         lines += [
@@ -314,7 +314,7 @@ class FlightFiles:
         ]
         return self.numbers.typed("\n".join(lines))
 
-    def source(self) -> str:
+    def write_source(self) -> str:
         """Return the law and its tables."""
         upper, prefix = self.prefix.upper(), self.prefix
         lines = [
@@ -338,7 +338,7 @@ class FlightFiles:
         lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
         return self.numbers.typed("\n".join([*lines, self._fill_template("interface.c")]))
 
-    def driver(self) -> str:
+    def write_driver(self) -> str:
         """Return a program that reads measurements and writes commands."""
         return self.numbers.typed(self._fill_template("driver.c"))
 
@@ -373,7 +373,7 @@ class FlightFiles:
         ]
 
 
-def _layout_comments(layout: Layout) -> list[str]:
+def _write_layout_comments(layout: Layout) -> list[str]:
     pairs = zip(layout.labels, layout.units, strict=True)
     return [_escape_comment(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
 

@@ -77,7 +77,7 @@ class AngleProbe:
         """Return the first candidate that is a period of the functions in a control, 0 if none is."""
         for period in candidates:
             turned, elsewhere = (
-                self.values(self._shifted_values(i, by)) for by in (period, ELSEWHERE * period)
+                self.values(self._evaluate_shifted(i, by)) for by in (period, ELSEWHERE * period)
             )
             if repeats_after_turn(self.sampled_values, turned, elsewhere):
                 return period
@@ -85,12 +85,12 @@ class AngleProbe:
 
     def is_mirrored(self, azimuth: int, elevation: int, half_turn: float, end: float) -> bool:
         """Whether half a turn of the azimuth cancels a reflection of the elevation at an end of its range."""
-        away = self._shifted_values(azimuth, half_turn)
+        away = self._evaluate_shifted(azimuth, half_turn)
         reflected = away.copy()
         reflected[elevation] = 2.0 * end - reflected[elevation]
         return repeats_after_turn(self.sampled_values, self.values(reflected), self.values(away))
 
-    def _shifted_values(self, i: int, by: float) -> Array:
+    def _evaluate_shifted(self, i: int, by: float) -> Array:
         u = self.u.copy()
         u[i] += by
         return u

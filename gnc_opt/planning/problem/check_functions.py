@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.expressions import ROOTS, nodes_of, operations_in
+from gnc_opt.model.expressions import ROOTS, find_operations, list_nodes
 from gnc_opt.planning.problem.expressions import (
     bind_ends,
     end_arguments,
@@ -71,7 +71,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not operations_in(stack_terms(leg)) & _KINKS.keys():
+    if not find_operations(stack_terms(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
     for operation, (kind, where) in _find_first_kinks(problem, leg, looked_up):
@@ -110,7 +110,7 @@ def _find_first_kinks(
     told: set[str] = set()
     for what, labels, stacked in _collect_phase_expressions(leg):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
-            for node in nodes_of(expression):
+            for node in list_nodes(expression):
                 operation = node.op()
                 if operation not in _KINKS or node.element_hash() in looked_up:
                     continue
@@ -135,7 +135,7 @@ def find_shifted_norms(leg: Phase) -> list[str]:
     """Return which integrands contain a norm that has no derivative at controls other than zero: ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
-        vectors = (_norm_argument(node) for node in nodes_of(integrand) if node.op() in ROOTS)
+        vectors = (_norm_argument(node) for node in list_nodes(integrand) if node.op() in ROOTS)
         if any(v is not None and ca.depends_on(v, controls) and _is_shifted(v, controls) for v in vectors):
             texts.append(
                 f"integral '{name}' of {leg.where} contains a norm of controls less other terms, which has a kink "

@@ -11,11 +11,11 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, suggest_symbol
-from gnc_opt.model.expressions import nodes_of
+from gnc_opt.model.expressions import list_nodes
 from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.model.model import Model
 from gnc_opt.model.table import Table, TableUse
-from gnc_opt.model.variables import Layout, foreign_symbols
+from gnc_opt.model.variables import Layout, find_foreign_symbols
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
@@ -64,7 +64,7 @@ def table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
         known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
         if not known:
             return ()
-        present = {node.element_hash() for node in nodes_of(stack_terms(leg))}
+        present = {node.element_hash() for node in list_nodes(stack_terms(leg))}
         return tuple({id(use): use for use in known if use.hashes & present}.values())
 
     return problem.reuse(("tables", leg.name), find)
@@ -130,12 +130,12 @@ def check_end_symbols(phases: Iterable[Phase], free_parameters: Any, expression:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol other than values at phase ends."""
     phases = list(phases)
     own = [s for leg in phases for s in (*end_symbols(leg), leg.model.symbols("parameter"))]
-    foreign = foreign_symbols(expression, [*own, free_parameters])
+    foreign = find_foreign_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
     name = foreign[0]
     for leg in phases:
-        if name not in foreign_symbols(expression, list(leg.model.arguments())):
+        if name not in find_foreign_symbols(expression, list(leg.model.arguments())):
             raise ProblemError(
                 f"{what} uses '{name}', which varies along phase '{leg.name}': use "
                 f"{leg.name}.final_state(...), {leg.name}.initial_state(...) or {leg.name}.integral(...)."
@@ -150,11 +150,11 @@ def check_phase_symbols(
     leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
 ) -> None:
     """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
-    foreign = foreign_symbols(expression, [*leg.model.arguments(), free_parameters])
+    foreign = find_foreign_symbols(expression, [*leg.model.arguments(), free_parameters])
     if not foreign:
         return
     name = foreign[0]
-    if name not in foreign_symbols(expression, [s for other in phases for s in end_symbols(other)]):
+    if name not in find_foreign_symbols(expression, [s for other in phases for s in end_symbols(other)]):
         raise ProblemError(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."

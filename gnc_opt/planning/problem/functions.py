@@ -201,7 +201,7 @@ class PhaseFunctions:
     def _compiled_program(self, name: str) -> Operations | None:
         key = f"{name} by NumPy"
         if key not in self.functions:
-            self.functions[key] = Operations.of(self.functions[name])
+            self.functions[key] = Operations.from_function(self.functions[name])
         known: Operations | None = self.functions[key]
         return known
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Mask
-from gnc_opt.model.expressions import nodes_of, operations_in
+from gnc_opt.model.expressions import find_operations, list_nodes
 from gnc_opt.planning.problem.expressions import build_phase_function, stack_terms, table_calls
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -44,7 +44,7 @@ class Kinks:
 
 def has_kinks(expression: Any) -> bool:
     """Whether an expression holds an operation whose value or slope jumps; its derivatives do not tell."""
-    return bool(operations_in(expression) & _WORDS.keys())
+    return bool(find_operations(expression) & _WORDS.keys())
 
 
 def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
@@ -57,7 +57,7 @@ def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
             return None
         looked_up = frozenset[int]().union(*(use.hashes for use in table_calls(problem, leg)))
         found: dict[int, tuple[str, Any]] = {}
-        for node in nodes_of(expression):
+        for node in list_nodes(expression):
             operation = node.op()
             if operation in _WORDS and node.element_hash() not in looked_up:
                 argument = _switching_argument(node, operation)
@@ -80,7 +80,7 @@ def find_feature_centres(problem: Statement, leg: Phase) -> Any:
     def find() -> Any:
         t, x, _, _ = leg.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in nodes_of(stack_terms(leg)):
+        for node in list_nodes(stack_terms(leg)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]

@@ -505,7 +505,7 @@ class Phase(Strict):
         """All phases of the problem, this one among them."""
         return tuple(self._owner.phases.values())
 
-    def handed_over(self, state: str) -> tuple[Phase, Array] | None:
+    def find_state_source(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
         if state not in self.handed:
             return None

@@ -85,7 +85,7 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
         times = self._clamp_times(np.atleast_1d(read_numbers(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
-        bases = self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.bases
+        bases = self._cached_grid.kept if times.size <= KEPT_TIMES else self._cached_grid.bases
         for found in bases(times.tobytes(), side):
             values = self._equal_grids[found.group].values[:, :, found.places]
             result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
@@ -139,13 +139,13 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _time_grid(self) -> "_Grid":
+    def _cached_grid(self) -> "_Grid":
         return _time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
     def _equal_grids(self) -> tuple["_Alike", ...]:
         """Segments with the same nodes, which share one interpolation matrix."""
-        return tuple(_Alike.of(self, places) for places in self._time_grid.places)
+        return tuple(_Alike.of(self, places) for places in self._cached_grid.places)
 
     def _shared_values(self) -> tuple[Array, ...]:
         """Return the values as views of what `_equal_grids` keeps, lest a number that is changed in place go unseen."""

@@ -201,7 +201,7 @@ def _declare_relaxation(
         _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
-        label = _row_name(problem.constraint_labels()[place])
+        label = _name_row(problem.constraint_labels()[place])
         relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
     (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
@@ -244,7 +244,7 @@ def _declare_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
-        leg.path(_row_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+        leg.path(_name_row(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
         leg.integral(_substitute_symbols(integrand, before, after), name)
 
@@ -258,7 +258,7 @@ def _kept_components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str
             yield name, places
 
 
-def _row_name(label: str) -> str:
+def _name_row(label: str) -> str:
     """Return the name of a constraint that is one row of another."""
     return label.replace("[", " ").rstrip("]")
 

@@ -75,7 +75,7 @@ def _find_continued_states(leg: Phase, held: Held) -> set[int]:
     """The states of a phase that the phase before hands over from an arc on the same bound."""
     found = set()
     for name in leg.model.states.names:
-        before, jump = leg.handed_over(name) or (None, np.zeros(0))
+        before, jump = leg.find_state_source(name) or (None, np.zeros(0))
         ours = range(leg.model.states.size)[leg.model.states.slice(name)]
         if before is None or np.any(jump) or before.numbers.arcs is None or not before.numbers.arcs.states:
             continue

@@ -13,7 +13,7 @@ from testing.controller_steps import decoupling_matrix, step_through
 
 from gnc_opt.control import Reference, design_feedback_linearization, output_errors
 from gnc_opt.control.decoupling import Inverse, Memory, _solve_minimum_norm
-from gnc_opt.control.feedback_linearization import _chain_gain, _sampling_facts
+from gnc_opt.control.feedback_linearization import _chain_gain, _report_sampling
 from gnc_opt.control.feedforward import StackedSchedule
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model, Variable
@@ -277,11 +277,11 @@ def test_steps_too_long_for_the_poles_of_a_chain_are_refused():
     errors = output_errors(cart(), climbing(), "q")
     gain = np.array([[4.0, 4.0]])
     a, b = np.array([[1.0, 0.4], [0.0, 1.0]]), np.array([[0.08], [0.4]])
-    (fact,) = _sampling_facts(errors, gain, 0.4)
+    (fact,) = _report_sampling(errors, gain, 0.4)
     assert fact.value == pytest.approx(np.max(np.abs(np.linalg.eigvals(a - b @ gain)))) and fact.value < 1
-    assert _sampling_facts(errors, gain, None) == []
+    assert _report_sampling(errors, gain, None) == []
     with pytest.raises(DesignError, match=r"control steps of 1\.1 s are too long"):
-        _sampling_facts(errors, gain, 1.1)
+        _report_sampling(errors, gain, 1.1)
 
 
 # Decoupling matrices: exact inverses, and those of least length.

@@ -26,7 +26,12 @@ from testing.internals import Rows
 import gnc_opt as go
 from gnc_opt.control import Controller, DesignReport, design_lqr, export_c, initial_state_function, law
 from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer, write_c_statements
-from gnc_opt.control.c_export.export import _c_identifier, _escape_comment, _layout_comments, _read_prefix
+from gnc_opt.control.c_export.export import (
+    _escape_comment,
+    _make_c_identifier,
+    _read_prefix,
+    _write_layout_comments,
+)
 from gnc_opt.control.c_export.schedule_table import tabulate_schedule
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Model, Variable
@@ -227,13 +232,13 @@ def test_constants_and_texts_of_c():
         "-2.0",
     ]
     assert (
-        _c_identifier("My law 2 (x)") == "my_law_2__x"
-        and _c_identifier("2nd") == "law_2nd"
-        and _c_identifier("ä!") == "law_"
+        _make_c_identifier("My law 2 (x)") == "my_law_2__x"
+        and _make_c_identifier("2nd") == "law_2nd"
+        and _make_c_identifier("ä!") == "law_"
     )
     assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.entry(0.1) == "0.1"
     assert wrap_initializer(["1"] * 3) == "1, 1, 1" and wrap_initializer(["1"] * 40).count("\n") >= 1
-    assert _layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
+    assert _write_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
         "[1] r[1], m",
         "[2] n, -",

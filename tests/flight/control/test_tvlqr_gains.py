@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import QuadraticCost, riccati_gains
+from testing.internals import QuadraticCost, compute_riccati_gains
 
 from gnc_opt.control import ErrorDynamics, Reference
 from gnc_opt.model import Model
@@ -28,7 +28,7 @@ def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start,
         jumps=[jump],
     )
     cost = QuadraticCost(np.array([[4.0 / unit]]), unit * np.eye(2), np.zeros((1, 2)))
-    gains = riccati_gains(ErrorDynamics(model), reference, cost, terminal=1.0)
+    gains = compute_riccati_gains(ErrorDynamics(model), reference, cost, terminal=1.0)
     p = 1.0
     for factor, left, right in ((-2.0, 0.6, 2.0), (1.0, 0.0, 0.6)):
 

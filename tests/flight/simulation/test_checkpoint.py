@@ -47,13 +47,13 @@ def whole():
 @pytest.fixture
 def flown(monkeypatch):
     """Numbers of the runs that are flown, as they are flown."""
-    numbers, fly_batch = [], mission_module.CampaignTask.fly
+    numbers, fly_batch = [], mission_module.CampaignTask.simulate_runs
 
     def noted(self, batch):
         numbers.extend(batch)
         return fly_batch(self, batch)
 
-    monkeypatch.setattr(mission_module.CampaignTask, "fly", noted)
+    monkeypatch.setattr(mission_module.CampaignTask, "simulate_runs", noted)
     return numbers
 
 

@@ -63,7 +63,14 @@ def _within(length):
     seen, x = [], ca.SX.sym("x", 2)
     integrate_dormand_prince(_pendulum, 0.3, x, length, 1, None, seen.append)
     (taken,) = seen
-    told = [*taken.at(0.0), *taken.at(0.6), *taken.at(1.0), taken.after, taken.stages[0], taken.stages[-1]]
+    told = [
+        *taken.interpolate_state(0.0),
+        *taken.interpolate_state(0.6),
+        *taken.interpolate_state(1.0),
+        taken.after,
+        taken.stages[0],
+        taken.stages[-1],
+    ]
     return [v.full()[:, 0] for v in ca.Function("within", [x], told)(_START)]
 
 

@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Wave, stack_waves
+from testing.internals import Wave, concatenate_waves
 from testing.loops import controller, feedback, scheduled
 
 from gnc_opt.model import Model
@@ -24,7 +24,7 @@ def test_an_integration_step_sees_three_moments_of_a_decay(tau, begin, end, step
     taus, sigma = ca.SX(list(tau)), (end - begin) / steps
     lagged = Wave(ca.SX(TARGET), lambda decay: TARGET + GAP * decay(taus))
     value = (
-        stack_waves([lagged, Wave(ca.SX(7.0))])
+        concatenate_waves([lagged, Wave(ca.SX(7.0))])
         .apply_memoryless(lambda y: 0.5 * y)
         .sample_for_integration(begin, sigma)
     )

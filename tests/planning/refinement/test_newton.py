@@ -499,9 +499,9 @@ def test_when_a_flow_is_accurate(
         return left.pop(0)
 
     for name, answer in (
-        ("_is_applicable", lambda *_: True), ("_switches", lambda *_: None),
-        ("_optimum", optimum), ("_flight_near", near),
-        ("_structure", lambda *_: "structure"),
+        ("_is_applicable", lambda *_: True), ("_collect_switches", lambda *_: None),
+        ("_find_optimum", optimum), ("_apply_known_step", near),
+        ("_build_structure", lambda *_: "structure"),
     ):  # fmt: skip
         monkeypatch.setattr(n, name, answer)
     problem = constructed_cart()

@@ -258,7 +258,7 @@ class _Link:
             told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
             open_end = np.where(np.isnan(guessed), told, guessed)
             known.append(np.where(limited, intersect(here, box).middle, open_end))
-        handed = leg.handed_over(name)
+        handed = leg.find_state_source(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
@@ -266,9 +266,9 @@ class _Link:
 def _find_linked_phases(leg: Phase, name: str) -> list[_Link]:
     """Return the phases that links join to one in a state, in their order."""
     chain = [leg]
-    while handed := chain[0].handed_over(name):
+    while handed := chain[0].find_state_source(name):
         chain.insert(0, handed[0])
-    while following := [p for p in leg.siblings if (p.handed_over(name) or (None,))[0] is chain[-1]]:
+    while following := [p for p in leg.siblings if (p.find_state_source(name) or (None,))[0] is chain[-1]]:
         chain.append(following[0])
     return [_Link.of(phase, name) for phase in chain]
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import nodes_of, operations_in, replace_in
+from gnc_opt.model.expressions import find_operations, list_nodes, replace_in
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
@@ -113,7 +113,7 @@ Pieces: TypeAlias = list[Any]
 
 def is_smooth(expression: Any) -> bool:
     """Whether an expression holds no operation of `KINKED`."""
-    return not any(node.op() in KINKED for node in nodes_of(expression))
+    return not any(node.op() in KINKED for node in list_nodes(expression))
 
 
 def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
@@ -251,7 +251,7 @@ def split_rows(column: Any) -> Iterator[Any]:
 def has_end_kinks(problem: Statement) -> bool:
     """Whether cost or boundary constraints hold a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool({*KINKED} & problem.reuse(("operations", "ends"), lambda: operations_in(ends)))
+    return bool({*KINKED} & problem.reuse(("operations", "ends"), lambda: find_operations(ends)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import ROOTS, operations_in
+from gnc_opt.model.expressions import ROOTS, find_operations
 from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
 from gnc_opt.planning.problem.expressions import build_phase_function, stack_terms
@@ -104,7 +104,7 @@ def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
-    if not _TURNING & problem.reuse(("operations", leg.name), lambda: operations_in(stack_terms(leg))):
+    if not _TURNING & problem.reuse(("operations", leg.name), lambda: find_operations(stack_terms(leg))):
         return turns
     probe = build_angle_probe(problem, leg)
     if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
@@ -173,7 +173,7 @@ def _reformulate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.reuse(("operations", leg.name), lambda: operations_in(stack_terms(leg)))
+    operations = problem.reuse(("operations", leg.name), lambda: find_operations(stack_terms(leg)))
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
@@ -213,4 +213,4 @@ def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> 
 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
-    return bool({*KINKED} & problem.reuse(("operations", *key), lambda: operations_in(stack_terms(leg))))
+    return bool({*KINKED} & problem.reuse(("operations", *key), lambda: find_operations(stack_terms(leg))))

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
-from gnc_opt.model.expressions import ROOTS, NormNodes, nodes_of, rebuild
+from gnc_opt.model.expressions import ROOTS, NormNodes, list_nodes, rebuild_node
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
@@ -55,7 +55,7 @@ def index_stated_controls(leg: Phase) -> dict[int, int]:
 def _root_vectors(leg: Phase) -> Iterator[Names]:
     """Yield vectors, whole controls, of which a root is the norm: there it has no derivative at zero."""
     stated, controls = index_stated_controls(leg), leg.model.controls
-    for node in nodes_of(stack_terms(leg)):
+    for node in list_nodes(stack_terms(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
             names = tuple(v.name for v in controls.variables if places & _control_places(controls, v.name))
@@ -138,17 +138,17 @@ def remove_roots(leg: Phase) -> dict[str, Constraint]:
 
 def _remove_root(row: Any, limits: Interval) -> Any | None:
     """Return a row that is a function of a root alone, with a limit from above, without it; else None."""
-    root = next((node for node in nodes_of(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
+    root = next((node for node in list_nodes(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
     if root is None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
-    of_size = rebuild(row, lambda node: size if node.element_hash() == place else None)
+    of_size = rebuild_node(row, lambda node: size if node.element_hash() == place else None)
     found = read_norm_limits(of_size, size, limits)
     if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _root_vanishes(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
-    return rebuild(row, lambda node: tangent if node.element_hash() == place else None)
+    return rebuild_node(row, lambda node: tangent if node.element_hash() == place else None)
 
 
 def _root_vanishes(root: Any) -> bool:
