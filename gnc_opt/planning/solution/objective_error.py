@@ -12,10 +12,9 @@ With the costates :math:`\lambda = \partial J / \partial x` of the minimised fun
     g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt.
 
 d is the value of the defects and of the difference between the integrals and the program's own quadrature Q; o that of
-limits exceeded between the points; g what H, path constraints included (with multipliers of the right sign), gains by
-other controls: exact where H is affine in a control, one projected Newton step elsewhere. The estimate is
-:math:`A = \sum (|d| + o + |g|)`, since errors cancel within a segment. The objective is stationary in free times,
-parameters and breakpoints.
+limits exceeded between the points; g what H, path constraints included (mu of the right sign), gains by other controls:
+exact where H is affine in a control, one projected Newton step elsewhere. The estimate is
+:math:`A = \sum (|d| + o + |g|)`: errors cancel within a segment. J is stationary in free times and breakpoints.
 
 To first order it is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001):
 an estimate, no bound.

@@ -267,6 +267,7 @@ def _end_state_violation(
         return NOTHING
     if not np.all(np.isfinite(miss)):
         return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
+    miss = np.sign(miss) * np.maximum(np.abs(miss) - ROUNDING * np.abs(values), 0.0)
     radius = np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values))
     single = np.abs(miss) / np.where(radius > 0, radius, TINY)
     share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).normalise_displacement(miss))

@@ -943,3 +943,19 @@ def test_nearly_dependent_states_may_be_rounded_to_nine_digits(wave: float, righ
     area = (np.sinh(1) - np.sinh(1 - t)) / np.cosh(1) + wave * (t / 2 - np.sin(2 * np.pi * t) / (4 * np.pi))
     states = {"x": np.round(place, 9), "y": np.round(place + 1e-4 * area, 9)}
     assert go.verify_trajectory(problem, t, states, {"u": rate}).ok is right
+
+
+def test_a_copy_of_a_state_far_from_the_origin_may_end_a_rounding_beside_it() -> None:
+    """x and its copy at 1e6 m: two units in the last place, 2e-10 m, are not a missed end; a millimetre is."""
+    model = go.Model("pair")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: u, y: u})
+    t, origin = np.linspace(0.0, 1.0, 21), 1e6
+    for off, right in ((2.4e-10, True), (1e-3, False)):
+        problem, leg = one_phase("pair", model, 0.0, 1.0)
+        leg.initial(x=origin, y=origin)
+        leg.final(x=origin + 1.0, y=origin + 1.0 + off)
+        problem.minimize(leg.integral(u**2))
+        states = {"x": origin + t, "y": origin + t}
+        condition = go.verify_trajectory(problem, t, states, {"u": np.ones(t.size)})["boundary conditions"]
+        assert (condition.result is go.ConditionResult.PASS) == right
