@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 REFINE_TOLERANCE = 1e-8
 """What --tol is where it is not given: an answer is refined until it can be checked."""
 
-
 MAX_WORK_S = 60.0
 """What --limit is where it is not given: that of `RefinementLimits`."""
 

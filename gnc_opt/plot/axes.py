@@ -25,7 +25,6 @@ BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 
 HAMILTONIAN_ROUNDING_SHARE = 1e-7
 """Shares of the Hamiltonian up to this are the solver's rounding."""
 
-
 MOST_ROWS = 3
 """Axes in one column: three fit the first page of a printed report."""
 

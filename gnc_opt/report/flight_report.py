@@ -22,7 +22,6 @@ from gnc_opt.report.html_document import (
     write_page,
 )
 from gnc_opt.report.solution_page import CAPTIONS
-from gnc_opt.simulation.campaign_text import campaign_notes, campaign_rows
 from gnc_opt.text_formatting import html_preformatted, html_table
 
 if TYPE_CHECKING:
@@ -169,6 +168,8 @@ def write_campaign_report(
 
 
 def _results_table(campaign: Campaign) -> str:
+    from gnc_opt.simulation.campaign_text import campaign_notes, campaign_rows
+
     titles, *rows = campaign_rows(campaign)
     notes = "".join(f"<p>{escape(note)}</p>" for note in campaign_notes(campaign))
     return html_table((titles[0], "unit", *titles[2:]), rows) + notes

@@ -131,7 +131,6 @@ FLAGS = (
 MIN_EVALUATIONS_TO_COMPILE = 100_000
 """Evaluations for which the interpreter takes about four times as long as compiling."""
 
-
 _LOOP = """
 #include <stdlib.h>
 #include <string.h>

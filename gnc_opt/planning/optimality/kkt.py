@@ -28,7 +28,6 @@ SINGULAR = 1e13
 SADDLE_REFINEMENTS = 6
 """Steps of inverse iteration and of iterative refinement; each gains the digits that the factors have."""
 
-
 CONSISTENT, NOISE = 1e-7, 1e-13
 """Relative and absolute residual that the solution of a consistent system keeps below."""
 

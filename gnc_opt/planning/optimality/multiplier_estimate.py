@@ -151,7 +151,6 @@ def _boundary_times(mesh: Mesh) -> Array:
 _WRONG = 1e-7
 """Multipliers of the wrong sign below this share of the largest count as zero."""
 
-
 MAX_TRANSITION_NORM = 1e4
 """Growth of adjoint errors after which costates are unknowns of their own."""
 

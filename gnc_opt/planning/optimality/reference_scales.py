@@ -62,7 +62,6 @@ from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Least scale of a control in which H is affine, or curves, in shares of the cost scale: below, it is rounding."""
 
-
 ROUGH_SAMPLES = 5
 """One of so many samples is used for a magnitude that need not be exact."""
 

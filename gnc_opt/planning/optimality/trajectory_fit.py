@@ -31,7 +31,6 @@ DEGREE = 3
 JUMP_MIN_RATIO = 10.0
 """Smallest ratio of a control's change to the adjacent changes for which it is a jump."""
 
-
 _KNOWN_BESIDE = 8
 """Samples between jumps from which kinks are looked for."""
 

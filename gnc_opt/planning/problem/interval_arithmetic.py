@@ -123,7 +123,6 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
 }
 """Ranges of the CasADi operations."""
 
-
 _RANGE_DRAWS = 6
 
 

@@ -21,7 +21,6 @@ PEAK_RISE_RATIO = 10.0
 """A peak beside a sample is looked for unless it had to rise above it by more than this many times the change
 to the neighbouring samples."""
 
-
 _TRIED = np.linspace(-7 / 8, 7 / 8, 15)
 """Where a bracket [-1, 1] is looked at before it is narrowed to the neighbours of the highest, eight times less."""
 

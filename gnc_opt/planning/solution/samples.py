@@ -31,10 +31,8 @@ SAMPLES_BEYOND_POINTS = 9
 EVEN_STEPS_PER_SEGMENT = 32
 """Steps in every segment, however short, where a phase is looked at evenly in time: what is fast is in short ones."""
 
-
 COSTATE_MIN_SHARE_OF_COST = 1e-4
 """Costates below this share of the cost scale are rounding and do not set the scale."""
-
 
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
 """Cached properties of samples that depend on the cost magnitude."""

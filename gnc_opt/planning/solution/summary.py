@@ -31,7 +31,6 @@ BETTER_COARSE_SOLVE = "also seen"
 MOVED_START = "start"
 """Key of the provenance: initial states that were moved onto a bound."""
 
-
 _LOADED_CHECK = {
     RefinementStatus.CONVERGED: "passed at the end of the refinement",
     RefinementStatus.CONDITIONS_FAIL: "FAILED at the end of the refinement",

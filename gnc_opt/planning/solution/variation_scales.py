@@ -73,7 +73,6 @@ def _shift_control(u: Array, i: int, by: float) -> Array:
 STILL_STATE_SHARE = 1e-4
 """A state that moves by less than this share of what the controls could move it is still: that is its span."""
 
-
 SPAN_MIN_SHARE = 1e-7
 """Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
 

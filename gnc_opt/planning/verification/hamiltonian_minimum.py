@@ -31,7 +31,6 @@ _BEYOND = 0.05
 NEAREST = 1e-8
 """Least distance from the applied control at which others are tried, in shares of the range."""
 
-
 RESOLVED_GAIN_SHARE = 3e-7
 """Gains in H below this share of the mean cost scale are errors of a solver's multipliers, as of a part with time to
 spare, whose costates vanish."""

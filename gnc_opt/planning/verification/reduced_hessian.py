@@ -64,7 +64,6 @@ DOWNWARDS = 1e-4
 those of the mesh between active limits included. Where a control is singular quadrature may take one that alternates
 from node to node for one that gains something: there `NOTABLE` counts."""
 
-
 SHIFT = 0.1
 """The shift, in shares of the Hessian's middle row: large beside curvatures that are as good as none."""
 

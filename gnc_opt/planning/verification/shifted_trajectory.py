@@ -37,7 +37,6 @@ from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, S
 SHIFT_STEP_SHARE = 0.02
 """Larger one of the two steps, in shares of the shorter arc beside a jump."""
 
-
 SECOND_ORDER = (0.1, 0.6)
 """Ratios of the gains at both steps, one the half of the other, that are those of second order."""
 
@@ -380,6 +379,9 @@ def _further_variations(
     found = _steps_within("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
+        paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
+        if np.any(np.logical_or(*leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[s.pure_paths]):
+            continue  # a limit of the states acts at an end
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
         found += _steps_within("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)

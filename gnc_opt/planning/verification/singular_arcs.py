@@ -40,7 +40,6 @@ SINGULAR_ARC_MAX_ORDER = 3
 MOST_INSTRUCTIONS = 200_000
 """Size of the derivatives of a switching function beyond which no further one is taken."""
 
-
 TOO_LARGE = "the switching function has too large a derivative of order"
 
 COUPLED = "coupled in H with a control that H determines"

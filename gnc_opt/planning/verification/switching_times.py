@@ -25,7 +25,6 @@ from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 MOST_TOGETHER = 24
 """Jumps whose shifts are combined, at most; not all combinations of more are tested."""
 
-
 _MEANING = (
     "Shifts of switching times that keep the end conditions must not lower the cost to second order (value: fall at "
     "the named shifts, in shares of the cost scale): a cheaper trajectory has its switches there."

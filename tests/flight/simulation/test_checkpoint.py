@@ -131,13 +131,13 @@ from gnc_opt.simulation import campaign_batch as mission
 from test_checkpoint import fly
 import os
 os.cpu_count = lambda: 2
-fly_batch = mission.CampaignTask.fly
+fly_batch = mission.CampaignTask.simulate_runs
 def slowly(self, batch):
     time.sleep(0.1)
     return fly_batch(self, batch)
-slowly.__qualname__ = "CampaignTask.fly"
+slowly.__qualname__ = "CampaignTask.simulate_runs"
 slowly.__module__ = mission.__name__
-mission.CampaignTask.fly = slowly
+mission.CampaignTask.simulate_runs = slowly
 fly(60, executor=None, checkpoint=sys.argv[1])
 """
 

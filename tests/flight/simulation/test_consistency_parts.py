@@ -66,12 +66,12 @@ def below(mean, components, values):
 
 def test_a_mean_of_chi_squares_is_within_its_band_as_often_as_promised():
     for components, values, confidence in ((3, 1, 0.95), (2, 50, 0.9), (1, 7, 0.5)):
-        low, high = c._mean_chi_square_interval(components, values, confidence)
+        low, high = c._compute_chi_square_interval(components, values, confidence)
         assert below(low, components, values) == pytest.approx(0.5 - confidence / 2, abs=1e-9)
         assert below(high, components, values) == pytest.approx(0.5 + confidence / 2, abs=1e-9)
     assert (
-        np.isnan(c._mean_chi_square_interval(3, 0, 0.95)).all()
-        and np.isfinite(c._mean_chi_square_interval(3, 1, 0.95)).all()
+        np.isnan(c._compute_chi_square_interval(3, 0, 0.95)).all()
+        and np.isfinite(c._compute_chi_square_interval(3, 1, 0.95)).all()
     )
 
 
@@ -81,7 +81,7 @@ def test_a_mean_behind_a_gate_is_within_its_band_as_often_as_promised(components
     draws = rng.chisquare(components, 260_000)
     passed = draws[draws <= 2 * gammaincinv(components / 2, gate)]
     means = passed[: passed.size // values * values].reshape(-1, values).mean(axis=1)
-    low, high = c._mean_chi_square_interval(components, values, confidence, gate)
+    low, high = c._compute_chi_square_interval(components, values, confidence, gate)
     assert np.mean(means < low) == pytest.approx(0.05, abs=0.012)
     assert np.mean(means > high) == pytest.approx(0.05, abs=0.012)
 
@@ -90,7 +90,7 @@ def test_innovations_are_averaged_over_all_samples_taken():
     ends = np.array([[30.0, 6.0, np.nan], [10.0, 2.0, np.nan], [1.0, 2.0, np.nan]])
     found = c._test_innovations(estimator(), "gps", ends, 0.9)
     assert (found.average, found.taken, found.refused) == (3.0, 12, 3)
-    assert found.band == c._mean_chi_square_interval(3, 12, 0.9) and found.ok
+    assert found.band == c._compute_chi_square_interval(3, 12, 0.9) and found.ok
     none = c._test_innovations(estimator(), "gps", 0 * ends[:, :1], 0.9)
     assert np.isnan(none.average) and not none.ok and none.taken == 0
 

@@ -26,7 +26,7 @@ from gnc_opt.planning.verification.critical_cone import (
     hold_inactive_directions,
 )
 from gnc_opt.planning.verification.hamiltonian_minimum import _Search, search_bounds
-from gnc_opt.planning.verification.reduced_hessian import lanczos
+from gnc_opt.planning.verification.reduced_hessian import run_lanczos
 
 # The least Hamiltonian: in closed form for controls that enter it affinely, by a search for the others.
 
@@ -494,7 +494,7 @@ def test_lanczos_finds_both_ends_of_a_spectrum() -> None:
     values = np.concatenate([[-3.0], np.linspace(0.0, 1.0, 300), [2.0]])
     turned = np.linalg.qr(np.random.default_rng(1).standard_normal((values.size, values.size)))[0]
     matrix = turned @ np.diag(values) @ turned.T
-    found, vectors = lanczos(lambda v: matrix @ v, np.ones(values.size), 80)
+    found, vectors = run_lanczos(lambda v: matrix @ v, np.ones(values.size), 80)
     assert found[0] == pytest.approx(-3.0, abs=1e-7) and found[-1] == pytest.approx(2.0, abs=1e-7)
     np.testing.assert_allclose(matrix @ vectors[:, 0], found[0] * vectors[:, 0], atol=1e-3)
 

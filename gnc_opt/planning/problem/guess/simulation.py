@@ -51,7 +51,6 @@ RTOL, STIFF_RTOL = 1e-8, 1e-5
 MOST_EXPLICIT, MOST_IMPLICIT = 50_000, 20_000
 """Evaluations of the dynamics after which an explicit integration counts as stiff, and an implicit one fails."""
 
-
 _SMOOTHER = " (one that jumps, such as sign(s), switches without end: write tanh(s / width) instead)"
 
 

@@ -23,7 +23,6 @@ from gnc_opt.tolerances import EQUAL, NOTABLE
 SLOPE_PROBE_SHARE = 0.1
 """By this share of its range the control is moved to see whether a slope changes."""
 
-
 PRESSED_SHARE = 0.95
 """Share of samples at which a control is at its end if it is there all along."""
 
