@@ -156,11 +156,12 @@ class ShiftedTrajectory:
         values = evaluate_columns(build_end_value_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
-        reach = self.scales.constraints[0]
+        moved, reach = psi - psi[:, -1:], self.scales.constraints[0]
+        size = np.where(reach > 0, reach, np.max(np.abs(moved), axis=1))  # no reach: links of times
         box = problem.constraint_interval()
         at = box.near(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
-        active = (at[0] | at[1]) & (reach > 0)
-        rows.append((psi[active] - psi[active, -1:]) / reach[active, None])
+        active = (at[0] | at[1] | box.fixed) & (size > 0)
+        rows.append(moved[active] / size[active, None])
         misses = np.vstack(rows)
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 

@@ -97,7 +97,7 @@ def find_jumps(samples: list[PhaseSamples]) -> list[Jump]:
         size = np.abs(after - before)
         for i in np.flatnonzero(size > SMALL * np.maximum(change, size)):
             straight = not (_is_held(s, int(i), a.breaks[-1]) or _is_held(following, int(i), b.breaks[0]))
-            on_bounds = all(_is_on_bound(p, v, int(i)) for p, v in ((s, before), (following, after)))
+            on_bounds = all(_is_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after))
             if straight and on_bounds:
                 jumps.append((s, float(a.breaks[-1]), int(i), b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}

@@ -118,29 +118,6 @@ def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap
     assert [jump.beyond for jump in jumps] == ["second"] * count
 
 
-@pytest.mark.parametrize(("pause", "jumps"), [(0.0, 1), (0.5, 0)])
-def test_a_control_jumps_between_phases_that_follow_each_other_without_a_pause(
-    pause: float, jumps: int
-) -> None:
-    """Up at full rate for 1 s, then down: one switch at the boundary, none if the second phase begins later."""
-    problem, legs = go.Problem("up and down"), []
-    for name, start in (("up", 0.0), ("down", 1.0 + pause)):
-        model = go.Model(name)
-        x, u = model.state("x"), model.control("u")
-        model.ode({x: u})
-        leg = problem.phase(name, model)
-        leg.time(start, start + 1.0)
-        leg.initial(x=0.0)
-        leg.bounds(u=(-1.0, 1.0))
-        legs.append(leg)
-    problem.minimize(legs[1].final_state("x") - legs[0].final_state("x"))
-    samples = go.solve(problem, mesh="2x3", tol=None).samples()
-    found = find_jumps(list(samples.values()))
-    assert [(jump.phase, jump.time, jump.channel, jump.beyond) for jump in found] == [
-        ("up", 1.0, 0, "down")
-    ] * jumps
-
-
 def coupled(coupling: float, what: str, others: int = 0) -> go.Verdict:
     """Verdict on two controls that switch at 1, coupled with an unknown of another kind by ``coupling``.
 
@@ -241,3 +218,26 @@ def test_a_switch_at_the_end_of_a_phase_is_coupled_with_a_parameter() -> None:
 
     assert verdict(1.9).minimum
     assert not verdict(2.1).ok
+
+
+def test_a_jump_to_other_bounds_at_a_boundary_is_no_switch() -> None:
+    """A cart with |u| <= 2 up to x = 1/2 and |u| <= 1 from there to rest at x = 1 takes 1/2 + sqrt(3/2) s.
+
+    Beyond the boundary -2 is not admissible, and both phases meet at one time: neither may vary alone.
+    """
+    problem, legs = go.Problem("two stages"), []
+    for name, most, times in (("fast", 2.0, (0.0, (0.1, 10.0))), ("slow", 1.0, ((0.1, 10.0), (0.2, 20.0)))):
+        model, *_ = dynamics(name, "x v", "u", lambda x, v, u: {x: v, v: u})
+        legs.append(problem.phase(name, model))
+        legs[-1].time(*times)
+        legs[-1].bounds(u=(-most, most))
+    legs[0].initial(x=0.0, v=0.0)
+    legs[0].final(x=0.5)
+    legs[1].initial(x=0.5)
+    legs[1].final(x=1.0, v=0.0)
+    problem.constrain("speed", legs[0].final_state("v") - legs[1].initial_state("v"), equals=0.0)
+    problem.constrain("time", legs[0].final_time - legs[1].initial_time, equals=0.0)
+    problem.minimize(legs[1].final_time)
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx(0.5 + np.sqrt(1.5), abs=1e-9)
+    assert go.verify(solution).minimum
