@@ -372,6 +372,13 @@ def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Arra
     return found
 
 
+def _has_active_limits(s: PhaseSamples) -> bool:
+    """Whether path constraints or state bounds have multipliers somewhere along a phase, or act at its ends."""
+    paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
+    at_ends = np.logical_or(*s.leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
+    return bool(np.any(s.mu) or np.any(s.state_multiplier) or np.any(at_ends))
+
+
 def _further_variations(
     solution: Solution, samples: list[PhaseSamples], scales: Scales
 ) -> list[tuple[str, str, Array]]:
@@ -380,9 +387,8 @@ def _further_variations(
     found = _steps_within("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
-        paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
-        if np.any(np.logical_or(*leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[s.pure_paths]):
-            continue  # a limit of the states acts at an end
+        if _has_active_limits(s):
+            continue  # the Lagrangian has limits at fixed times, to first order at touches and ends
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
         found += _steps_within("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
