@@ -72,8 +72,8 @@ def campaign_notes(campaign: CampaignStatistics) -> list[str]:
 
 def _event_lines(campaign: CampaignStatistics) -> list[str]:
     """Return one line on the events, if the loop has any."""
-    told = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
-    return [f"events: {told}"] if told else []
+    text = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
+    return [f"events: {text}"] if text else []
 
 
 def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:

@@ -180,8 +180,8 @@ def build_step_library(step: Any) -> str:
     if compiler is None:
         return ""
     compiled = (platform.machine(), os.path.realpath(compiler), step.serialize())
-    told = (ca.__version__, *FLAGS, _LOOP, *compiled)
-    place = _find_cache_folder() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
+    key = (ca.__version__, *FLAGS, _LOOP, *compiled)
+    place = _find_cache_folder() / f"{hashlib.sha256(chr(0).join(key).encode()).hexdigest()}.so"
     try:
         if not place.exists():
             _compile_library(step, compiler, place)
@@ -224,11 +224,11 @@ def _append_leg_source(source: str, step: Any) -> str:
 def _generate_step_source(step: Any, folder: str) -> str:
     """Return the C that CasADi writes for a step, with a leg; "" if it has none."""
     generator = ca.CodeGenerator("kernel.c")
-    with redirect_stderr(io.StringIO()) as told:
+    with redirect_stderr(io.StringIO()) as messages:
         generator.add(step)
         written = Path(generator.generate(f"{folder}{os.sep}"))
     # CasADi has no C for a solver in it, and warns that this source does not compile
-    return "" if told.getvalue() else _append_leg_source(written.read_text(encoding="utf-8"), step)
+    return "" if messages.getvalue() else _append_leg_source(written.read_text(encoding="utf-8"), step)
 
 
 def _compile_library(step: Any, compiler: str, place: Path) -> None:

@@ -149,3 +149,28 @@ def test_figure_of_motion_holds_vehicle_and_other_bodies():
     assert low < 0.0 and high > 0.5 and axes.get_xlabel() == "$x$"
     with pytest.raises(go.ArgumentError, match="position of 'target'"):
         View("r", bodies={"target": (0.0, 1.0)})
+
+
+def minimum_time(factor: float, unit: str) -> go.Problem:
+    """A unit distance at unit rate at most: one unit of time."""
+    model = go.Model("drift")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("drift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 5.0))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(factor * leg.final_time, unit=unit)
+    return problem
+
+
+def test_a_final_time_that_is_minimised_states_the_unit_of_time() -> None:
+    assert "leg 0 to 1 h" in str(go.solve(minimum_time(1.0, "h")))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(2.0, "h"), (1.0, "")])
+def test_any_other_cost_leaves_seconds(factor: float, unit: str) -> None:
+    """Twice a time has a unit of its own, and a cost without one says nothing of times."""
+    assert "leg 0 to 1 s" in str(go.solve(minimum_time(factor, unit)))

@@ -73,17 +73,17 @@ def evaluate_ends(solution: Solution) -> EndGradients:
     return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
-def find_missing_number(stored: Solution, told: bool) -> Worst:
+def find_missing_number(stored: Solution, with_costates: bool) -> Worst:
     """Return the first number that is not finite, as an endless violation, or nothing.
 
     Parameters
     ----------
-    told : bool
+    with_costates : bool
         Whether there are costates; where not, their numbers may be missing.
     """
-    worst = _find_not_finite(stored, "", told)
+    worst = _find_not_finite(stored, "", with_costates)
     for name, leg in stored.phases.items():
-        worst = worst.select_worse(_find_not_finite(leg, f"phase {name}, ", told))
+        worst = worst.select_worse(_find_not_finite(leg, f"phase {name}, ", with_costates))
     return worst
 
 
@@ -132,7 +132,7 @@ def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
             kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
         for what, values, polynomial in kept:
             off = np.abs(values - polynomial) * worth[:, None]
-            i, k = find_worst_index(np.nan_to_num(off))  # a missing one is told as missing
+            i, k = find_worst_index(np.nan_to_num(off))  # a missing one is reported as missing
             place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
             worst = worst.select_worse(Worst(float(off[i, k]), place))
     return worst
@@ -200,11 +200,11 @@ def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
             )
 
 
-def _find_not_finite(owner: Solution | PhaseSolution, place: str, told: bool) -> Worst:
+def _find_not_finite(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
     """The first number of a solution or of a phase that is not finite."""
     for field in fields(owner):
         value = getattr(owner, field.name)
-        if field.name in _DUAL and not told:
+        if field.name in _DUAL and not with_costates:
             continue
         if isinstance(value, PiecewisePolynomial):
             for k, piece in enumerate(value.values):

@@ -116,7 +116,8 @@ class ShiftedTrajectory:
             for jump, amount in ((self.jumps[k], directions[k, best]) for k in moved)
             if abs(amount) > SMALL
         ]
-        return Worst(float(coarse[best]) / self.scales.cost, "switch of " + ", ".join(named))
+        where = f"switch of {', '.join(named)}" if named else "free starts, times and parameters, no switch"
+        return Worst(float(coarse[best]) / self.scales.cost, where)
 
     def integrate(self, amounts: Array) -> tuple[Array, Array]:
         """Return changes of L (n_columns,) and active end conditions for amounts (n_unknowns, n_columns)."""
@@ -388,7 +389,7 @@ def _further_variations(
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
-            continue  # the Lagrangian has limits at fixed times, to first order at touches and ends
+            continue  # the Lagrangian has limits at fixed times: where they are touched, curvature is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
         found += _steps_within("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)

@@ -14,6 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
+from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition
@@ -45,9 +46,9 @@ def check_switching_times(
     shifted = [ShiftedTrajectory(solution, order, ends, scales, group) for group in groups]
     falls = list(filter(None, (group.find_decrease() for group in shifted)))
     place += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
-    value, place = (falls[0].value, falls[0].where) if falls else (0.0, place)
+    worst = max(falls, key=lambda fall: fall.value, default=Worst(0.0, place))
     result = combine_results(len(groups) <= 1, bool(falls))
-    return Condition("switching times", result, value, 0.0, place, _MEANING, sufficient=True)
+    return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 
 def _are_jumps_unknowns(jumps: list[Jump], samples: list[PhaseSamples], scales: Scales) -> bool:

@@ -7,6 +7,7 @@ import pytest
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.verification.switching_times import find_jumps
 
 HEIGHT = 0.25
@@ -241,3 +242,21 @@ def test_a_jump_to_other_bounds_at_a_boundary_is_no_switch() -> None:
     solution = go.solve(problem)
     assert solution.objective == pytest.approx(0.5 + np.sqrt(1.5), abs=1e-9)
     assert go.verify(solution).minimum
+
+
+def test_the_largest_fall_of_all_groups_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With one switch a group, the named one is that whose shift gains most, not the first."""
+    import importlib
+
+    module = importlib.import_module("gnc_opt.planning.verification.switching_times")
+    gains = iter([Worst(0.1, "first"), None, Worst(0.3, "third")])
+    monkeypatch.setattr(module.ShiftedTrajectory, "find_decrease", lambda _: next(gains))
+    jumps = [module.Jump("leg", t, 0, 1.0, "next") for t in (0.1, 0.5, 0.9)]
+    monkeypatch.setattr(module, "find_jumps", lambda _: jumps)
+    monkeypatch.setattr(module, "MOST_TOGETHER", 1)
+    model, *_ = dynamics("drift", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("rest", model, 0.0, 1.0)
+    leg.initial(x=0.0)
+    problem.minimize(leg.integral(leg.model.symbol("u") ** 2))
+    condition = go.verify(go.solve(problem, mesh="2x3", tol=None))["switching times"]
+    assert condition.value == 0.3 and condition.where.startswith("third")
