@@ -52,6 +52,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.direct.solve_failure import format_failure
     from gnc_opt.planning.refinement.work_budget import RefinementLimits
     from gnc_opt.planning.solver import solve
+    from gnc_opt.planning.verification import verify
 
     _check_output_paths(args)
     console = _select_console(args)
@@ -70,7 +71,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
             throw=False,
         )
         checked = solution.status.solved and not (args.fast or args.no_verify)
-        verdict = _verify_solution(solution) if checked else None
+        verdict = verify(solution) if checked else None
     if args.quiet and not solution.status.solved:
         print(f"gnc-opt: {format_failure(solution)}", file=sys.stderr)
     _print_solution(console, solution, verdict, args.conditions)
@@ -141,12 +142,6 @@ def _load_and_build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
     options = dict(parse_setting(text) for text in args.set)
     file = load_problem_file(args.file)
     return file, file.build(options)
-
-
-def _verify_solution(solution: Solution) -> Verdict:
-    from gnc_opt.planning.verification import verify
-
-    return verify(solution)
 
 
 def _solver_options(args: argparse.Namespace) -> SolverOptions:

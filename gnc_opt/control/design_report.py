@@ -114,7 +114,7 @@ def _format_list(values: Array) -> str:
         value = left.pop(0)
         if left and np.iscomplexobj(value) and value.imag and left[0] == np.conj(value):
             left.pop(0)
-            texts.append(f"{value.real:.6g} ± {abs(value.imag):.6g}j")
+            texts.append(f"{value.real:.3g} ± {abs(value.imag):.3g}j")
         else:
             texts.append(format_number(value))
     return ", ".join(texts)
@@ -126,5 +126,5 @@ def format_number(value: object) -> str:
     if np.iscomplexobj(array) and np.all(np.abs(array.imag) <= ROUNDING * np.abs(array)):
         array = array.real
     if array.ndim == 0:
-        return f"{array[()]:.6g}"
-    return np.array2string(array, precision=6, max_line_width=100, separator=", ")
+        return f"{array[()]:.3g}"
+    return np.array2string(array, precision=3, max_line_width=100, separator=", ")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
@@ -59,13 +58,10 @@ def set_minimum_y_range(ax: Axes, least: float) -> None:
         ax.set_ylim(low - least, high + least)
 
 
-def _line_y_data(line: Line2D) -> Array:
-    return np.asarray(line.get_ydata(), dtype=float)
-
-
 def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
     """Show all phases, with a dotted line between one and the next, and noise as zero."""
-    reach = max((float(np.nanmax(np.abs(y), initial=0.0)) for y in map(_line_y_data, ax.lines)), default=0.0)
+    heights = (np.abs(np.asarray(line.get_ydata(), dtype=float)) for line in ax.lines)
+    reach = max((float(np.nanmax(y, initial=0.0)) for y in heights), default=0.0)
     set_minimum_y_range(ax, ROUNDING * float(nonzero_magnitude(reach)))
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:

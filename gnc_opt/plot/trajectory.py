@@ -198,12 +198,8 @@ def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
 
 
 def _applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
-    functions = solution.functions(leg.name)
-
-    def evaluate_hamiltonian(t: Array, side: Any) -> Array:
-        return functions.hamiltonian(t, leg.x(t, side), leg.flown(t, side), leg.lam(t, side))
-
-    return evaluate_hamiltonian
+    hamiltonian = solution.functions(leg.name).hamiltonian
+    return lambda t, side: hamiltonian(t, leg.x(t, side), leg.flown(t, side), leg.lam(t, side))
 
 
 def _hamiltonian_legend_handles(low: float, high: float) -> list[Any]:

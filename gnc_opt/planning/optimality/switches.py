@@ -62,7 +62,8 @@ class Switches:
         toggled = bounds.lower + bounds.upper
         first[at_start] = toggled[at_start] - first[at_start]
         labels = tuple(
-            f"switch of {leg.controls.labels[i]} at {t:.6g} s" for i, t in zip(channels, times, strict=True)
+            f"switch of {leg.controls.labels[i]} at {s.describe_times(t)}"
+            for i, t in zip(channels, times, strict=True)
         )
         return cls(times, channels, first, ends, toggled, labels)
 

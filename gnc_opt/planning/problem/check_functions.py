@@ -323,7 +323,8 @@ def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
     start = guessed.start
     bad = guessed.find_nonfinite(problem, leg)
     if bad:
-        raise _nonfinite_error(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
+        when = f"t = {bad.time:.4g} {problem.time_unit}"
+        raise _nonfinite_error(f"{bad.what} at the guess in {leg.where} at {when}", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
         integrands = evaluate_along(problem, leg, *guessed.along, problem.guessed_parameters())["integral"]

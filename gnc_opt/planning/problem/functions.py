@@ -50,12 +50,15 @@ class PhaseFunctions:
         Values of the problem's free parameters.
     weights : array (n_integrals,)
         dJ/dI of each integral.
+    time_unit : str
+        Unit of the times in printed places.
     """
 
     functions: dict[str, Any]
     p: Array
     q: Array
     weights: Array
+    time_unit: str = "s"
 
     def rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dx/dt, shape of x."""
@@ -210,7 +213,7 @@ def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: A
     """Return the functions of a phase for given parameter values and integral weights."""
     leg = problem.get_phase(phase)
     functions = problem.reuse(("functions", phase), lambda: _build_phase_functions(problem, leg))
-    return PhaseFunctions(functions, p, q, weights)
+    return PhaseFunctions(functions, p, q, weights, problem.time_unit)
 
 
 def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:

@@ -88,12 +88,15 @@ class Statement(Strict):
 
     @property
     def time_unit(self) -> str:
-        """Unit of time: the stated unit of a cost that is a final time or a duration itself, else s."""
-        times = [
-            t for leg in self.phases.values() for t in (leg.final_time, leg.final_time - leg.initial_time)
-        ]
-        stated = self.stated_cost_unit and any(ca.is_equal(self.cost, t, 2) for t in times)
-        return self.stated_cost_unit if stated else "s"
+        """Unit of time: the stated unit of a cost that is a final time or duration, or a multiple of it, else s."""
+        for leg in self.phases.values() if self.stated_cost_unit else ():
+            factor = ca.jacobian(self.cost, leg.final_time)
+            for t in (leg.final_time, leg.final_time - leg.initial_time) if factor.is_constant() else ():
+                rest = ca.jacobian(self.cost - factor * t, ca.vertcat(*ca.symvar(self.cost)))
+                if float(factor) and rest.is_zero():
+                    share = f"× {abs(float(factor)):.4g} " if abs(float(factor)) != 1 else ""
+                    return share + self.stated_cost_unit
+        return "s"
 
     def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
         """Let a symbol be a free parameter from now on."""

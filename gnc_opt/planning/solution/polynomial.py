@@ -133,8 +133,7 @@ class PiecewisePolynomial:
         outside = ~((times >= first - slack) & (times <= last + slack))  # true for NaN as well
         if outside.any():
             raise ArgumentError(
-                f"time {times[outside][0]} s is outside the span [{first}, {last}] s of the phase: choose "
-                "one within."
+                f"time {times[outside][0]} is outside the span [{first}, {last}] of the phase: choose one within."
             )
         return np.clip(times, first, last)
 

@@ -416,12 +416,16 @@ class PhaseSamples:
 
     def describe_time(self, time: float, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for any time."""
-        return f"phase {self.leg.name}, t = {time:.6g} s{f', {what}' if what else ''}"
+        return f"phase {self.leg.name}, t = {self.describe_times(time)}{f', {what}' if what else ''}"
+
+    def describe_times(self, *times: float) -> str:
+        """Return one time, or several joined by "to", in the unit of time."""
+        return f"{' to '.join(f'{t:.6g}' for t in times)} {self.functions.time_unit}"
 
     def describe_segment(self, segment: int, what: str) -> str:
         """Return the place of a whole segment."""
-        left, right = self.leg.breaks[segment], self.leg.breaks[segment + 1]
-        return f"phase {self.leg.name}, segment {segment + 1} ({left:.6g} to {right:.6g} s), {what}"
+        times = self.describe_times(*self.leg.breaks[segment : segment + 2])
+        return f"phase {self.leg.name}, segment {segment + 1} ({times}), {what}"
 
     def integrate_magnitudes(self, values: Array) -> Array:
         """Integrate |values| (n, n_samples) over each segment: (n, K)."""

@@ -107,5 +107,6 @@ def _find_nonfinite_functions(
             problem, problem.phases[name], times, phase.x(times), phase.u(times), parameters
         )
         if bad:
-            found.append(Violation(f"{bad.what}, phase {name}, t = {bad.time:.4g} s", np.nan))
+            when = f"t = {bad.time:.4g} {problem.time_unit}"
+            found.append(Violation(f"{bad.what}, phase {name}, {when}", np.nan))
     return found

@@ -257,8 +257,9 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
                 continue
             label = leg.controls.labels[rows[int(np.argmax(np.abs(vectors[:, np.argmin(np.abs(values))])))]]
             warn_user(
-                f"control '{label}' of '{solution.problem_name}' is singular at t = {times[j]:.6g} s, phase {name} "
-                "(the Hamiltonian has no curvature in it): the derivatives of the controls there depend on the mesh; "
+                f"control '{label}' of '{solution.problem_name}' is singular at "
+                f"t = {times[j]:.6g} {functions.time_unit}, phase {name} (the Hamiltonian has no curvature in it): "
+                "the derivatives of the controls there depend on the mesh; "
                 "refine(solution, structure='auto') settles bang-bang arcs."
             )
             return

@@ -97,7 +97,7 @@ def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
     signed = np.min(falls * slopes * unit, axis=0)
     found = []
     for slope, t, i in zip(signed, times, channels, strict=True):
-        where = f"phase {leg.name}, t = {t:.6g} s, {leg.controls.labels[i]}"
+        where = s.describe_time(t, leg.controls.labels[i])
         violation = _switching_sign_violation(s, int(i), times[channels == i], float(t))
         if np.isnan(slope) or np.isnan(violation):
             found.append(_Crossing(False, -np.inf, where))

@@ -123,8 +123,8 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
             i = int(np.argmax(np.abs(jumps[:, k]) * along.radius))
-            place = f"phase {s.leg.name}, t = {s.leg.breaks[k + 1]:.6g} s, jump of the costate of "
-            worst = worst.select_worse(Worst(float(share[k]), place + s.leg.states.labels[i]))
+            place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {s.leg.states.labels[i]}")
+            worst = worst.select_worse(Worst(float(share[k]), place))
     return worst
 
 
@@ -237,7 +237,7 @@ def check_complementarity(
             if labels:
                 violation = _slack_violation(multipliers, values, box, scale) * shares / scales.cost
                 i, j = find_worst_index(violation)
-                where = f"phase {leg.name}, t = {times[j]:.6g} s, multiplier of {labels[i]}"
+                where = s.describe_time(times[j], f"multiplier of {labels[i]}")
                 worst = worst.select_worse(Worst(float(violation[i, j]), where))
     return worst
 
@@ -266,9 +266,7 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
         _slack_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius) / scales.cost
     )
     i, k = find_worst_index(violation)
-    return Worst(
-        float(violation[i, k]), f"phase {leg.name}, t = {breaks[k]:.6g} s, impulse on {leg.states.labels[i]}"
-    )
+    return Worst(float(violation[i, k]), s.describe_time(breaks[k], f"impulse on {leg.states.labels[i]}"))
 
 
 def _slack_violation(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:

@@ -209,8 +209,7 @@ def _find_not_finite(owner: Solution | PhaseSolution, place: str, with_costates:
         if isinstance(value, PiecewisePolynomial):
             for k, piece in enumerate(value.values):
                 if not np.all(np.isfinite(piece)):
-                    left, right = value.breaks[k : k + 2]
-                    segment = f"segment {k + 1} ({left:.6g} to {right:.6g} s)"
+                    segment = f"segment {k + 1} (from t = {value.breaks[k]:.6g})"
                     return Worst(float("inf"), f"{place}{segment}, {field.name} is not finite")
         elif isinstance(value, (float, np.ndarray)) and not np.all(np.isfinite(value)):
             return Worst(float("inf"), f"{place}{field.name} is not finite")

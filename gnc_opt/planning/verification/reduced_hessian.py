@@ -37,6 +37,7 @@ from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import scale_variables
@@ -265,7 +266,7 @@ def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array)
         if places.size and np.max(size[places]) >= np.max(size):
             i, j = np.unravel_index(np.argmax(size[places]), places.shape)
             time = leg.initial_time + part.collocation.fractions[j] * leg.duration
-            return f"phase {name}, t = {time:.6g} s, {leg.controls.labels[i]}"
+            return f"phase {name}, t = {time:.6g} {time_unit(solution)}, {leg.controls.labels[i]}"
     return point.variables.labels[int(np.argmax(size))]
 
 

@@ -32,6 +32,7 @@ from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
+from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
 SHIFT_STEP_SHARE = 0.02
@@ -109,10 +110,10 @@ class ShiftedTrajectory:
         if not np.any(falls):
             return None
         best = int(np.argmax(np.where(falls, coarse, 0.0)))
-        moved = np.argsort(-np.abs(directions[:n, best]))[:2]
+        moved, unit = np.argsort(-np.abs(directions[:n, best]))[:2], time_unit(self.solution)
         named = [
             f"phase {jump.phase}, {self.solution.phases[jump.phase].controls.labels[jump.channel]} at t = "
-            f"{jump.time:.6g} s by {amount * SHIFT_STEP_SHARE * jump.shorter_arc:+.2g} s"
+            f"{jump.time:.6g} {unit} by {amount * SHIFT_STEP_SHARE * jump.shorter_arc:+.2g} {unit}"
             for jump, amount in ((self.jumps[k], directions[k, best]) for k in moved)
             if abs(amount) > SMALL
         ]

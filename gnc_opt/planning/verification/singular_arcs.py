@@ -124,8 +124,7 @@ def _analyse_singular_arc(
     problem: Problem, s: PhaseSamples, channels: Indices, regular: Indices, here: Indices, tolerance: float
 ) -> SingularArc:
     labels = ", ".join(s.leg.controls.labels[i] for i in channels)
-    first, last = s.times[here[[0, -1]]]
-    place = f"phase {s.leg.name}, {labels} from {first:.6g} s to {last:.6g} s"
+    place = f"phase {s.leg.name}, {labels} from {s.describe_times(*s.times[here[[0, -1]]])}"
     arc = partial(
         SingularArc, place, channels=tuple(channels.tolist()), samples=(int(here[0]), int(here[-1]) + 1)
     )
@@ -147,7 +146,7 @@ def _analyse_singular_arc(
         function = derivatives.by_controls(j)
         if function is None:
             return arc(0, 0.0, f"{TOO_LARGE} {j}")
-        matrices = _evaluate_scaled(s, channels, here, function) * (last - first) ** j
+        matrices = _evaluate_scaled(s, channels, here, function) * np.ptp(s.times[here]) ** j
         size = float(np.max(np.abs(matrices), initial=0.0))
         flat = size if j == 0 else flat
         if size <= tolerance:

@@ -416,7 +416,7 @@ def test_the_first_missing_number_has_its_place() -> None:
 
     gone = by_hand.solution(problem, by_hand.phase(problem, hole))
     worst = find_missing_number(gone, False)
-    assert worst.value == np.inf and worst.where == "phase leg, segment 2 (0.5 to 1 s), x is not finite"
+    assert worst.value == np.inf and worst.where == "phase leg, segment 2 (from t = 0.5), x is not finite"
     dual = by_hand.solution(problem, replace(base, lam_start=np.full_like(base.lam_start, np.nan)))
     assert find_missing_number(dual, False).value == 0.0
     assert find_missing_number(dual, True).where == "phase leg, lam_start is not finite"

@@ -246,7 +246,7 @@ def test_a_missing_number_fails_at_its_place(piece: Any) -> None:
         assert verdict[name].result is go.ConditionResult.FAIL, name
     for condition in verdict.conditions[8:]:  # of the second order
         assert condition.result is not go.ConditionResult.PASS, condition
-    place = "phase leg, segment 3 (0.5 to 0.75 s), "
+    place = "phase leg, segment 3 (from t = 0.5), "
     missing = "objective = 6, recomputed nan" if piece == "u" else f"{place}{piece} is not finite"
     assert verdict["cost"].where.endswith(missing)
 

@@ -195,7 +195,7 @@ def replace_saturated_controls(
             label = samples.leg.controls.labels[row]
             return structure.with_arc(
                 row, ends[0], ends[1], kind
-            ), f"{label} at its bound from {ends[0]:.4g} s"
+            ), f"{label} at its bound from {samples.describe_times(ends[0])}"
     return None, ""
 
 
@@ -211,5 +211,5 @@ def _add_most_severe_contact(
         if added != structure:
             at = run.times[int(np.argmax(run.worth))]
             label = labels[run.row - len(structure.controls)]
-            return added, f"contact of {label} added at {at:.4g} s"
+            return added, f"contact of {label} added at {s.describe_times(at)}"
     return None, ""

@@ -144,7 +144,7 @@ def _add_most_severe_arc(
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
     mended = linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
-    return mended, f"arc of {label} added at {start:.4g} s"
+    return mended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
 def _compute_structure_violations(
@@ -275,4 +275,5 @@ def _correct_contacts(
     wrong = find_wrong_touch(constraints, structure)
     if added is not None or wrong is None:
         return added, action
-    return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
+    time = constraints.samples.describe_times(structure.times[wrong[0]])
+    return structure.without_touch(*wrong), f"touch at {time} dropped"
