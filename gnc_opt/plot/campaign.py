@@ -88,7 +88,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     if limit is not None and drawn:
         reach = max(reach, 1.1 * limit)
     with apply_style():
-        figure = new_figure(3.7 if len(others) == 2 else 5.2)
+        figure = new_figure(3.7)
         unit = campaign.layouts["error"][name].unit
         for ax, other in zip(figure.subplots(1, len(others), squeeze=False)[0], others, strict=True):
             for chosen, look in ((passed, _PASSED), (~passed, _FAILED)):
@@ -107,9 +107,8 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
 def _dispersion_legend_handles(
     campaign: Campaign, name: str, passed: Any, finite: Any, drawn: bool
 ) -> list[Any]:
-    handles = [Line2D([], [], label=f"{_format_run_count(np.sum(passed))} within all limits", **_PASSED)]
-    if not campaign.limits:
-        handles = [Line2D([], [], label=f"{_format_run_count(np.sum(passed))}", **_PASSED)]
+    within = " within all limits" if campaign.limits else ""
+    handles = [Line2D([], [], label=f"{_format_run_count(np.sum(passed))}{within}", **_PASSED)]
     if not np.all(passed):
         unseen = int(np.sum(~finite))
         beyond = f" ({unseen} without an end)" if unseen else ""

@@ -107,6 +107,9 @@ def plot_controls(
         for axes, control in zip(grid[len(parts) :], composed, strict=True):
             _draw_composed_control(axes[0], legs, control)
             for ax in axes[1:]:
+                place = axes[0].get_subplotspec()
+                both = slice(place.colspan.start, place.colspan.start + 2)
+                axes[0].set_subplotspec(place.get_gridspec()[place.rowspan.start, both])
                 ax.remove()
         for ax in figure.axes:
             draw_phase_boundaries(ax, legs)
@@ -132,7 +135,7 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
     t, polynomial = sample_densely(signal, leg.breaks, gaps=True)
     ax.plot(t, polynomial[i], zorder=2, **_POLYNOMIAL)
     nodes = np.atleast_2d(signal(leg.point_times))[i]
-    ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=3.0, zorder=4)
+    ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=1.8, zorder=4)
     t, flown = sample_densely(leg.saturated_control(name), leg.flown.jumps)
     ax.plot(t, flown[i], zorder=3, **_FLOWN)
     row = leg.controls.slice(name).start + i
@@ -178,7 +181,7 @@ def _draw_switching_function(
     per = derivative_unit(hamiltonian_unit(solution), leg.control(name).unit)
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     negligible = _compute_negligible_switching(solution, leg, name, i)
-    set_minimum_y_range(axes[1], negligible)
+    set_minimum_y_range(axes[1], 100 * negligible)  # 1e-5 of H, as in the optimality check
     on_bound = _is_control_at_bound(
         leg, leg.controls.slice(name).start + i, t
     )  # between them it is zero up to rounding

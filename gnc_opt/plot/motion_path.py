@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from gnc_opt.arrays import Array
 from gnc_opt.plot.motion_view import (
     AXIS,
     VEHICLE_HALF_EDGES,
+    Motion,
     Moved,
     View,
     ellipsoid_points,
@@ -28,10 +29,14 @@ from gnc_opt.plot.style import (
     axis_label,
     legend_on_top,
     new_figure,
+    variable_name_text,
 )
 
 PATH_SAMPLES = 400
 """Points of a drawn path."""
+
+KILOMETRES_FROM = 1e5
+"""Extent (m) from which axes count kilometres."""
 
 
 def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
@@ -85,7 +90,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             ax.plot_wireframe(*surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2)
             drawn.append(surface.reshape(3, -1))
             handles.append(Line2D([], [], color=QUIET, linewidth=0.8, label=name))
-        _set_equal_scales(ax, np.hstack(drawn), path.unit, view.down)
+        _set_equal_scales(ax, np.hstack(drawn), path, view.down)
         legend_on_top(figure, handles)
     return figure
 
@@ -105,17 +110,25 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 
 """Corners of each face, in the order of `itertools.product`."""
 
 
-def _set_equal_scales(ax: Any, points: Array, unit: str, down: bool) -> None:
-    """Equal scales on all axes, limits around all points, labels with units."""
+def _set_equal_scales(ax: Any, points: Array, path: Motion, down: bool) -> None:
+    """Equal scales on all axes, limits around all points, labels with units; a plane is seen from its front."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))
     low, high = low - room, high + room
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(*((high[1], low[1]) if down else (low[1], high[1])))
     ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))
+    largest = float(np.max(high - low))
     ax.set_box_aspect(high - low, zoom=1.15)
-    for axis, extent in zip((ax.xaxis, ax.yaxis, ax.zaxis), high - low, strict=True):
-        axis.set_major_locator(MaxNLocator(max(1, round(6 * extent / float(np.max(high - low))))))
-    ax.set_xlabel(axis_label("$x$", unit), labelpad=12)
-    ax.set_ylabel(axis_label("$y$", unit), labelpad=4)
-    ax.set_zlabel(axis_label("$z$", unit))
+    if not path.labels[1] and not np.any(points[1]):
+        ax.set_proj_type("ortho")
+        ax.view_init(0, -90)
+    large = path.unit == "m" and largest > KILOMETRES_FROM
+    units = FuncFormatter(lambda value, _: f"{value / (1000 if large else 1):g}")
+    for axis, extent, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), high - low, path.labels, strict=True):
+        count = round(6 * extent / largest)
+        axis.set_major_locator(MaxNLocator(count) if count else NullLocator())
+        axis.set_major_formatter(units)
+        text = axis_label(variable_name_text(name), "km" if large else path.unit) if name else ""
+        axis.set_label_text(text)
+        axis.labelpad = 8

@@ -87,6 +87,7 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
     return {
         "times": np.round(times, 6).tolist(),
         "unit": first.unit,
+        "labels": first.labels,
         "down": view.down,
         "moves": view.position is not None,
         "turns": view.attitude is not None,

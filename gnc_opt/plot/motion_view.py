@@ -85,13 +85,17 @@ class View:
 
 @dataclass(frozen=True)
 class Motion:
-    """Samples at times (n,): position (3, n), body's axes as rows (3, 3, n), force (3, n) as shares of its largest."""
+    """Samples at times (n,): position (3, n), body's axes as rows (3, 3, n), force (3, n) as shares of its largest.
+
+    ``labels`` are the names of the axes, "" for one that no component has.
+    """
 
     times: Array
     position: Array
     dcm_BL: Array | None
     force: Array | None
     unit: str
+    labels: tuple[str, str, str]
 
 
 def motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
@@ -113,12 +117,13 @@ def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
             [np.vstack([part.values(n, t) for n in _list_names(names)]) for part, t in groups], axis=1
         )
 
-    position, unit = np.zeros((3, times.size)), ""
+    position, unit, labels = np.zeros((3, times.size)), "", ("x", "y", "z")
     if view.position is not None:
-        position = _to_three_rows(
-            stack_values(view.position), f"the position {', '.join(_list_names(view.position))}"
-        )
-        unit = parts[0].unit(_list_names(view.position)[0])
+        names, values = _list_names(view.position), stack_values(view.position)
+        position = _to_three_rows(values, f"the position {', '.join(names)}")
+        unit = parts[0].unit(names[0])
+        if len(values) == 2:
+            labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
     dcm = (
         None
         if view.attitude is None
@@ -128,7 +133,7 @@ def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
     if view.force is not None:
         force = _to_three_rows(stack_values(view.force), f"the force {', '.join(_list_names(view.force))}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
-    return Motion(times, position, dcm, force, unit)
+    return Motion(times, position, dcm, force, unit, labels)
 
 
 # --- where the numbers come from ------------------------------------------------------------------------

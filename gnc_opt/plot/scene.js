@@ -85,12 +85,12 @@
 
   // --- the picture
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const title = (axis) => ({ text: data.moves ? axis + (data.unit ? ` (${data.unit})` : "") : "" });
+  const title = (axis) => ({ text: data.moves && axis ? axis + (data.unit ? ` (${data.unit})` : "") : "" });
   const range = (i, turn) => (turn ? [data.high[i], data.low[i]] : [data.low[i], data.high[i]]);
-  const axis = (i) => ({ title: title("xyz"[i]), range: range(i, data.down && i > 0), gridcolor: colour("--line"),
-    zerolinecolor: colour("--line"), showbackground: false, showspikes: false, showticklabels: data.moves, nticks: 6 });
+  const axis = (i) => ({ title: title(data.labels[i]), range: range(i, data.down && i > 0), gridcolor: colour("--line"),
+    zerolinecolor: colour("--line"), showbackground: false, showspikes: false, showticklabels: data.moves && data.labels[i] !== "", nticks: extents[i] < 0.3 * longest ? 2 : 6 });
   const extents = data.high.map((v, i) => v - data.low[i]), longest = Math.max(...extents);
-  const away = Math.max(1, stage.clientHeight / stage.clientWidth); // narrow windows show less of the width
+  const away = Math.max(1, 1.2 * stage.clientHeight / stage.clientWidth); // narrow windows show less of the width
   const layout = () => ({
     margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "one",
     font: { color: colour("--ink"), family: "system-ui, sans-serif", size: 12 },

@@ -82,21 +82,14 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     cut: dict[str, Any] = {}
-    if not _do_labels_fit(figure):
-        labels = [
-            axis.label for ax in figure.axes if ax.name == "3d" for axis in (ax.xaxis, ax.yaxis, ax.zaxis)
-        ]
+    spatial = [ax for ax in figure.axes if ax.name == "3d"]
+    if spatial or figure.get_layout_engine() is None:  # nothing else keeps the labels inside
+        labels = [axis.label for ax in spatial for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
         drawn = [*figure.get_default_bbox_extra_artists(), *labels]
         cut = {"bbox_inches": "tight", "pad_inches": 0.1, "bbox_extra_artists": drawn}
     with apply_style():
         figure.savefig(target, dpi=dpi, **cut)
     return target
-
-
-def _do_labels_fit(figure: Figure) -> bool:
-    """Whether the layout keeps all labels inside; where it does not, they are looked for by drawing twice."""
-    arranged = figure.get_layout_engine() is not None
-    return arranged and not any(ax.name == "3d" for ax in figure.axes)
 
 
 def line_style(i: int) -> dict[str, Any]:

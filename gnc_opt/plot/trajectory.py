@@ -204,14 +204,10 @@ def _applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Cal
 
 def _hamiltonian_legend_handles(low: float, high: float) -> list[Any]:
     ends = number_text(low), number_text(high)
-    told = (
-        f"{ends[0]} to {ends[1]}"
-        if ends[0] != ends[1]
-        else f"{ends[0]} \N{PLUS-MINUS SIGN} {number_text(0.5 * (high - low), 2)}"
-    )
-    handles: list[Any] = [
+    spread = f"\N{PLUS-MINUS SIGN} {number_text(0.5 * (high - low), 2)}"
+    shown = f"{ends[0]} {spread}" if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
+    return [
         Line2D([], [], label="at the collocation points", **_AT_POINTS),
-        Line2D([], [], label=f"band of these, {told}", color=COLORS[0], alpha=0.25, linewidth=6),
+        Line2D([], [], label=f"their range, {shown}", color=COLORS[0], alpha=0.25, linewidth=6),
         Line2D([], [], label="along the applied controls", **_ALONG_FLOWN),
     ]
-    return handles

@@ -136,12 +136,9 @@ def write_campaign_report(
     files = save_figures(folder, _draw_campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
-        "Overview": _results_table(campaign),
-        "Parameters": _drawn_parameters_table(campaign),
+        "Overview": _results_table(campaign)
+        + figure_html(files, "distributions", "Distribution of each measure over all runs, with its limit."),
         "Motion": motion,
-        "Distributions": figure_html(
-            files, "distributions", "Distribution of each measure over all runs, with its limit."
-        ),
         "Dispersions": _prefixed_figures_html(
             files, "dispersion_", "errors at the end of all runs, by pairs of components."
         ),
@@ -151,6 +148,7 @@ def write_campaign_report(
             "1st, 50th and 99th percentile of the runs over time, with their intervals of 95 % confidence.",
         ),
         "Failures": html_table(("run", "cause"), failures),
+        "Parameters": _drawn_parameters_table(campaign),
         "Software": command_html(command)
         + html_table(("", ""), [("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]),
     }

@@ -15,7 +15,7 @@ from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.text_formatting import derivative_unit, html_table
 
 CAPTIONS = {
-    "trajectory": "Trajectory: circle at the start, square at the end, vehicle drawn at equal intervals of time.",
+    "trajectory": "Trajectory: circle at the start, square at the end; vehicle at equal intervals of time.",
     "states": "States over time; dashed: limits.",
     "controls": (
         "Controls, each with its switching function ∂H/∂u on its right. A control is at its lower limit where its "
@@ -73,11 +73,9 @@ def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
 
 
 def _overview_section(solution: Solution, verdict: Verdict | None, files: Mapping[str, Path]) -> str:
-    trajectory = figure_html(files, "trajectory", CAPTIONS["trajectory"]) or figure_html(
-        files, "states", CAPTIONS["states"]
-    )
-    controls = figure_html(files, "controls", CAPTIONS["controls"])
-    return _verdict_section(solution, verdict) + trajectory + controls + _solve_facts_table(solution)
+    stems = "trajectory" if "trajectory" in files else "states", "controls"
+    figures = "".join(figure_html(files, stem, CAPTIONS[stem]) for stem in stems)
+    return _verdict_section(solution, verdict) + _solve_facts_table(solution) + figures
 
 
 def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
@@ -177,16 +175,7 @@ def _refinement_table(history: History | None) -> str:
         )
         for i, p in enumerate(history.passes)
     ]
-    titles = (
-        "iteration",
-        "segments",
-        "points",
-        "error",
-        "objective",
-        "solver iterations",
-        "time (s)",
-        "changes",
-    )
+    titles = ("iteration", "segments", "points", "error", "objective", "NLP steps", "time (s)", "changes")
     return f"<p>{escape(history.message)}</p>" + html_table(titles, rows)
 
 

@@ -146,7 +146,7 @@ def test_figure_of_motion_holds_vehicle_and_other_bodies():
         [0.0, 0.0, 0.0], abs=1e-6
     )
     low, high = axes.get_zlim()
-    assert low < 0.0 and high > 0.5 and axes.get_xlabel() == "$x$"
+    assert low < 0.0 and high > 0.5 and axes.get_xlabel() == "$r$[0]"
     with pytest.raises(go.ArgumentError, match="position of 'target'"):
         View("r", bodies={"target": (0.0, 1.0)})
 
@@ -179,3 +179,21 @@ def test_a_multiple_of_a_time_states_its_unit() -> None:
 
 def test_a_cost_without_a_unit_leaves_seconds() -> None:
     assert "leg 0 to 1 s" in str(go.solve(minimum_time(1.0, "")))
+
+
+def test_large_motion_counts_kilometres_and_a_plane_is_seen_from_its_front() -> None:
+    from gnc_opt.plot import View, plot_motion
+
+    model = go.Model("far")
+    x, y, u = model.state("x", unit="m"), model.state("y", unit="m"), model.control("u")
+    model.ode({x: 1e6 * u, y: 1e5 * u})
+    problem = go.Problem("far")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.maximize(leg.final_state("x"))
+    axes = plot_motion(go.solve(problem, mesh="1x3", tol=None), View(("x", "y"))).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()) == ("$x$ (km)", "", "$y$ (km)")
+    assert (axes.elev, axes.azim) == (0, -90)
+    assert axes.xaxis.get_major_formatter()(500_000.0, 0) == "500"
