@@ -1,4 +1,4 @@
-"""Design of discrete-time controllers from a model; each is a symbolic law. C and FMU export."""
+"""Design of discrete-time controllers from a model, and their export as C code and FMU."""
 
 from typing import Any
 
@@ -67,6 +67,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Report the present name of a former one."""
+    """Raise an error that names the replacement of a renamed name."""
     check_renamed(__name__, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

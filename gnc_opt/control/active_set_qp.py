@@ -1,4 +1,4 @@
-"""The condensed programme of a horizon as C, solved by the active-set method in ``active_set_qp.c``."""
+"""C code of the condensed MPC quadratic program, solved by the active-set method in ``active_set_qp.c``."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from gnc_opt.tolerances import LARGEST
 
 _SOURCE = Path(__file__).with_name("active_set_qp.c")
 _ITERATIONS_PER_UNKNOWN = 20
-"""Iterations per unknown before a programme counts as unsolved; random ones took up to nine."""
+"""Largest number of iterations per unknown; random programs needed at most nine."""
 
 
 @dataclass(frozen=True, eq=False)
 class ProgrammeCode:
-    """The C of a programme; the j-th step from row k of the schedule takes the matrices k + j."""
+    """C code of the QP of a horizon; step j of the horizon from row k of the schedule uses the matrices k + j."""
 
     rows: Rows
     roots: Array
@@ -63,7 +63,7 @@ class ProgrammeCode:
         return int(active + 4 * self.limits + 6 * (size + 1) + 2 * n + 3 * m)
 
     def text(self, numbers: CNumbers) -> str:
-        """Return the C, after a table ``schedule[N_ROWS][.]``."""
+        """Return the C code, to be placed after a table ``schedule[N_ROWS][.]``."""
         rows, m, n = self.rows, self.rows.lower.size, self.matrices[0].shape[1]
         slack = [
             rows.soft_limited.index(i) if i in rows.soft_limited else -1 for i in range(len(rows.states))
@@ -123,7 +123,7 @@ class ProgrammeCode:
 
     @property
     def _row_limits(self) -> tuple[Array, Array]:
-        """Limits of the scaled rows of a step."""
+        """Return lower and upper limits of the scaled rows of a step."""
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
@@ -136,13 +136,13 @@ class ProgrammeCode:
 
 
 def command_memory_layout(m: int) -> Layout:
-    """Return the memory of a predictive controller: the last command (m,) and the alarm."""
+    """Return the layout of an MPC memory: the previous command (m,) and the alarm."""
     parts = (Variable("previous_command", m), Variable("qp_failed", 1))
     return Layout("memory", parts, "the memory of the controller")
 
 
 def limit_command(u: Any, previous: Any, rows: Rows) -> Any:
-    """Return a command within the limits of size and rate, SX or MX."""
+    """Return a command clipped to the limits of magnitude and rate, SX or MX."""
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
         lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
@@ -152,7 +152,7 @@ def limit_command(u: Any, previous: Any, rows: Rows) -> Any:
 def build_flight_law(
     code: ProgrammeCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> FlightLaw:
-    """Return the form of a predictive controller for flight code."""
+    """Return the law of a predictive controller for C export, with the QP solver as a C function."""
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
     signals = reference_signal_layout(reference, Variable("row", 1))
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
@@ -183,7 +183,7 @@ def build_flight_law(
 
 @dataclass(frozen=True, eq=False)
 class _Numbered:
-    """Rows of a reference, and below them their number in the table of flight code."""
+    """Rows of a reference schedule, each followed by its index in the C table."""
 
     reference: ReferenceSchedule
     span: tuple[float, float]
@@ -195,12 +195,12 @@ class _Numbered:
 
 
 def _qp_solver_placeholder(n: int, m: int) -> Any:
-    """Return the placeholder of the programme in the law; it has C code only, no numerical evaluation."""
+    """Return a function that stands for the QP solver in the exported law; it returns NaN in Python."""
     inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
     nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]
     return ca.Function("programme", inputs, nothing, {"never_inline": True})
 
 
 def _find_finite_limits(limits: Array) -> Array:
-    """Limits with numbers in place of none, whose rows are never outside."""
+    """Return the limits with 0 in place of infinite ones, whose rows are not used."""
     return np.where(np.isfinite(limits), limits, 0.0)

@@ -1,4 +1,4 @@
-"""Limits of controls and of states, and the control authority margin that a reference leaves to the feedback."""
+"""Limits of controls and states, and the control authority margin along a reference."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Limits: TypeAlias = tuple[ArrayLike, ArrayLike]
 """Lower and upper limits of the controls, (n_controls,) each or one number for all."""
 
 Authority: TypeAlias = tuple[Array, Array]
-"""The same, read: lower and upper limits, (n_controls,) each."""
+"""Lower and upper limits of the controls as arrays, (n_controls,) each."""
 
 
 def read_limits(model: Model, limits: Limits | None) -> Authority | None:
@@ -50,7 +50,7 @@ def clip(value: Any, lower: Any, upper: Any) -> Any:
 
 
 def saturate(u: Any, limits: Authority | None) -> Any:
-    """Return a command saturated at these limits, SX."""
+    """Return a command saturated at the limits, SX; unchanged without limits."""
     return u if limits is None else clip(u, *limits)
 
 
@@ -62,16 +62,16 @@ def authority_margin_fact(
     dt: float | None = None,
     required: bool = False,
 ) -> list[ReportEntry]:
-    """Return the fact about the share of half the range of each control that the feedforward leaves.
+    """Return the smallest control authority margin along the reference, as a share of half the control range.
 
     Parameters
     ----------
     gain : callable, optional
-        Switching gain (n_controls, n_times) at times (s) of a law, in addition to the feedforward.
+        Switching gain (n_controls, n_times) at times (s), added to the feedforward.
     dt : float, optional
-        Length of the steps (s) over which the feedforward is held; without it, it follows the reference.
+        Length of the steps (s) over which the feedforward is constant; default: continuous feedforward.
     required : bool
-        Whether a negative margin is a `DesignError`.
+        Whether a negative margin raises `DesignError`.
     """
     if limits is None:
         return []
@@ -102,7 +102,7 @@ def authority_margin_fact(
 def check_reference_limits(
     reference: Reference, places: Sequence[int], lower: Array, upper: Array
 ) -> list[ReportEntry]:
-    """Return and warn of how far the reference exceeds limits (n_limited,) of states at ``places``."""
+    """Return the largest violation of state limits (n_limited,) by the reference at rows ``places``, and warn."""
     times, facts = reference_sample_times(reference), []
     for place, low, high in zip(places, lower, upper, strict=True):
         x, label = reference.x(times)[place], reference.states.labels[place]
@@ -111,7 +111,7 @@ def check_reference_limits(
         if over[k] > AT_LIMIT * np.max(np.abs([*x, *(v for v in (low, high) if np.isfinite(v))])):
             name, unit = f"reference beyond the limits of {label}", reference.states.units[place]
             facts.append(
-                ReportEntry(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; it is not followed there")
+                ReportEntry(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; not tracked there")
             )
     if facts:
         warn_user("; ".join(map(str, facts)))

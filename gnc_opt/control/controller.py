@@ -1,4 +1,4 @@
-"""Controller: a discrete-time law as one symbolic function, with its memory, its schedule and its reasons."""
+"""Controller: a discrete-time control law as a CasADi function, with memory, schedule and design report."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Schedule: TypeAlias = Callable[[Array, float], Array]
 
 @dataclass(frozen=True, eq=False)
 class FlightLaw:
-    """A law for flight code: elementary operations and at most one call of a solver, named as its C function.
+    """Control law for C export: elementary operations and at most one call of a solver.
 
-    Of ``solver``, see `gnc_opt.control.active_set_qp.ProgrammeCode`, the C, operations and stack are taken.
+    ``solver`` is an `gnc_opt.control.active_set_qp.ProgrammeCode`; the call has the name of its C function.
     """
 
     controller: Controller
@@ -39,34 +39,34 @@ _INPUTS, _OUTPUTS = ["t", "x", "r", "z"], ["u", "z_next"]
 class Controller:
     """A discrete-time control law ``(t, x, r, z) -> (u, z_next)``.
 
-    A CasADi function without side effects of the time t, the measured state x, the row r of the schedule
-    (reference, feedforward, gains) and the memory z. Returns the held command u and the next z.
+    A CasADi function without side effects of the time t, the measured state x, the row r of the schedule (reference,
+    feedforward, gains) and the memory z. Returns the command u (zero-order hold) and the next memory.
 
     Attributes
     ----------
     name : str
     step : casadi.Function
-        ``(t, x, r, z) -> (u, z_next)``, columns.
+        ``(t, x, r, z) -> (u, z_next)``, column vectors.
     start : casadi.Function
-        ``(t, x, r) -> z``: the memory at the first step, from the first measurement.
+        ``(t, x, r) -> z``: initial memory, from the first measurement.
     states, commands, signals, memory : Layout
     schedule : `Schedule`
         See `Schedule`.
     explanation : DesignReport
     dt : float or None
-        Control step of the design, s; ``None``: any.
+        Control step of the design, s; ``None`` if the law applies to any step.
     alarms : tuple of str
-        Entries of the memory, nonzero from the first step at which the law cannot meet its guarantees.
+        Memory entries that become nonzero at the first step at which the law cannot meet its guarantees.
     span : tuple of two floats, optional
         Times (s) between which the schedule changes; it is constant after the second.
     unbridged : Controller, optional
         The same law without dropout handling, see `with_dropout_handling`.
     estimated : Layout, optional
-        The states fed back if an estimator computes them, see `output_feedback`; ``states`` then are measurements.
+        States that an estimator computes for the law, see `output_feedback`; ``states`` are then the measurements.
     flight : FlightLaw, optional
-        Form for flight code of a law that solves a problem at every step.
+        Law for C export, if the law solves an optimisation problem at every step.
     easy : casadi.Function, optional
-        ``(t, x, r, z) -> (u, z_next, enough)`` of elementary operations: equals ``step`` wherever enough is 1.
+        ``(t, x, r, z) -> (u, z_next, valid)`` of elementary operations; equals ``step`` where valid is 1.
 
     Examples
     --------
@@ -111,11 +111,11 @@ class Controller:
 
     @property
     def followed(self) -> Layout:
-        """Names, sizes and units of the states that the law feeds back and its reference is of."""
+        """Layout of the states that the law feeds back and that its reference contains."""
         return self.states if self.estimated is None else self.estimated
 
     def explain(self) -> DesignReport:
-        """Return the facts of the design: gains, poles or margins, bounds and reserves; print them to read them."""
+        """Return the design report: gains, poles or margins, bounds and control authority margins."""
         return self.explanation
 
     def signal(self, t: float, dt: float | None = None) -> Array:
@@ -123,10 +123,10 @@ class Controller:
         return self.schedule(np.array([float(t)]), self.step_length(dt))[:, 0]
 
     def step_length(self, dt: float | None = None) -> float:
-        """Return the length of a control step (s); `ArgumentError` if the given one is not the design's."""
+        """Return the length of a control step (s); raise `ArgumentError` if ``dt`` differs from the design's."""
         if dt is None:
             if self.dt is None:
-                raise ArgumentError(f"controller '{self.name}' fits any control step: give dt, in s.")
+                raise ArgumentError(f"controller '{self.name}' has no own control step: give dt, in s.")
             return self.dt
         dt = read_positive(dt, f"the control step of '{self.name}'")
         if self.dt is not None and not np.isclose(dt, self.dt, rtol=SAME_TIME):
@@ -137,7 +137,7 @@ class Controller:
         return dt
 
     def initial_memory(self, t: float, x: ArrayLike, dt: float | None = None) -> Array:
-        """Return the memory (n_memory,) at a first step at t (s) with the measured state x (n_states,)."""
+        """Return the initial memory (n_memory,) at time t (s) and measured state x (n_states,)."""
         state = as_point(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         return np.asarray(self.start(float(t), state, self.signal(t, dt)).full()[:, 0])
 
@@ -149,11 +149,11 @@ class Controller:
         Parameters
         ----------
         t : float
-            Beginning of the step, s.
+            Start of the step, s.
         x : array (n_states,)
             Measured state.
         z : array (n_memory,), optional
-            Memory; without it the step is the first.
+            Memory; default: the initial memory.
         dt : float, optional
             Length of the step, s; see `step_length`.
         """
@@ -170,16 +170,16 @@ class Controller:
 
 
 def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> Any:
-    """Return the CasADi function of a control law from its symbols and expressions (SX or MX columns).
+    """Return the CasADi function of a control law from its symbols and expressions (SX or MX column vectors).
 
     Parameters
     ----------
     t, x, r, z : casadi SX or MX
         Symbols: time (1, 1), measured state (n_states, 1), row of the schedule (n_signals, 1), memory (n_memory, 1).
     u, z_next : casadi SX or MX
-        Expressions of them: the command (n_commands, 1) and the next memory (n_memory, 1).
+        Command (n_commands, 1) and next memory (n_memory, 1), expressions of the symbols.
     enough : casadi SX or MX, optional
-        Expression of them, see ``easy`` of `Controller`.
+        Expression of the symbols, see ``easy`` of `Controller`.
 
     Examples
     --------
@@ -194,7 +194,7 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> An
 
 
 def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:
-    """Return the CasADi function of the first memory from its symbols (as in `law`) and the expression z (n_memory, 1).
+    """Return the CasADi function of the initial memory, from the symbols of `law` and an expression z (n_memory, 1).
 
     Parameters
     ----------
@@ -218,5 +218,5 @@ def _check_function_shape(
     found_out = tuple(function.size1_out(i) for i in range(function.n_out()))
     if (found, found_out) != (inputs, outputs):
         raise ArgumentError(
-            f"{what} takes {found} rows and returns {found_out}: its layouts ask for {inputs} and {outputs}."
+            f"{what} takes {found} rows and returns {found_out}: its layouts require {inputs} and {outputs}."
         )

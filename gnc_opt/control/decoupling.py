@@ -1,7 +1,7 @@
-"""Laws that invert a decoupling matrix, and their alarm and command if it is nearly singular.
+"""Control laws that invert a decoupling matrix, with a fallback command where the matrix is nearly singular.
 
-A guarded law then raises the alarm ``singular`` and commands the fallback, or its last command again; its memory stands
-still until the matrix is regular again.
+Near a singularity the law raises the alarm ``singular`` and returns the fallback or its last command. Its
+memory does not change until the matrix is regular again.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import are_dependent
 
 SINGULAR = "singular"
-"""The alarm."""
+"""Name of the alarm."""
 GUARD = 0.05
-"""Smallest |det E|, relative to its largest on the reference, with which a law works."""
+"""Smallest |det E| at which the law is applied, relative to the largest on the reference."""
 GROWTH = 1e-9
 """Zero dynamics count as unstable when they grow faster than this, 1/s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """One part of a law's memory: symbol, first and next value, SX columns; whether it is an alarm."""
+    """Part of a law's memory: symbol, initial and next value (SX columns), and whether it is an alarm."""
 
     name: str
     symbol: Any
@@ -49,13 +49,13 @@ class Memory:
 
     @property
     def variable(self) -> Variable:
-        """Name and size."""
+        """Name, size and unit."""
         return Variable(self.name, self.symbol.numel(), self.unit)
 
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """E^+ y of a decoupling matrix; ``regular`` (SX): may be inverted; ``scale``, ``lowest``: of |det E|."""
+    """Inverse of a decoupling matrix E; ``regular`` (SX) is 1 where |det E| >= ``lowest`` * ``scale``."""
 
     matrix: Any
     regular: Any
@@ -64,7 +64,7 @@ class Inverse:
 
     @property
     def report_condition(self) -> ReportEntry:
-        """The smallest |det E| on the reference."""
+        """Return the smallest |det E| on the reference."""
         name, remark = "smallest determinant on the reference", f"largest {self.scale:.6g}"
         return ReportEntry(name, self.lowest, remark=remark)
 
@@ -104,7 +104,7 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
 
 
 def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[ReportEntry]:
-    """Return the facts of the zero dynamics at the end of the reference; raise `DesignError` if they grow."""
+    """Return the zero dynamics at the end of the reference; raise `DesignError` if they are unstable."""
     t = reference.final_time
     zeros = zero_dynamics(errors, t, reference.x(t), reference.u(t))
     if zeros.growth > growth:
@@ -123,7 +123,7 @@ def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: floa
 
 @dataclass(frozen=True, eq=False)
 class GuardedLaw:
-    """Command (n_controls,), and ``fallback`` (default: the last command) for a singular matrix."""
+    """Command (n_controls,), its validity, its memory, and the fallback (default: the last command)."""
 
     command: Any
     regular: Any
@@ -141,7 +141,7 @@ def build_guarded_controller(
     dt: float | None,
     explanation: DesignReport,
 ) -> Controller:
-    """Return the controller of a law with its guards."""
+    """Return the controller of a guarded law."""
     memory, nominal = guarded.memory, guarded.nominal
     last = ca.SX.sym("u_last", pair.u.numel())
     singular, regular = ca.SX.sym(SINGULAR), guarded.regular
@@ -187,10 +187,10 @@ def build_guarded_controller(
 
 
 class Nominal:
-    """A controller inside another one: its law on the symbols of the outer law."""
+    """Nominal controller inside another law, evaluated on the symbols of the outer law."""
 
     def __init__(self, controller: Controller, pair: Pair) -> None:
-        controller = controller.unbridged or controller  # the outer law bridges dropouts
+        controller = controller.unbridged or controller  # the outer law handles dropouts
         if controller.states.labels != pair.model.states.labels:
             raise DesignError(
                 f"the nominal controller '{controller.name}' is for other states than model '{pair.model.name}'."
@@ -213,12 +213,12 @@ class Nominal:
 
     @property
     def variables(self) -> list[Variable]:
-        """The memory of the inner controller, renamed."""
+        """Memory of the nominal controller, with prefixed names."""
         return [_add_nominal_prefix(v) for v in self.controller.memory.variables]
 
     @property
     def signals(self) -> list[Variable]:
-        """The signals of the inner controller, renamed."""
+        """Signals of the nominal controller, with prefixed names."""
         return [_add_nominal_prefix(v) for v in self.controller.signals.variables]
 
 

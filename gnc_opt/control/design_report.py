@@ -1,4 +1,4 @@
-"""Design report: facts of a design with names, values and units."""
+"""Design report: results of a controller design with names, values and units."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from gnc_opt.text_formatting import html_heading, html_table
 from gnc_opt.tolerances import ROUNDING
 
 REPORT_VALUE_WIDTH = 44
-"""Columns of the values in a printed table; longer ones move the unit to the right."""
+"""Width of the value column in characters; longer values shift the unit to the right."""
 
 
 @dataclass(frozen=True)
 class ReportEntry:
-    """One statement about a design.
+    """One result of a design.
 
     Attributes
     ----------
     name : str
-        What it is, e.g. ``"closed-loop poles"``.
+        Quantity, for example ``"closed-loop poles"``.
     value : float, complex, str, or an array of them
     unit : str
     remark : str
-        What it means, or where it comes from.
+        Meaning or source of the value.
 
     Examples
     --------
@@ -51,7 +51,7 @@ class ReportEntry:
 
 @dataclass(frozen=True)
 class DesignReport(Strict):
-    """The facts of one design; ``report["closed-loop poles"]`` returns a value, ``print`` shows a table.
+    """Results of one design; ``report["closed-loop poles"]`` returns a value, ``print`` shows a table.
 
     Attributes
     ----------
@@ -93,13 +93,13 @@ class DesignReport(Strict):
 
 
 def _entry_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
-    """Return the rows of one entry: a matrix has one for each of its own."""
+    """Return the table rows of one entry, one for each row of a matrix."""
     first, *more = _format_value(fact).splitlines()
     return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
 
 
 def _format_value(fact: ReportEntry) -> str:
-    """Return numbers separated by commas, a matrix row by row; conjugate poles as ``-1 ± 2j``."""
+    """Return the value as text: comma-separated numbers, a matrix row by row, conjugate poles as ``-1 ± 2j``."""
     if isinstance(fact.value, str):
         return fact.value
     array = np.asarray(fact.value)
@@ -121,7 +121,7 @@ def _format_list(values: Array) -> str:
 
 
 def format_number(value: object) -> str:
-    """Return a number, or an array of them, as text: as real ones where no imaginary part is more than rounding."""
+    """Return a number or an array as text; imaginary parts at rounding level are omitted."""
     array = np.asarray(value)
     if np.iscomplexobj(array) and np.all(np.abs(array.imag) <= ROUNDING * np.abs(array)):
         array = array.real

@@ -1,12 +1,12 @@
-r"""Dropouts: commands of a law during lost measurements.
+r"""Dropouts: commands during lost measurements.
 
-A sample is *lost* if any of its numbers is not finite or beyond `LARGEST`. A bridged law
+A sample is *lost* if any of its numbers is not finite or exceeds `LARGEST` in magnitude. A law with dropout handling
 
-1. goes on with the last good sample for up to ``hold`` lost samples in a row;
-2. then, or before the first good sample, gives the safe command, raises ``invalid`` and keeps its memory;
-3. continues with the next good sample; the alarm stays.
+1. repeats the last good sample for up to ``hold`` consecutive lost samples;
+2. then, or before the first good sample, returns the safe command, raises ``invalid`` and keeps its memory;
+3. resumes with the next good sample; the alarm stays raised.
 
-A command or a memory that is not finite although the sample is good counts as 2.
+A non-finite command or memory from a good sample is handled as in 2.
 """
 
 from __future__ import annotations
@@ -29,35 +29,36 @@ HOLD = 3
 """Default number of consecutive lost samples that a law bridges."""
 
 INVALID = "invalid"
-"""The alarm."""
+"""Name of the alarm."""
 
 _NEVER = -1.0
-"""Count of lost samples before the first good one."""
+"""Value of the counter of lost samples before the first good sample."""
 
 
 def with_dropout_handling(
     controller: Controller, *, hold: int = HOLD, safe: ArrayLike | None = None
 ) -> Controller:
-    """Return a controller that bridges lost samples, or bridges them otherwise than it did.
+    """Return a controller with dropout handling; replaces the existing handling.
 
     Parameters
     ----------
     controller : Controller
-        Those that design functions return bridge dropouts with the defaults of this function.
+        Controllers from design functions already have dropout handling with the default arguments.
     hold : int
-        Lost samples in a row for which the last good one is taken, >= 0.
+        Largest number of consecutive lost samples replaced by the last good sample, >= 0.
     safe : array (n_commands,), optional
-        Command after that; default the feedforward of the schedule, zero where there is none.
+        Command after that; default: the feedforward of the schedule, or zero.
 
     Returns
     -------
     Controller
-        Adds ``last_good`` (n_states,), ``lost`` (samples in a row, -1: none yet), alarm ``invalid``.
+        Memory ``last_good`` (n_states,), ``lost`` (consecutive lost samples, -1 initially) and alarm
+        ``invalid``.
 
     Raises
     ------
     ArgumentError
-        It is no controller, or one that an estimator feeds; bad numbers; or its own memory has these names.
+        Not a controller, an estimator-fed controller, invalid numbers, or a memory with one of these names.
 
     Examples
     --------
@@ -73,7 +74,7 @@ def with_dropout_handling(
     expect(controller, Controller, "what with_dropout_handling() got", "give what a design function returned")
     if controller.estimated is not None:
         raise ArgumentError(
-            f"'{controller.name}' is fed by an estimator, which bridges by itself: bridge the controller inside."
+            f"'{controller.name}' includes an estimator, which handles dropouts: apply it to the controller inside."
         )
     hold = read_integer(hold, "the number of lost samples to bridge", 0)
     inner = controller.unbridged or controller
@@ -109,7 +110,7 @@ def with_dropout_handling(
 
 
 def _bridged_law_functions(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
-    """Return the law and the first memory of the bridged controller, of the law or its easy form."""
+    """Return law and initial memory of the controller with dropout handling, for the full or the easy law."""
     states, size = inner.states.size, inner.memory.size
     kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
     t, x, r = kind.sym("t"), kind.sym("x", states), kind.sym("r", inner.signals.size)
@@ -118,7 +119,7 @@ def _bridged_law_functions(inner: Controller, bare: Any, hold: int, safe: Any) -
         z, [0, size, size + states, size + states + 1, size + states + 2]
     )
     good = _are_all_finite(x)
-    # the sample that a law begins with when there is none: any number, what it makes of it is not used
+    # without a good sample, start() gets zeros; its result is not used
     first = inner.start(t, ca.if_else(good, x, 0), r)
     usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
     y = ca.if_else(good, x, last)
@@ -137,7 +138,7 @@ def _bridged_law_functions(inner: Controller, bare: Any, hold: int, safe: Any) -
 
 
 def _find_feedforward(inner: Controller, r: Any) -> Any:
-    """Return the feedforward of a row of the schedule, zero where it has none."""
+    """Return the feedforward in a row of the schedule; zero if the schedule has none."""
     names = [(f"{v.name}_ff", v.size) for v in inner.commands.variables]
     parts = [r[inner.signals.slice(n)] if n in inner.signals else ca.DM.zeros(size) for n, size in names]
     return ca.vertcat(*parts)

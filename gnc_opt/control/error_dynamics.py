@@ -1,4 +1,4 @@
-r"""Deviation from a reference: errors on the manifold of the states, and their linear dynamics.
+r"""Tracking error on the state manifold, and its linearised dynamics.
 
 With the model's error :math:`e = d(x, x_r)` (subtraction unless `Model.difference` says otherwise),
 
@@ -6,7 +6,7 @@ With the model's error :math:`e = d(x, x_r)` (subtraction unless `Model.differen
    \approx A\, e + B\, (u - u_r), \qquad A = \left.\frac{\partial \dot e}{\partial x}\right|_r T, \quad
    B = \left.\frac{\partial \dot e}{\partial u}\right|_r,
 
-where T, the pseudo-inverse of :math:`\partial d/\partial x`, takes an error to the change of state that causes it.
+where T, the pseudo-inverse of :math:`\partial d/\partial x`, maps an error to a change of the state.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from gnc_opt.model.variables import Layout
 
 
 class ErrorDynamics:
-    """Errors of a model's states and their linear dynamics along a reference.
+    """Tracking errors of a model's states and their linearised dynamics along a reference.
 
     Attributes
     ----------
     model : Model
     errors : Layout
-        Of e; ``n_errors`` in the shapes below.
+        Layout of e; its size is ``n_errors`` below.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class ErrorDynamics:
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
     def output(self, name: str, t: Any, x: Any) -> Any:
-        """Return an output as an SX expression of t and x; `DesignError` if it depends on a control."""
+        """Return an output as an SX expression of t and x; raise `DesignError` if it depends on a control."""
         time, xs, us, p = self.model.arguments()
         y = self.model.output_expression(name)
         if any(ca.which_depends(y, us, 1, True)):
@@ -84,7 +84,7 @@ class ErrorDynamics:
         return ca.substitute(y, ca.vertcat(time, xs, p), ca.vertcat(t, x, self.model.parameter_values))
 
     def linearize_output(self, name: str, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> Array:
-        """Return C (n_rows, n_errors): how the output ``name`` changes with the errors at t (s), x_ref and u_ref."""
+        """Return C (n_rows, n_errors), the Jacobian of output ``name`` in the errors, at t (s), x_ref, u_ref."""
         y = self.output(name, self.model.time, self._x)
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
         jacobian = np.asarray(self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)[0].full())
@@ -108,7 +108,7 @@ class ErrorDynamics:
 
 
 def evaluate_columns(function: Any, *columns: ArrayLike) -> Array:
-    """Evaluate a CasADi function of columns for one time or, time last, for many."""
+    """Evaluate a CasADi function of column vectors at one time, or at many (time as last axis)."""
     arrays = [np.asarray(c, dtype=float) for c in columns]
     value = np.asarray(function(*arrays).full())
     return value if any(a.ndim == 2 for a in arrays) else value[:, 0]

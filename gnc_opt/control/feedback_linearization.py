@@ -1,10 +1,10 @@
-r"""Feedback linearisation: outputs that move like chains of integrators.
+r"""Feedback linearisation: output errors as decoupled chains of integrators.
 
 With output errors e of relative degrees r and :math:`e^{(r)} = a + E u`, the law
 
 .. math:: u = E^{-1}(v - a), \qquad v = -K \eta, \qquad \eta = (e,\ \dot e,\ \dots),
 
-gives the errors the poles of K wherever E can be inverted. The zero dynamics are not controlled and must be stable.
+assigns the poles of K to the errors wherever E is invertible. The zero dynamics are not controlled and must be stable.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def design_feedback_linearization(
     dt: float | None = None,
     name: str = "feedback linearisation",
 ) -> Controller:
-    """Return a controller that makes output errors decay with chosen poles.
+    """Return a controller that assigns poles to the output errors by feedback linearisation.
 
     Parameters
     ----------
@@ -59,19 +59,19 @@ def design_feedback_linearization(
         Affine in its controls.
     reference : Reference or array (n_states,)
     outputs : name, names, expressions or mapping
-        See `Outputs`. For attitudes prefer a state with a declared difference.
-    poles : sequence (r,), or mapping from outputs to them
-        1/s.
+        See `Outputs`. For attitudes use a state with a declared difference.
+    poles : sequence (r,), or mapping from outputs to sequences
+        Poles of the error dynamics, 1/s.
     guard : float
-        Smallest determinant of E, relative to its largest on the reference, with which the law works.
+        Smallest determinant of E at which the law is applied, relative to the largest on the reference.
     growth : float
-        Fastest growth of the zero dynamics that is accepted, 1/s.
+        Largest growth rate of the zero dynamics that is accepted, 1/s.
     fallback : array (n_controls, n_errors), optional
-        Gain K of u = u_ref - K e where E is singular; default: hold the last command. Alarm ``singular``.
+        Gain K of u = u_ref - K e where E is singular; default: the last command is repeated. Alarm ``singular``.
     limits : (lower, upper), optional
-        Authority; the reserve is reported.
+        Limits of the controls; the control authority margin is reported.
     dt : float, optional
-        Length of a control step, s: the sampled chains have to be stable.
+        Length of a control step, s; the sampled chains are checked for stability.
     name : str
 
     Raises
@@ -79,7 +79,7 @@ def design_feedback_linearization(
     DesignError
         Undefined relative degree, singular E on the reference, unstable poles or zero dynamics, long steps.
 
-    Simulate with ``Saturation`` to check a distant start; ``CONTROLLER_ALARM``: E became singular.
+    To check a distant initial state, simulate with ``Saturation``; ``CONTROLLER_ALARM`` means that E became singular.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def design_feedback_linearization(
 
 
 def _report_chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
-    """Return (component, order) of the entries of eta: by order, then by component."""
+    """Return (component, order) of the entries of eta, sorted by order, then by component."""
     return [(i, k) for k in range(max(errors.degrees)) for i, r in enumerate(errors.degrees) if k < r]
 
 

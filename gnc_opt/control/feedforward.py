@@ -1,4 +1,4 @@
-"""Feedforward control, and schedules: the precomputed signals of a tracking law, with names and units."""
+"""Feedforward control, and schedules of the precomputed signals of a tracking law."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gnc_opt.tolerances import SAME_TIME
 
 
 def reference_signal_layout(reference: Reference, *more: Variable) -> Layout:
-    """Return the layout of a schedule: ``<state>_ref``, ``<control>_ff`` (the feedforward), then ``more``."""
+    """Return the layout of a schedule: ``<state>_ref``, ``<control>_ff`` (feedforward) and the variables ``more``."""
     states = [replace(v, name=f"{v.name}_ref", nominal=None) for v in reference.states.variables]
     controls = [replace(v, name=f"{v.name}_ff", nominal=None) for v in reference.controls.variables]
     return Layout("signal", (*states, *controls, *more), "the schedule")
@@ -25,7 +25,7 @@ def reference_signal_layout(reference: Reference, *more: Variable) -> Layout:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSchedule:
-    """Rows (n_states + n_controls, n) at times (n,): states at the step's beginning, mean controls."""
+    """Schedule (n_states + n_controls, n): states at the start of each step, mean controls over the step."""
 
     reference: Reference
 
@@ -35,7 +35,7 @@ class ReferenceSchedule:
 
 @dataclass(frozen=True, eq=False)
 class StackedSchedule:
-    """Two schedules, one above the other."""
+    """Two schedules stacked by rows."""
 
     upper: Schedule
     lower: Schedule
@@ -45,7 +45,7 @@ class StackedSchedule:
 
 
 def reference_sample_times(reference: Reference, samples: int = 101) -> Array:
-    """Return the times (s) at which a design evaluates its reference: equidistant, and around jumps."""
+    """Return the times (s) at which a design evaluates its reference: equidistant, and on both sides of jumps."""
     start, end = reference.initial_time, reference.final_time
     if end <= start:
         return np.array([start])
@@ -56,7 +56,7 @@ def reference_sample_times(reference: Reference, samples: int = 101) -> Array:
 
 
 def feedforward(reference: Reference) -> Controller:
-    """Return the controller without feedback or memory: the mean reference control over the step.
+    """Return an open-loop controller: the mean reference control over each step.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def feedforward(reference: Reference) -> Controller:
     Raises
     ------
     ArgumentError
-        It is no reference.
+        Not a reference.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A controller as a functional mock-up unit (FMU), FMI 2.0 for co-simulation, around its flight code.
+"""Export of a controller as a functional mock-up unit (FMU), FMI 2.0 for co-simulation.
 
 The archive contains the C code of `export_c`, ``fmi2_cosimulation.c`` and, with a compiler, this platform's library.
 """
@@ -28,23 +28,23 @@ _LAW_HEADER = Path("fmu_law.h")
 _FOLDERS = {"linux": "linux", "darwin": "darwin", "win32": "win"}
 _SUFFIXES = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
 _SAME_DATE = (1980, 1, 1, 0, 0, 0)
-"""Of all members: the same controller gives the same archive."""
+"""Fixed time stamp of all archive members: the same controller gives identical files."""
 
 
 @dataclass(frozen=True)
 class Fmu:
-    """A functional mock-up unit that was written.
+    """Exported functional mock-up unit.
 
     Attributes
     ----------
     file : Path
     identifier : str
-        Model identifier, the name of the library within.
+        Model identifier and name of the library.
     guid : str
     dt : float
         Control step, s.
     binary : str or None
-        Folder of the library that was compiled (``"linux64"``), ``None`` with sources only.
+        Folder of the compiled library (``"linux64"``); ``None`` if the unit contains sources only.
 
     Examples
     --------
@@ -68,28 +68,28 @@ def export_fmu(
     span: tuple[float, float] | None = None,
     binary: bool | None = None,
 ) -> Fmu:
-    """Return the file of a controller, written as a functional mock-up unit (FMI 2.0 for co-simulation).
+    """Write a controller as a functional mock-up unit (FMI 2.0 for co-simulation) and return its description.
 
-    Inputs are the measured states, outputs the commands, both Real with the names and units of the model; an alarm is
-    a Boolean output. ``fmi2DoStep(t, h)`` runs the samples (start time plus multiples of dt) in [t, t + h).
+    Inputs are the measured states, outputs the commands; both are Real with the names and units of the model. Alarms
+    are Boolean outputs. ``fmi2DoStep(t, h)`` runs the control steps (start time plus multiples of dt) in [t, t + h).
 
     Parameters
     ----------
     controller : Controller
-        As for `export_c`.
+        See `export_c`.
     file : path
-        ``<name>.fmu``; its stem is the model identifier. Folders are made.
+        ``<name>.fmu``; its stem is the model identifier. Missing folders are created.
     dt, span
-        As of `export_c`.
+        See `export_c`.
     binary : bool, optional
-        Compile the library with ``cc``; default: if a compiler is found.
+        Compile the library with ``cc``; default: only if a compiler is found.
 
     Raises
     ------
     ArgumentError
-        The file is not called ``<C identifier>.fmu``, or what `export_c` refuses.
+        The file name is not ``<C identifier>.fmu``, or `export_c` rejects the controller.
     GncOptError
-        ``binary=True`` and no compiler, or it failed.
+        ``binary=True`` and the compiler is missing or fails.
 
     Source: Functional Mock-up Interface 2.0.4, Modelica Association (2022).
 
@@ -103,7 +103,7 @@ def export_fmu(
     if file.suffix != ".fmu":
         raise ArgumentError(f"a functional mock-up unit is a file '<name>.fmu', not '{file.name}'.")
     if file.stem in (_INTERFACE.stem, _LAW_HEADER.stem):
-        raise ArgumentError(f"'{file.stem}' is the name of a source in every unit: call the file otherwise.")
+        raise ArgumentError(f"'{file.stem}' is a source file of every unit: use another name.")
     compiler = shutil.which("cc")
     if binary and compiler is None:
         raise GncOptError(
@@ -137,7 +137,7 @@ def _compute_source_digest(sources: Path) -> str:
 
 
 def _write_law_header(controller: Controller, code: CCode, guid: str) -> str:
-    """Definitions that ``fmi2_cosimulation.c`` needs of a law."""
+    """Return the C definitions of a law that ``fmi2_cosimulation.c`` needs."""
     alarms = [controller.memory.slice(name).start for name in controller.alarms]
     return "\n".join(
         [
@@ -157,7 +157,7 @@ def _write_law_header(controller: Controller, code: CCode, guid: str) -> str:
 
 
 def _write_model_description(controller: Controller, code: CCode, guid: str) -> bytes:
-    """``modelDescription.xml``."""
+    """Return ``modelDescription.xml``."""
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -202,7 +202,7 @@ def _default_experiment(controller: Controller) -> Mapping[str, str]:
 
 
 def _add_variables(controller: Controller, variables: ElementTree.Element) -> None:
-    """Inputs, commands and alarms in the order of their value references."""
+    """Add inputs, commands and alarms in the order of their value references."""
     kinds = [("input", "continuous", controller.states), ("output", "discrete", controller.commands)]
     reals = [(*kind, *pair) for *kind, of in kinds for pair in zip(of.labels, of.units, strict=True)]
     taken = set()
@@ -246,7 +246,7 @@ def _find_binary_folder() -> str:
 
 
 def _compile_library(compiler: str, sources: Path, code: CCode, name: str) -> bytes:
-    # no contraction to fused operations: the same digits as the law in Python
+    # no contraction to fused operations: results equal those of the law in Python
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
     files = [str(sources / _INTERFACE.name), str(code.source)]
     library = sources / name

@@ -1,6 +1,6 @@
-"""The quadratic programme of a horizon: predicted limits as rows, and the check of its solution.
+"""Quadratic program (QP) of a prediction horizon, and the optimality residual of its solution.
 
-Unknowns are omega (m per step) and a slack for each softly limited state and step; see `gnc_opt.control.mpc`.
+Unknowns are omega (m per step) and a slack for each soft state limit and step; see `gnc_opt.control.mpc`.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from gnc_opt.arrays import Array
 
 _LEAST_PRICE = 1e-6
-"""Price of the limit of a state without a weight."""
+"""Penalty of a violated state limit if the state has no weight."""
 _INACTIVE_ROW_DISTANCE = 1e6
-"""A row this far from its limit, in ranges, is as good as without one."""
+"""Value of the scaled row of an infinite limit, in ranges."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Limits of one step: controls (m,), their change, and states with the price of their excess squared."""
+    """Limits of one step: controls (m,), their change, and states with the penalty of a squared violation."""
 
     lower: Array
     upper: Array
@@ -34,7 +34,7 @@ class Rows:
 
     @property
     def count(self) -> int:
-        """Rows of one step."""
+        """Number of rows of one step."""
         return (
             self.lower.size * (1 if self.change is None else 2)
             + len(self.lower_limited)
@@ -43,36 +43,36 @@ class Rows:
 
     @property
     def soft_limited(self) -> list[int]:
-        """Limited states that have a slack."""
+        """Indices of the limited states with a slack."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.price))]
 
     @property
     def lower_limited(self) -> list[int]:
-        """Limited states that have a lower limit."""
+        """Indices of the limited states with a lower limit."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_lower))]
 
     @property
     def upper_limited(self) -> list[int]:
-        """Limited states that have an upper limit."""
+        """Indices of the limited states with an upper limit."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_upper))]
 
     @property
     def state_scale(self) -> Array:
-        """Half the range of each limited state; where one side is open, the size of the other (or 1)."""
+        """Half the range of each limited state; for a one-sided limit, its magnitude (or 1)."""
         half = 0.5 * (self.state_upper - self.state_lower)
         one = np.where(np.isfinite(self.state_lower), np.abs(self.state_lower), np.abs(self.state_upper))
         return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
 
     @property
     def price_roots(self) -> Array:
-        """Roots of the prices: in units of them the squares of the slacks have the weight one."""
+        """Square roots of the penalties; scaled by them, squared slacks have weight one."""
         price = self.price[self.soft_limited] * self.state_scale[self.soft_limited] ** 2
         return np.sqrt(np.maximum(price, _LEAST_PRICE))
 
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """``min y'y/2 + g'y``, ``low <= a y <= high``; the unknowns after the first ``free`` are slacks >= 0."""
+    """``min y'y/2 + g'y`` subject to ``low <= a y <= high``; unknowns from ``free`` on are slacks >= 0."""
 
     g: Any
     a: Any
@@ -81,7 +81,7 @@ class Programme:
     free: int
 
     def optimality_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
-        """Return the largest relative violation of optimality; multipliers are positive at upper limits."""
+        """Return the largest relative residual of the optimality conditions; multipliers are > 0 at upper limits."""
         size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
         stationary = ca.norm_inf(y + self.g + self.a.T @ lam_a + lam_x) / size
         value, high, low, lam = self.a @ y, self.high, self.low, lam_a
@@ -96,12 +96,12 @@ class Programme:
             slacks, multipliers = y[self.free :], lam_x[self.free :]
             found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
             found.append(ca.norm_inf(multipliers * slacks) / size)
-        return sum(found)  # not the maximum: fmax would hide NaN
+        return sum(found)  # a sum, since fmax ignores NaN
 
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """The steps of a horizon: A - B K, B L^-T, K, L^-T."""
+    """Matrices of the steps of a horizon: A - B K, B L^-T, K, L^-T."""
 
     rows: Rows
     matrices: list[list[Any]]
@@ -113,7 +113,7 @@ class Horizon:
 
     @property
     def free(self) -> int:
-        """Number of unknowns that may have any sign."""
+        """Number of unknowns without sign restriction."""
         return self.count * self.rows.lower.size
 
     @property
@@ -122,7 +122,7 @@ class Horizon:
         return self.free + self.count * len(self.rows.soft_limited)
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
-        """Return the programme from first errors, feedforward, limited states and previous command (m,)."""
+        """Return the QP for initial errors, feedforward, limited states and previous command (m,)."""
         rows, m, errors = self.rows, self.rows.lower.size, self._predict_errors(e_0)
         commands = [self._command_rows(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
         found = [_build_interval_rows(*command, rows.lower, rows.upper) for command in commands]
@@ -138,7 +138,7 @@ class Horizon:
         return Programme(ca.DM(gradient), ca.densify(a), low, high, self.free)
 
     def inactive(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
-        """Return whether the unconstrained regulator meets no limit; arguments as of `programme`."""
+        """Return whether the unconstrained regulator satisfies all limits; arguments as in `programme`."""
         rows, m = self.rows, self.rows.lower.size
         e, room, limited = e_0, [], len(rows.states)
         for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):
@@ -156,7 +156,7 @@ class Horizon:
     # --- internals ----------------------------------------------------------------------------------------
 
     def _predict_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
-        """Return the errors at the beginning and at the end of every step, as rows of the unknowns and the rest."""
+        """Return the errors before and after each step, as (coefficients of the unknowns, constant)."""
         found = [(ca.DM(e_0.shape[0], self.unknowns), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
@@ -164,17 +164,17 @@ class Horizon:
         return found
 
     def _command_rows(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
-        """Return the j-th command as rows of the unknowns and a constant term, from the errors before it."""
+        """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
         return self._sparse_rows(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
     def _sparse_rows(self, begin: int, block: Any) -> Any:
-        """Return sparse rows with a block that begins at a column."""
+        """Return sparse rows with a block whose first column is ``begin``."""
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.unknowns - end))
 
     def _state_limit_rows(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
-        """The rows of the limited states."""
+        """Return the rows of the limited states."""
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
         found = []
         for side, which, limit in (
@@ -195,7 +195,7 @@ class Horizon:
 
 
 def _build_interval_rows(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
-    """The rows of ``lower <= value + row y <= upper``, scaled to [-1, 1]."""
+    """Return the rows of ``lower <= value + row y <= upper``, scaled to [-1, 1]."""
     scale, middle = 2 / (upper - lower), 0.5 * (upper + lower)
     offset = (value - middle) * scale
     return ca.diag(ca.DM(scale)) @ row, -1 - offset, 1 - offset

@@ -1,6 +1,6 @@
-r"""Lie derivatives, relative degree, decoupling matrix and zero dynamics of outputs, symbolic in (t, x, u, p).
+r"""Input-output linearisation: Lie derivatives, relative degree, decoupling matrix, zero dynamics (symbolic).
 
-Along :math:`\dot x = f(t, x, u)` an output h(t, x) moves as
+Along :math:`\dot x = f(t, x, u)` an output h(t, x) changes by
 :math:`\dot h = \partial_t h + (\partial_x h) f`. Its relative degree r is the order of the first derivative that a
 control enters; with f affine in u,
 
@@ -34,7 +34,7 @@ Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A plant and its reference with the same dynamics; f, f_ref (SX): dx/dt of either."""
+    """Plant and reference with the same dynamics; f, f_ref (SX): dx/dt of each."""
 
     model: Model
     t: Any
@@ -61,7 +61,7 @@ class Pair:
         return cls(model, t, x, u, x_ref, u_ref, f, f_ref)
 
     def rate(self, e: Any) -> Any:
-        """Return the time derivative of an expression e(t, x, x_ref) along both dynamics, for a held u_ref."""
+        """Return the time derivative of e(t, x, x_ref) along plant and reference, for constant u_ref."""
         return (
             ca.jtimes(e, self.t, ca.SX(1))
             + ca.jtimes(e, self.x, self.f)
@@ -69,7 +69,7 @@ class Pair:
         )
 
     def substitute_reference(self, expression: Any) -> Any:
-        """Return an expression with the reference in the place of the plant."""
+        """Return an expression with the plant's variables replaced by the reference's."""
         return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
 
     def function(self, *expressions: Any) -> Any:
@@ -85,7 +85,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class OutputErrors:
-    """Errors relative to a reference: ``chains`` (e, de/dt, ...) and ``drift + decoupling @ u``."""
+    """Output errors: ``chains`` (e, de/dt, ...); the derivative of order r is ``drift + decoupling @ u``."""
 
     pair: Pair
     labels: tuple[str, ...]
@@ -113,15 +113,15 @@ class OutputErrors:
 def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     """Return the time derivative of an expression of (t, x, p) along the model, SX of (t, x, u, p).
 
-    Derivatives of a higher order hold while no control enters a lower one.
+    Higher orders require that no control enters a lower derivative.
 
     Parameters
     ----------
     model : Model
     expression : casadi SX
-        Of the model's time, states and parameters.
+        Expression of the model's time, states and parameters.
     order : int
-        How often to differentiate, >= 1.
+        Order of the derivative, >= 1.
 
     Examples
     --------
@@ -136,20 +136,20 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
 
 
 def output_errors(model: Model, reference: Reference, outputs: Outputs) -> OutputErrors:
-    """Return the errors of outputs with their derivatives up to the relative degree, as `zero_dynamics` takes them.
+    """Return output errors and their derivatives up to the relative degree, the input of `zero_dynamics`.
 
     Parameters
     ----------
     model : Model
     reference : Reference
-        Near which the relative degrees are found.
+        The relative degrees are determined near it.
     outputs : name, names, expressions or mapping
         See `Outputs`.
 
     Raises
     ------
     DesignError
-        A control enters an output itself, non-affinely or no derivative of it, or there are more outputs than controls.
+        A control enters an output directly, non-affinely or not at all, or there are more outputs than controls.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
 
 
 def chain_errors(pair: Pair, reference: Reference, expressions: Mapping[str, Any]) -> OutputErrors:
-    """Return the errors of expressions of (t, x, x_ref), by name; errors as `output_errors`."""
+    """Return the output errors of expressions of (t, x, x_ref), by name; raises as `output_errors`."""
     model = pair.model
     named = {
         label: row
@@ -219,7 +219,7 @@ def _output_error(pair: Pair, name: str, output: Any) -> Any:
 
 
 def _differentiate_to_control(pair: Pair, reference: Reference, label: str, e: Any) -> tuple[list[Any], Any]:
-    """Return [e, de/dt, ...] without controls and the first derivative that a control enters."""
+    """Return [e, de/dt, ...] without controls, and the first derivative that contains a control."""
     nothing = ca.DM.zeros(pair.u.numel())
     chain = [e]
     for _ in range(pair.x.numel()):
@@ -234,7 +234,7 @@ def _differentiate_to_control(pair: Pair, reference: Reference, label: str, e: A
 
 
 def _depends_on_control(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
-    """Whether a control enters de/dt at points near the reference (numerically: terms may cancel)."""
+    """Return whether a control enters de/dt, tested numerically near the reference (terms may cancel)."""
     if not ca.depends_on(rate, pair.u):
         return False
     size = ca.fabs(ca.jacobian(e, pair.x)) @ ca.fabs(ca.jacobian(pair.f, pair.u))
@@ -251,28 +251,28 @@ def _depends_on_control(pair: Pair, reference: Reference, e: Any, rate: Any) -> 
 
 @dataclass(frozen=True)
 class ZeroDynamics:
-    """Dimension and eigenvalues (1/s) of the zero dynamics at one point; a proof at rest only."""
+    """Dimension and eigenvalues (1/s) of the zero dynamics at one point; a proof only at equilibria."""
 
     dimension: int
     eigenvalues: Array
 
     @property
     def growth(self) -> float:
-        """The largest real part, 1/s; -inf where there are none."""
+        """Largest real part of the eigenvalues, 1/s; -inf without zero dynamics."""
         return float(np.max(self.eigenvalues.real, initial=-np.inf))
 
 
 def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) -> ZeroDynamics:
-    """Return the zero dynamics of outputs linearised at (t, x, u).
+    """Return the zero dynamics of outputs, linearised at (t, x, u).
 
-    In error coordinates (3 for a quaternion with a declared difference, 4 without) the outputs and their
-    derivatives are T e, and the control that keeps the r-th derivatives at zero is -E^+ R e, so that the null space of
-    T is invariant under A - B E^+ R.
+    Let T e be the outputs and their derivatives in error coordinates (3 for a quaternion with a declared difference, 4
+    without). The control that keeps the r-th derivatives at zero is -E^+ R e. The null space of T is therefore
+    invariant under A - B E^+ R, whose eigenvalues there are returned.
 
     Parameters
     ----------
     errors : OutputErrors
-        From `gnc_opt.control.input_output_linearization.output_errors`.
+        See `gnc_opt.control.input_output_linearization.output_errors`.
     t : float
         s.
     x : array (n_states,)
@@ -281,11 +281,11 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     Raises
     ------
     DesignError
-        E is singular there.
+        E is singular at this point.
 
     Examples
     --------
-    Where q + 2 v stays at zero, q goes on by dq/dt = -q / 2:
+    If q + 2 v stays at zero, q obeys dq/dt = -q / 2:
 
     >>> errors = output_errors(cart, go.Reference(solution), {"mixed": q + 2 * v})
     >>> print(f"{zero_dynamics(errors, 0.5, [0.9, -0.5], [-1.0]).growth:.3f}")
@@ -316,7 +316,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
 
 
 def component_value(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
-    """Return the value of a mapping from outputs for one of their components; ``None`` if missing."""
+    """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
     known = [*errors.labels, *map(_output_of_component, errors.labels)]
     for key in given:
         if key not in known:
@@ -325,7 +325,7 @@ def component_value(label: str, given: Mapping[str, Any], errors: OutputErrors, 
 
 
 def _output_of_component(label: str) -> str:
-    """Return the output that a component belongs to."""
+    """Return the name of the output that a component belongs to."""
     return label.partition("[")[0]
 
 

@@ -1,14 +1,14 @@
-r"""Integral sliding mode: a nominal law made robust from the first moment on, without a reaching phase.
+r"""Integral sliding mode: robust version of a nominal law, without a reaching phase.
 
-With errors e relative to the reference and B = :math:`\partial\dot e / \partial u` there, let
-:math:`w = G(x_r)\,e`, with G = B^+ or B^T. The surface
+With the errors e relative to the reference and B = :math:`\partial\dot e / \partial u`, let :math:`w = G(x_r)\,e` with
+G = B^+ or B^T. The sliding variable
 
 .. math:: s(t) = w(t) - w(0) - \int_0^t \dot w\big|_{u_{nom}} d\tau
 
-is the deviation from the path of the undisturbed nominal law. It starts at zero; :math:`u = u_{nom} - E^{-1} \rho(s)`,
-with :math:`E = \partial\dot w / \partial u`, keeps it there. :math:`\dot w` is the derivative along the nonlinear
-model (A. Imani, M. Bahrami, eqs 22-31, for linear dynamics). The integral takes the nominal command as held over a
-step, by the trapezoid with end corrections,
+is the deviation from the undisturbed nominal motion. It starts at zero, and :math:`u = u_{nom} - E^{-1} \rho(s)` with
+:math:`E = \partial\dot w / \partial u` keeps it there. :math:`\dot w` is evaluated with the nonlinear model (A. Imani,
+M. Bahrami, eqs 22-31, use linear dynamics). The integral assumes a constant nominal command over each step and uses the
+trapezoidal rule with end corrections,
 
 .. math:: \int g\,d\tau = \tfrac{h}{2}(g_0 + g_1) + \tfrac{h^2}{12}(\dot g_0 - \dot g_1) + O(h^5) .
 """
@@ -63,7 +63,7 @@ def design_integral_sliding_mode(
     guard: float = GUARD,
     name: str = "integral sliding mode",
 ) -> Controller:
-    """Return an integral sliding mode around a nominal law.
+    """Return an integral sliding-mode controller around a nominal law.
 
     Parameters
     ----------
@@ -71,26 +71,26 @@ def design_integral_sliding_mode(
         Affine in its controls.
     reference : Reference or array (n_states,)
     nominal : Controller, or array (n_controls, n_errors)
-        The law to be made robust: LQR, TVLQR, any in closed form; or the gain K of u = u_ref - K e.
+        Nominal law in closed form, such as LQR or TVLQR; or the gain K of u = u_ref - K e.
     reaching : ConstantRate, ExponentialRate or SuperTwisting
     boundary : Sign or SaturationLayer
     dt : float
         Length of a control step, s.
     projection : {"pseudo-inverse", "transpose"}
-        G. With B^+ a matched disturbance enters ds/dt as it is; with B^T it is multiplied by B^T B.
+        Choice of G. With B^+ a matched disturbance enters ds/dt unchanged; with B^T it is multiplied by B^T B.
     bound : float or array (n_controls,)
-        Largest disturbance of ds/dt; for `SuperTwisting` its largest rate.
+        Largest disturbance of ds/dt; for `SuperTwisting` the largest rate of the disturbance.
     limits : (lower, upper), optional
-        Authority, checked along the reference; commands removed by limits are no disturbance.
+        Limits of the controls, checked along the reference; saturation is not treated as a disturbance.
     guard : float
-        Smallest determinant of E, relative to its largest on the reference; below, the nominal law works alone.
+        Smallest determinant of E, relative to the largest on the reference; below it the nominal law acts alone.
     name : str
 
     Raises
     ------
     DesignError
-        Dependent controls, disturbances above the gain, gain above the authority, long steps, or a nominal law
-        that is unstable at rest or not in closed form.
+        Dependent controls, disturbance larger than the gain, gain larger than the control authority, too long steps, or
+        a nominal law that is unstable at the final state or not in closed form.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def _projected_surface(
 
 
 def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
-    """Return s, and a function from the nominal command to be held to the memory that s needs."""
+    """Return s, and a function from the nominal command to the memory entries of s."""
     pair = errors.pair
     w = ca.vertcat(*[chain[0] for chain in errors.chains])
     g = errors.drift + errors.decoupling @ pair.u
@@ -173,7 +173,7 @@ def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     left = dt / 2 * g + dt**2 / 12 * g_rate
     first, behind = ca.SX.sym("w_start", errors.size), ca.SX.sym("integral", errors.size)
     s = (w - first) - (behind + right)
-    # At the first step nothing lies behind: the right end of a step before it, with u_ref held, is taken away again.
+    # The integral is empty at the first step: subtract the right-end contribution of a step before it at u_ref.
     nothing = -ca.substitute(right, ca.vertcat(*held), ca.vertcat(pair.u_ref, pair.u_ref))
 
     def surface_memory(u_nominal: Any) -> list[Memory]:
@@ -192,7 +192,7 @@ def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
 def _read_nominal_controller(
     pair: Pair, reference: Reference, nominal: Controller | ArrayLike, dt: float
 ) -> tuple[Nominal | None, Any, list[ReportEntry]]:
-    """Return the nominal controller (if it is one), its command and its facts."""
+    """Return the nominal controller (``None`` for a gain), its command and its report entries."""
     if isinstance(nominal, Controller):
         nominal.step_length(dt)
         inner = Nominal(nominal, pair)
@@ -217,7 +217,7 @@ def _read_nominal_controller(
 
 
 def _nominal_loop_poles(pair: Pair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
-    """Return the poles of A - B K at the end of the reference and the spectral radius of the sampled loop."""
+    """Return the poles of A - B K at the end of the reference, and the spectral radius of the sampled loop."""
     t = reference.final_time
     a, b = ErrorDynamics(pair.model).linearize(t, reference.x(t), reference.u(t))
     held_a, held_b = zero_order_hold(a, b, dt)

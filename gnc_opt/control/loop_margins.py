@@ -1,12 +1,13 @@
-r"""Margins of a linear loop at the plant's input.
+r"""Stability margins of a linear loop at the plant input.
 
 With :math:`L = K (s - A)^{-1} B` (s on the imaginary axis, or :math:`z = e^{j \omega dt}` on the unit circle):
 
-* per channel i, the others closed, :math:`1 + L_i`: gain and phase margins where :math:`L_i` crosses the negative real
-  axis (also at :math:`\omega = 0` and :math:`\pi / dt`) and the unit circle; delay margin = phase margin / frequency;
-* all channels at once: the disk margin :math:`\alpha = 1 / \max_\omega \|S - \tfrac12 1\|`, S = (1 + L)^{-1}: every
-  channel may at the same time change its gain between :math:`(2 - \alpha)/(2 + \alpha)` and its inverse, or its
-  phase by :math:`2 \arctan(\alpha/2)`.
+* per channel i, with the others closed, :math:`1 + L_i`: gain and phase margins where :math:`L_i` crosses the
+  negative real axis (also at :math:`\omega = 0` and :math:`\pi / dt`) and the unit circle; delay margin = phase
+  margin / frequency;
+* all channels simultaneously: the disk margin :math:`\alpha = 1 / \max_\omega \|S - \tfrac12 1\|`, S = (1 + L)^{-1}.
+  All channels may simultaneously change their gains between :math:`(2 - \alpha)/(2 + \alpha)` and its inverse, or their
+  phases by :math:`2 \arctan(\alpha/2)`.
 
 Source: P. Seiler, A. Packard, P. Gahinet, Introduction to disk margins, IEEE Control Syst. 40 (2020), eqs. 9-15.
 """
@@ -25,29 +26,29 @@ from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 _AT_ZERO = 1e-8
-"""Poles this near zero, relative to the largest (sampled: to one), are integrators or delays: no time scale."""
+"""Poles smaller than this share of the largest (sampled: of one) define no time scale (integrators, delays)."""
 _ENTRIES = 1_000_000
-"""Of the matrices that are solved with at once, at most."""
+"""Largest number of matrices per batched linear solve."""
 _BESIDE = 1e-6
-"""Distance of the nodes on either side of a resonance, relative to its frequency."""
+"""Relative distance in frequency between a resonance and the grid points on either side."""
 _GAIN_ROUNDING_SHARE = 1e-4
-"""A gain that rounding of A changes by more than this share is infinite (integrator or undamped mode)."""
+"""Relative change of a loop gain by rounding of A above which the gain is infinite (integrator, undamped mode)."""
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins at the plant's input, one number per channel unless said otherwise.
+    """Stability margins at the plant input, one number per channel except ``disk``.
 
     Attributes
     ----------
     gain_up, gain_down : array (m,)
-        Factors of the channel's gain at which stability is lost; ``inf`` and 0 if it never is.
+        Gain factors of the channel at which stability is lost; ``inf`` and 0 if it is never lost.
     phase : array (m,)
-        rad; ``inf`` if the loop gain never crosses one.
+        Phase margin, rad; ``inf`` if the loop gain never crosses one.
     delay : array (m,)
-        s.
+        Delay margin, s.
     disk : float
-        alpha of all channels at once, 2 at most for the loops of interest.
+        Disk margin alpha of all channels simultaneously; at most 2 for a strictly proper loop.
     """
 
     gain_up: Array
@@ -59,7 +60,7 @@ class Margins:
 
 @one_thread()
 def stability_margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
-    """Return the margins of the stable loop ``v = -gain e``; ``dt`` (s) if A, B are those of a sampled plant."""
+    """Return the margins of the stable loop ``v = -gain e``; dt (s) for a sampled plant (A, B)."""
     omega = _frequency_grid(a, a - b @ gain, dt)
     channels = [_channel_margins(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
     up, down, phase, delay = (np.array(column) for column in zip(*channels, strict=True))
@@ -96,7 +97,7 @@ def _channel_margins(
 
 
 def input_output_states(a: Array, b: Array, c: Array) -> Mask:
-    """Return which states (n,) lie on a way from the inputs to the outputs, by the structure of the matrices."""
+    """Return which states (n,) lie on a path from the inputs to the outputs in the graph of the matrices."""
     there = a != 0
 
     def reachable_states(from_: Mask, ways: Mask) -> Mask:
@@ -139,7 +140,7 @@ def _loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: float | No
 
 
 def _laplace_variable(omega: float, dt: float | None) -> complex:
-    """Return s, or z of a sampled loop, at a frequency."""
+    """Return s, or z of a sampled loop, at a frequency (rad/s)."""
     return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
 
@@ -150,7 +151,7 @@ def _real_axis_crossing(
     imaginary: Array,
     dt: float | None,
 ) -> list[float]:
-    """Return where L of a system (A, b, gain) meets the real axis; infinite if rounding hides it."""
+    """Return the values at which L of a system (A, b, gain) crosses the real axis; inf if rounding prevents it."""
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
         at, change = _loop_rounding_error(*system, _laplace_variable(w, dt))
@@ -165,7 +166,7 @@ def _real_axis_crossing(
 
 
 def _loop_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
-    """Return L at s (or z), and its change by rounding of each entry of A and of s, to first order."""
+    """Return L at s (or z), and its first-order change by rounding of A and of s."""
     one = np.eye(a.shape[0])
     try:
         right, left = np.linalg.solve(s * one - a, b), np.linalg.solve((s * one - a).T, gain)
@@ -176,7 +177,7 @@ def _loop_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[c
 
 
 def _frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
-    """A logarithmic grid around the poles, with the resonances as nodes, half a spacing off them."""
+    """Return a logarithmic frequency grid (rad/s) around the poles, with grid points beside each resonance."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
         poles = to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
@@ -204,6 +205,6 @@ def _wrap_angle(angle: float) -> float:
 
 
 def _phase_lag(value: complex) -> float:
-    """How much the phase of L may fall until L = -1, in (0, 2 pi]."""
+    """Return the phase lag, in (0, 2 pi], that brings L to -1."""
     lag = float(np.angle(-value) % (2 * np.pi))
     return lag if lag > 0 else 2 * np.pi

@@ -1,12 +1,12 @@
-r"""Linear-quadratic regulator: continuous, sampled, with integral action.
+r"""Linear-quadratic regulator: continuous or sampled, with optional integral action.
 
-In the error coordinates of `ErrorDynamics`, ``de/dt = A e + B v`` with v the command beyond the feedforward, the law
+In the error coordinates of `ErrorDynamics`, ``de/dt = A e + B v`` with v = u - u_ff. The law
 :math:`v = -K e - K_i \zeta` minimises
 
 .. math:: \int e^T Q e + v^T R v + 2 e^T N v + \zeta^T Q_i \zeta \; dt, \qquad \dot\zeta = C e .
 
-With dt, plant and cost are sampled exactly for a held command, and :math:`\zeta_{k+1} = \zeta_k + dt\, C e_k`. With
-limits, :math:`K_i^+ (v - \mathrm{sat}\, v)` is added to it (anti-windup by Hanus' conditioning).
+With dt, plant and cost are sampled exactly for a zero-order hold, and :math:`\zeta_{k+1} = \zeta_k + dt\, C e_k`. With
+limits, :math:`K_i^+ (v - \mathrm{sat}\, v)` is added to the integral (anti-windup by Hanus' conditioning).
 
 Sources: G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), ch. 9.
 R. Hanus, M. Kinnaert, J.-L. Henrotte, Conditioning technique, a general anti-windup and bumpless transfer method,
@@ -50,7 +50,7 @@ def report_regulator(
     name: str = "closed-loop poles",
     remark: str = "slowest first",
 ) -> list[ReportEntry]:
-    """Return the facts of a regulator and its plant (A, B), sampled with dt (s) or continuous."""
+    """Return the report entries of a regulator and its plant (A, B), continuous or sampled with dt (s)."""
     poles = to_continuous_poles(regulator.poles, dt)
     residual = "of the Riccati equation, relative to its largest term"
     return [
@@ -61,7 +61,7 @@ def report_regulator(
 
 
 def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
-    """Return the facts about the margins at the plant's input."""
+    """Return the report entries of the margins at the plant input."""
     found = stability_margins(a, b, gain, dt)
     alpha = found.disk
     both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
@@ -93,23 +93,23 @@ def design_lqr(
     limits: Limits | None = None,
     name: str = "LQR",
 ) -> Controller:
-    """Return a linear-quadratic regulator about a reference.
+    """Return a linear-quadratic regulator about an equilibrium or a reference with constant A and B.
 
     Parameters
     ----------
     model : Model
     reference : Reference or array (n_states,)
-        A state to rest at, or a reference with constant A and B; for others see `design_tvlqr`.
+        Equilibrium state, or a reference with constant A and B; otherwise use `design_tvlqr`.
     Q, R : weight
-        Of the errors (n_errors, n_errors) and of the controls: matrices, diagonals, or entries by name, see `bryson`.
+        Weights of the errors (n_errors, n_errors) and controls: matrices, diagonals, or entries by name, see `bryson`.
     N : array (n_errors, n_controls), optional
-        Weight of products.
+        Weight of the products of errors and controls.
     dt : float, optional
-        Control step, s: the gain for commands held that long. Without it, the continuous gain (any step).
+        Control step, s, of a zero-order hold. Default: the continuous gain, for any step.
     integral : mapping, optional
-        States or outputs with integral action and their weights, ``1 / (largest acceptable integral)^2``.
+        States or outputs with integral action, with weights ``1 / (largest acceptable integral)^2``.
     limits : (lower, upper), optional
-        Of the controls, for the anti-windup and the statement of the reserve. Commands are not clipped.
+        Limits of the controls, for anti-windup and the reported control authority margin. Commands are not clipped.
     name : str
 
     Returns
@@ -120,7 +120,7 @@ def design_lqr(
     Raises
     ------
     DesignError
-        Not stabilisable or not detectable (with the mode), weights not (semi)definite, A or B not constant.
+        Not stabilisable or detectable (names the mode), weights not (semi)definite, or A or B not constant.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def design_lqr(
 
 @dataclass(frozen=True, eq=False)
 class _Integrals:
-    """Integrated errors: their layout, ``C`` to first order (size, n_errors) and weights."""
+    """Integral states: layout, linearised output matrix ``C`` (size, n_errors) and weights."""
 
     memory: Layout
     names: tuple[str, ...]
@@ -173,7 +173,7 @@ class _Integrals:
 
 @dataclass(frozen=True, eq=False)
 class _WithStep:
-    """A schedule that also contains the length of the law's step."""
+    """Schedule with the length of the control step as an additional signal."""
 
     schedule: ReferenceSchedule
 
@@ -182,7 +182,7 @@ class _WithStep:
 
 
 def require_constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
-    """Return A and B if they are the same all along the reference, else raise `DesignError`."""
+    """Return A and B if they are constant along the reference; otherwise raise `DesignError`."""
     times = reference_sample_times(reference, 25)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
@@ -240,7 +240,7 @@ def _solve_augmented_riccati(
     integrals: _Integrals,
     dt: float | None,
 ) -> tuple[Steady, tuple[Array, Array]]:
-    """Return the regulator and the (sampled) plant with the integrals as states."""
+    """Return the regulator and the (sampled) plant, augmented by the integral states."""
     (a, b), (q, r, n) = plant, cost
     labels = deviation.errors.labels + integrals.memory.labels
     k, c = integrals.size, integrals.matrix
@@ -248,7 +248,7 @@ def _solve_augmented_riccati(
         one, per_step = np.zeros((k, k)), 1.0
     else:
         per_step = read_positive(dt, "the control step dt")
-        # before sampling: the message names the mode's own eigenvalue
+        # before sampling, so that the message contains the continuous eigenvalue
         require_stabilizable(a, b, deviation.errors.labels)
         held = discretize(a, b, q, r, n, per_step)
         a, b, q, r, n = held.a, held.b, held.q, held.r, held.n

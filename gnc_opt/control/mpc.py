@@ -1,12 +1,12 @@
-r"""Model predictive control: a quadratic programme at every step, linear along the reference.
+r"""Linear model predictive control: a quadratic program (QP) at every step, linearised along the reference.
 
 Over N steps, :math:`e_{j+1} = A_j e_j + B_j v_j`, :math:`u_j = u_{ff,j} + v_j`, with plant and cost sampled exactly.
 With :math:`v_j = -K_j e_j + w_j`, K of the Riccati recursion, the cost is a sum of squares,
 
 .. math:: e_0^T P_0 e_0 + \sum_j w_j^T S_j w_j, \qquad S_j = R_j + B_j^T P_{j+1} B_j = L_j L_j^T,
 
-and the programme for :math:`\omega_j = L_j^T w_j` finds the point of least norm within the limits. Without an active
-limit :math:`\omega = 0`, and no solver is called. Limits of controls and rates are hard; those of states are soft
+and the QP for :math:`\omega_j = L_j^T w_j` has the point of least norm within the limits as its solution. If no limit
+is active, :math:`\omega = 0` and no solver is called. Limits of controls and rates are hard; those of states are soft
 (exact penalty) unless named hard. If the solver fails, the law clips the regulator's command and raises an alarm.
 
 Sources: J. B. Rawlings, D. Q. Mayne, M. M. Diehl, Model Predictive Control, 2nd ed. (2017), sec. 1.3, 2.5.
@@ -57,10 +57,10 @@ from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_equal
 
 QP_TOLERANCE = 1e-6
-"""Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
+"""Largest residual of the optimality conditions of a solved QP, with limits scaled to [-1, 1]."""
 
 _HORIZON_MAX_STEPS = 500
-"""Of a horizon: their matrices are designed one by one, and a programme has unknowns for each."""
+"""Largest number of steps of a horizon; each step has its own matrices and unknowns."""
 
 _DAQP = {"primal_tol": 1e-11, "dual_tol": 1e-12}
 
@@ -89,23 +89,23 @@ def design_mpc(
     ----------
     model : Model
     reference : Reference or array (n_states,)
-        A state is kept, with the control that does so.
+        A state is regulated with its trim control.
     Q, R, N
-        As in `design_lqr`; sampled exactly.
+        As in `design_lqr`; the cost is sampled exactly.
     horizon : float
-        s, a whole number of control steps.
+        Length of the horizon, s, a whole number of control steps.
     dt : float
         Control step, s.
     limits : (lower, upper)
-        Of the controls.
+        Limits of the controls, finite.
     rate_limits : float or array (n_controls,), optional
         Largest change of each control per second.
     state_limits : mapping, optional
-        ``{"v_L": (lower, upper)}``, at the steps; may be infinite. Soft, unless named in ``hard``.
+        ``{"v_L": (lower, upper)}``, enforced at the steps; may be infinite. Soft, unless named in ``hard``.
     hard : sequence of str
-        States whose limits are hard: if they cannot be kept, the alarm is raised.
+        States with hard limits; if they cannot be satisfied, the alarm is raised.
     state_penalty : float
-        Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
+        Penalty of violating a state limit by half its range, relative to the cost to go of an error of that size.
     name : str
 
     Returns
@@ -116,12 +116,12 @@ def design_mpc(
     Raises
     ------
     DesignError
-        As in `design_tvlqr`; limits that are empty, exclude the feedforward or are of a rotation.
+        As in `design_tvlqr`; limits that are empty, exclude the feedforward or apply to a rotation.
 
     Warns
     -----
     ProblemWarning
-        Limits of states exclude the reference.
+        The reference violates limits of states.
 
     Examples
     --------
@@ -142,10 +142,10 @@ def design_mpc(
     bounds = read_limits(model, limits)
     if bounds is None:
         raise ArgumentError("design_mpc() has no limits of the controls: give (lower, upper).")
-    if not np.all(np.isfinite(bounds)):  # the programme is scaled by their range
+    if not np.all(np.isfinite(bounds)):  # the QP is scaled by their range
         raise ArgumentError(
-            f"the limits of design_mpc() are {shown(limits)}: give finite ones, beyond what is ever commanded where "
-            "there is none."
+            f"the limits of design_mpc() are {shown(limits)}: give finite limits, larger than any command if a control "
+            "has none."
         )
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     margin = authority_margin_fact(reference, bounds, required=True)
@@ -185,14 +185,14 @@ def design_mpc(
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """The linear dynamics over a horizon from a step's number: A - B K, B L^-T, K, L^-T, (N, ., .) each."""
+    """Linear dynamics over a horizon from a given step: A - B K, B L^-T, K, L^-T, (N, ., .) each."""
 
     gains: SampledGains
     count: int
 
     @property
     def constant(self) -> bool:
-        """Whether every step of the reference is like the last."""
+        """Whether all steps of the reference have the same matrices."""
         last = self.gains.steps[-1]
         return all(are_equal(s.a, last.a) and are_equal(s.b, last.b) for s in self.gains.steps)
 
@@ -212,14 +212,14 @@ class _Windows:
 
 @dataclass(frozen=True, eq=False)
 class _Schedule:
-    """Rows x_ref, mean controls over the horizon, limited states over the horizon, and the dynamics if they change."""
+    """Rows: x_ref, mean controls and limited states over the horizon, and the dynamics if they vary."""
 
     reference: ReferenceSchedule
     windows: _Windows
     limited: tuple[int, ...]
 
     def extra_variables(self) -> list[Variable]:
-        """Return the variables after the reference's own."""
+        """Return the additional variables after those of the reference."""
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
         sizes = {"horizon_ff": m * (count - 1), "horizon_ref": len(self.limited) * count}
@@ -232,7 +232,7 @@ class _Schedule:
         times, count = np.atleast_1d(times), self.windows.count
         grid = times[:, None] + dt * np.arange(count + 1)
         _, where, back = np.unique(np.round(grid / dt / STEP_SLACK), return_index=True, return_inverse=True)
-        here = grid.ravel()[where]  # every time once, though horizons overlap
+        here = grid.ravel()[where]  # every time once, since horizons overlap
         reference = self.reference.reference
         u = reference.mean_control(here, dt)[:, back.reshape(grid.shape)]
         x = reference.x(here)[:, back.reshape(grid.shape)]
@@ -247,7 +247,7 @@ class _Schedule:
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """The law in MX: without the solver (``easy``) it holds where the regulator meets no limit."""
+    """MPC law in MX; the ``easy`` form without solver is valid where the regulator satisfies all limits."""
 
     deviation: ErrorDynamics
     schedule: _Schedule
@@ -255,7 +255,7 @@ class _Law:
     signals: Layout
 
     def step(self, *, easy: bool = False) -> Any:
-        """Return the law ``(t, x, r, z) -> (u, z_next)``, if easy with the flag of validity as a third output."""
+        """Return the law ``(t, x, r, z) -> (u, z_next)``; the easy form has a validity flag as third output."""
         t, x, r, z = self._law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_signals(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
@@ -266,14 +266,14 @@ class _Law:
             either = ca.Function.if_else(
                 "either", keep, self._horizon_function("solve", ca.MX, self._solve_horizon_qp)
             )
-            omega, solved = either(inside, *known)  # calls one of them
+            omega, solved = either(inside, *known)  # evaluates only one branch
         _, _, k, g = (parts[0] for parts in _compute_step_matrices(self.schedule, matrices))
         u = limit_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
         return law(t, x, r, z, u, after, *([solved] if easy else []))
 
     def initial_memory_function(self) -> Any:
-        """Return the function of the first memory: the feedforward within its limits."""
+        """Return the function of the initial memory: the feedforward, clipped to its limits."""
         t, x, r, z = self._law_symbols()
         m, u_ff = self.rows.lower.size, self._split_signals(x, r, z)[1]
         first = clip(u_ff[:m], self.rows.lower, self.rows.upper)
@@ -287,7 +287,7 @@ class _Law:
         return t, x, r, z
 
     def _split_signals(self, x: Any, r: Any, z: Any) -> list[Any]:
-        """Return e, feedforward and limited states over the horizon, its matrices, last command and alarm."""
+        """Return e, feedforward and limited states over the horizon, its matrices, previous command and alarm."""
         states, m = x.shape[0], self.rows.lower.size
         count, limited = self.schedule.windows.count, len(self.schedule.limited)
         edges = [0, states, states + m * count, states + (m + limited) * count, r.shape[0]]
@@ -297,7 +297,7 @@ class _Law:
         return [error(x, x_ref), *given, *ca.vertsplit(z, [0, m, m + 1])]
 
     def _horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
-        """Return the function of the horizon and the arguments that a programme takes."""
+        """Return the function of the horizon and the symbolic arguments of its QP."""
         count, (n, m) = self.schedule.windows.count, self.schedule.windows.gains.steps[-1].b.shape
         rest = 0 if self.schedule.windows.constant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
@@ -306,12 +306,12 @@ class _Law:
         return ca.Function(name, arguments, outputs(horizon, e, u_ff, x_limited, previous))
 
     def _solve_horizon_qp(self, horizon: Horizon, *known: Any) -> list[Any]:
-        """Return the first unknowns by the solver, and whether they meet the conditions of optimality."""
+        """Return the first unknowns of the QP solution, and whether it satisfies the optimality conditions."""
         task = horizon.programme(*known)
         one = ca.DM.eye(horizon.unknowns)
         shape = {"h": one.sparsity(), "a": task.a.sparsity()}
         least = np.full(horizon.unknowns, -np.inf)
-        least[task.free :] = 0  # slacks are not negative
+        least[task.free :] = 0  # slacks are >= 0
         solver = ca.conic("qp", "daqp", shape, {"daqp": _DAQP, "error_on_fail": False})
         answer = solver(h=one, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least)
         solved = task.optimality_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
@@ -319,7 +319,7 @@ class _Law:
 
 
 def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
-    """Return the programme for flight code, with the matrices of every step of the reference."""
+    """Return the QP for C export, with the matrices of every step of the reference."""
     last = len(windows.gains.steps) - 1
     firsts = [last + windows.count] if windows.constant else range(last + 1)
     found = [windows(k) for k in firsts]
@@ -328,7 +328,7 @@ def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
 
 
 def _compute_step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
-    """Return A - B K, B L^-T, K, L^-T of each step: constant, or from the end of the schedule's row."""
+    """Return A - B K, B L^-T, K, L^-T of each step, constant or from the end of the schedule row."""
     windows, place = schedule.windows, 0
     if windows.constant:
         last = len(windows.gains.steps) - 1 + windows.count
@@ -368,7 +368,7 @@ def _read_rate_limits(value: ArrayLike, model: Model, dt: float) -> Array:
 
 
 def _is_error_a_difference(deviation: ErrorDynamics, name: str) -> bool:
-    """Whether the error of a state is x - x_ref, tested at a point without symmetries."""
+    """Return whether the error of a state is x - x_ref, tested at a generic point."""
     states, rows = deviation.model.states, deviation.model.states.slice(name)
     x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
     e = deviation(x, x_ref)[deviation.errors.slice(name)]
@@ -381,7 +381,7 @@ def _read_state_limits(
     hard: Sequence[str],
     price: Array,
 ) -> tuple[tuple[int, ...], tuple[int, ...], Array, Array, Array]:
-    """Places of the limited states in x and in e, their limits and the prices of their errors."""
+    """Return the indices of the limited states in x and in e, their limits and the weights of their errors."""
     model = deviation.model
     in_x: list[int] = []
     in_e: list[int] = []
@@ -398,15 +398,13 @@ def _read_state_limits(
         size = model.states[name].size
         if not _is_error_a_difference(deviation, name):
             raise DesignError(
-                f"the error of state '{name}' is not a difference: a limit of it is not linear; leave it to R and Q."
+                f"the error of state '{name}' is not a difference: its limits are not linear; use Q instead."
             )
         if not isinstance(pair, Sequence | np.ndarray) or len(pair) != 2:
             raise ArgumentError(f"the limits of state '{name}' are {shown(pair)}: give (lower, upper).")
         low, high = (as_vector(v, size, f"the limits of state '{name}'", ArgumentError) for v in pair)
         if not np.all(low < high):
-            raise DesignError(
-                f"the limits of state '{name}' leave no room: {low} to {high}; give lower < upper."
-            )
+            raise DesignError(f"the limits of state '{name}' are empty: {low} to {high}; give lower < upper.")
         in_x += range(model.states.size)[place]
         in_e += range(model.errors.size)[model.errors.slice(name)]
         lower += list(low)
@@ -435,11 +433,11 @@ def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layo
 
 
 def _report_limits(rows: Rows, states: Layout) -> list[ReportEntry]:
-    """Return the facts about which limits are hard and which soft."""
+    """Return the report entries of hard and soft limits."""
     soft = [states.labels[rows.states[i]] for i in rows.soft_limited]
     hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited]
     rates = ["rates of controls"] if rows.change is not None else []
-    facts = [ReportEntry("hard limits", ", ".join(["controls", *rates, *hard]), remark="kept, or alarm")]
+    facts = [ReportEntry("hard limits", ", ".join(["controls", *rates, *hard]), remark="satisfied, or alarm")]
     return facts + (
-        [ReportEntry("soft limits", ", ".join(soft), remark="left as little as possible")] if soft else []
+        [ReportEntry("soft limits", ", ".join(soft), remark="violated as little as possible")] if soft else []
     )

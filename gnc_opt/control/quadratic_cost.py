@@ -1,4 +1,4 @@
-"""Weights of quadratic costs: by name in engineering units, or as matrices."""
+"""Weights of quadratic costs, as matrices or by name in engineering units."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gnc_opt.model.variables import Layout, as_vector
 from gnc_opt.tolerances import ROUNDING
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
-"""A matrix (n, n), a diagonal (n,), one number for all, or diagonal entries by name (absent names weigh 0)."""
+"""Matrix (n, n), diagonal (n,), one number for all, or diagonal entries by name (missing names weigh 0)."""
 
 
 def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
@@ -25,14 +25,14 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
     Parameters
     ----------
     layout : Layout
-        ``model.states``, ``model.errors`` or ``model.controls``: the names that may be given.
+        ``model.states``, ``model.errors`` or ``model.controls``; defines the valid names.
     **largest : float or array
-        Largest acceptable deviation of a variable in its own unit, one number or one per component, > 0.
+        Largest acceptable deviation of a variable in its own unit, > 0; one number or one per component.
 
     Raises
     ------
     UnknownNameError, ArgumentError
-        A name that the layout does not have; a value that is not positive and finite.
+        A name that the layout does not contain; a value that is not positive and finite.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
 
 
 class QuadraticCost(NamedTuple):
-    """Weights of ``e'q e + v'r v + 2 e'n v``."""
+    """Matrices of the cost rate ``e'q e + v'r v + 2 e'n v``."""
 
     q: Array
     r: Array
@@ -61,7 +61,7 @@ class QuadraticCost(NamedTuple):
 
 
 def read_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> QuadraticCost:
-    """Return Q, R, N as matrices; refuse costs that reward errors or controls."""
+    """Return Q, R, N as matrices; raise `DesignError` unless the cost is positive semidefinite and R definite."""
     errors, controls = model.errors, model.controls
     weight, effort = read_weight(q, errors, "the weight Q"), read_weight(r, controls, "the weight R")
     require_semidefinite(weight, errors.labels, "the weight Q")
@@ -98,7 +98,7 @@ def read_weight(value: Weight, layout: Layout, what: str) -> Array:
     if not np.all(np.isfinite(matrix)):
         raise ArgumentError(f"{what} has entries that are not finite: give numbers.")
     if np.max(np.abs(matrix - matrix.T), initial=0.0) > ROUNDING * np.max(np.abs(matrix), initial=0.0):
-        raise DesignError(f"{what} is not symmetric: give (W + W.T) / 2, which weighs the same.")
+        raise DesignError(f"{what} is not symmetric: give (W + W.T) / 2, which has the same quadratic form.")
     return np.asarray(0.5 * (matrix + matrix.T))
 
 
@@ -108,7 +108,7 @@ def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> N
     if smallest < -ROUNDING * max(len(labels), 1):
         raise DesignError(
             f"{what} is not positive semidefinite: with its diagonal scaled to one its smallest eigenvalue is "
-            f"{smallest:.3g}; weigh so that no error is rewarded."
+            f"{smallest:.3g}; choose weights that penalise every error."
         )
 
 
@@ -132,7 +132,7 @@ def _smallest_relative_eigenvalue(
             f"{what} of '{labels[bad[0]]}' is {diagonal[bad[0]]:g}: give a number {'>' if strict else '>='} 0."
         )
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    # a zero on the diagonal requires a zero row: such rows are scaled by their largest entry
+    # a zero on the diagonal requires a zero row; such a row is scaled by its largest entry
     empty = diagonal == 0
     if np.any(empty):
         largest = np.max(

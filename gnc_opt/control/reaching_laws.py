@@ -1,6 +1,6 @@
-r"""Reaching laws and boundary layers: how fast a sliding variable s is driven to zero, and how softly it switches.
+r"""Reaching laws of a sliding variable s, and boundary layers of its switching function.
 
-Each law demands :math:`\dot s = -\rho(s)`; a disturbance d with :math:`|d| \le b` adds to it.
+Each law prescribes :math:`\dot s = -\rho(s)`; a disturbance d with :math:`|d| \le b` is added to it.
 
 ================  =============================================  ==========================================
 law               :math:`\rho(s)`                                reaching time from s0 (b < gain)
@@ -11,7 +11,7 @@ law               :math:`\rho(s)`                                reaching time f
                   :math:`\dot z = -k_2\,\sigma(s)`
 ================  =============================================  ==========================================
 
-:math:`\sigma` is the sign, or its soft form in a boundary layer of half width :math:`\phi`.
+:math:`\sigma` is the sign function, or its continuous approximation in a boundary layer of half width :math:`\phi`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Sign:
     Parameters
     ----------
     slope : float
-        Infinite; for the same interface as the layers.
+        Infinite; part of the interface of the boundary layers.
 
     Examples
     --------
@@ -56,7 +56,7 @@ class Sign:
         return ca.sign(s)
 
     def width(self, ratio: float) -> float:
-        """Return |s| (unit of s) at which the soft sign equals ``ratio`` (0 to 1)."""
+        """Return the |s| (unit of s) at which the switching function equals ``ratio`` (0 to 1)."""
         return 0.0
 
 
@@ -82,15 +82,15 @@ class SaturationLayer:
 
     @property
     def slope(self) -> float:
-        """Steepest slope, 1 / phi."""
+        """Largest slope, 1 / phi."""
         return 1 / self.phi
 
     def __call__(self, s: Any) -> Any:
-        """Return the soft sign, SX."""
+        """Return sat(s / phi), SX."""
         return ca.fmax(-1, ca.fmin(1, s / self.phi))
 
     def width(self, ratio: float) -> float:
-        """Return |s| at which the soft sign equals ``ratio`` (0 to 1)."""
+        """Return the |s| (unit of s) at which the switching function equals ``ratio`` (0 to 1)."""
         return self.phi * ratio
 
 
@@ -115,7 +115,7 @@ class ConstantRate:
 
     @property
     def gain(self) -> float:
-        """Gain available against disturbances at every s, in units of s per second."""
+        """Largest disturbance that the law rejects at every s, in units of s per second."""
         return self.eta
 
     def rate(self, s: Any, boundary: Boundary) -> Any:
@@ -123,21 +123,21 @@ class ConstantRate:
         return self.eta * boundary(s)
 
     def slope(self, boundary: Boundary) -> float:
-        """Return the steepest d rho / d s, 1/s."""
+        """Return the largest d rho / d s, 1/s."""
         return self.eta * boundary.slope
 
     def band(self, boundary: Boundary, bound: float) -> float:
-        """Return the |s| within which a disturbance up to ``bound`` can hold s, for continuous control."""
+        """Return the largest |s| that a disturbance up to ``bound`` can sustain, for continuous control."""
         return boundary.width(bound / self.eta)
 
     def reaching_time(self, s: float, bound: float) -> float:
-        """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
+        """Return the longest reaching time (s) for a disturbance up to ``bound``, with ideal switching."""
         return abs(s) / (self.eta - bound)
 
 
 @dataclass(frozen=True)
 class ExponentialRate(ConstantRate):
-    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`.
+    """ds/dt = -eta sign(s) - k s; faster than `ConstantRate` for large s.
 
     Parameters
     ----------
@@ -162,11 +162,11 @@ class ExponentialRate(ConstantRate):
         return super().rate(s, boundary) + self.k * s
 
     def slope(self, boundary: Boundary) -> float:
-        """Return the steepest d rho / d s, 1/s."""
+        """Return the largest d rho / d s, 1/s."""
         return super().slope(boundary) + self.k
 
     def reaching_time(self, s: float, bound: float) -> float:
-        """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
+        """Return the longest reaching time (s) for a disturbance up to ``bound``, with ideal switching."""
         return float(np.log1p(self.k * super().reaching_time(s, bound))) / self.k
 
 
@@ -174,7 +174,7 @@ class ExponentialRate(ConstantRate):
 class SuperTwisting:
     """ds/dt = -k1 |s|^(1/2) sign(s) + z, dz/dt = -k2 sign(s): continuous command, exact zero in finite time.
 
-    Its ``bound`` is on the *rate* of the disturbance. Finite-time stable for k2 > bound and k1 > sqrt(k2 + bound)
+    Its ``bound`` limits the *rate* of the disturbance. Finite-time stable for k2 > bound and k1 > sqrt(k2 + bound)
     (R. Seeber, M. Horn, Automatica 84, 2017, 241-243).
 
     Parameters
@@ -203,11 +203,11 @@ class SuperTwisting:
 
     @property
     def gain(self) -> float:
-        """Gain available against the rate of disturbances, in units of s per second squared."""
+        """Largest rate of a disturbance that the law rejects, in units of s per second squared."""
         return self.k2
 
     def rate(self, s: Any, boundary: Boundary) -> Any:
-        """Return rho(s) without the memory z, SX."""
+        """Return rho(s) for z = 0, SX."""
         return self.k1 * ca.sqrt(ca.fabs(s)) * boundary(s)
 
     def memory_rate(self, s: Any, boundary: Boundary) -> Any:
@@ -215,18 +215,18 @@ class SuperTwisting:
         return -self.k2 * boundary(s)
 
     def slope(self, boundary: Boundary) -> float:
-        """Return the steepest d rho / d s (1/s): infinite at s = 0 without a boundary layer."""
+        """Return the largest d rho / d s (1/s); infinite without a boundary layer (at s = 0)."""
         if isinstance(boundary, Sign):
             return np.inf
         return float(1.5 * self.k1 * boundary.slope**0.5)
 
     def band(self, boundary: Boundary, bound: float) -> float:
-        """Return the |s| at which a disturbance that grows at the rate ``bound`` is balanced."""
+        """Return the |s| in equilibrium with a disturbance that grows at the rate ``bound``."""
         return boundary.width(bound / self.k2)
 
 
 def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
-    """Return the bounds of the disturbances (n_labels,); raise `DesignError` where the law is not stronger."""
+    """Return the disturbance bounds (n_labels,); raise `DesignError` if the gain does not exceed them."""
     if not isinstance(law, (ConstantRate, SuperTwisting)):
         raise DesignError(
             f"the reaching law is {law!r}: give ConstantRate(eta), ExponentialRate(eta, k) or SuperTwisting(k1, k2)."
@@ -240,7 +240,7 @@ def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
 
 
 def check_bound(law: Law, bound: float, what: str) -> None:
-    """Raise `DesignError` if disturbances up to ``bound`` may be stronger than the law."""
+    """Raise `DesignError` if a disturbance up to ``bound`` is not less than the gain of the law."""
     if isinstance(law, SuperTwisting):
         check_super_twisting_gains(law.k1, law.k2, bound, what)
     elif bound >= law.gain:

@@ -1,4 +1,4 @@
-"""Reference: the states and controls that a controller follows, and its residual in the model's dynamics."""
+"""Reference trajectory of a controller, and its residual in the model's dynamics."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from gnc_opt.model.variables import Layout, as_point
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 Signal: TypeAlias = Callable[[Array], Array]
-"""Of times (n,), columns (size, n)."""
+"""Function from times (n,) to values (size, n)."""
 
 _DYNAMICS_CHECK_TIMES = 24
-"""Times at which the rates of a reference are compared with the model, spread over its pieces."""
+"""Number of times at which the rates of a reference are compared with the model, over all its pieces."""
 _STEP_SHARE = 1e-4
-"""Of a piece: over which the rate of the states is taken."""
+"""Interval of the state difference quotient, as a share of the piece."""
 _DYNAMICS_CHECK_TOLERANCE = 1e-3
-"""Error of a rate, as a share of its terms, above which a warning is given."""
+"""Residual of a rate above which a warning is issued, as a share of its terms."""
 
 
 def describe_reference_residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
-    """Return which state is furthest from obeying the model, when and by how much; "" if all do."""
+    """Return a description of the largest residual (state, time, value); "" if all are small."""
     lengths = np.diff(edges)
     pieces = np.unique(np.linspace(0, lengths.size - 1, _DYNAMICS_CHECK_TIMES).astype(int))
     each = -(-_DYNAMICS_CHECK_TIMES // pieces.size)
-    share = 0.99 * (np.arange(1, each + 1) * GOLDEN_RATIO_FRACTION % 1.0)  # regular to no period
+    share = 0.99 * (np.arange(1, each + 1) * GOLDEN_RATIO_FRACTION % 1.0)  # quasi-random
     times = (edges[pieces, None] + lengths[pieces, None] * share).ravel()
     h = _STEP_SHARE * np.repeat(lengths[pieces], each)
     first, last = x(times), x(times + h)
@@ -55,38 +55,38 @@ def _describe_residual(model: Model, times: Array, left: Array, x: Array, u: Arr
         return ""
     per_second = f"{model.states.units[i]} per second".strip()
     return (
-        f"'{model.states.labels[i]}' moves by {left[i, k]:.3g} {per_second} otherwise than the model says at t = "
-        f"{times[k]:.4g} s, {100 * share[i, k]:.3g} % of what its rate is made of"
+        f"'{model.states.labels[i]}' moves by {left[i, k]:.3g} {per_second} off the model's rate at t = "
+        f"{times[k]:.4g} s, {100 * share[i, k]:.3g} % of the terms of its rate"
     )
 
 
 Tail: TypeAlias = Literal["trim", "hold"]
 
 TRIM_TOLERANCE = 1e-6
-"""Largest rate of a state at rest with the best control (1/s), relative to the largest state if above 1."""
+"""Largest state rate of an equilibrium with the best control (1/s), relative to max(1, largest state)."""
 
-_NODES, _WEIGHTS = leggauss(8)  # of the mean of a control over a step without a jump
+_NODES, _WEIGHTS = leggauss(8)  # for the mean control over a step without a jump
 
 
 class Reference(Strict):
-    """States and controls over time, from a solution, from functions or constant.
+    """State and control reference over time, from a solution, from functions or constant.
 
-    After ``final_time`` it rests at its final state with the ``tail`` control. All phases of a solution must have the
-    same states and controls.
+    After ``final_time`` the reference stays at its final state with the ``tail`` control. All phases of a solution must
+    have the same states and controls.
 
     Parameters
     ----------
     solution : Trajectory
-        A solved `gnc_opt.Solution`; its *applied* controls are followed, which respect their bounds.
+        A solved `gnc_opt.Solution`; the reference uses its *applied* controls, which satisfy their bounds.
     tail : {"trim", "hold"}
-        The control after the end: ``"trim"`` finds the one that keeps the final state at rest (least squares),
-        ``"hold"`` keeps the final control.
+        Control after ``final_time``: ``"trim"`` computes the control for which the final state is an equilibrium (least
+        squares), ``"hold"`` keeps the final control.
 
     Raises
     ------
     ArgumentError
-        The solution is not solved, its phases differ in states or controls, or no control keeps its final state
-        at rest and ``tail`` is ``"trim"``.
+        The solution is not solved, its phases differ in states or controls, or ``tail`` is ``"trim"`` and the final
+        state is not an equilibrium for any control.
 
     Examples
     --------
@@ -123,14 +123,14 @@ class Reference(Strict):
 
     @classmethod
     def constant(cls, model: Model, x: ArrayLike, u: ArrayLike | None = None) -> Reference:
-        """Return a state to rest at, for all times.
+        """Return a constant reference.
 
         Parameters
         ----------
         model : Model
         x : array (n_states,)
         u : array (n_controls,), optional
-            The control there; without it the one that keeps the state at rest.
+            Constant control; default: the trim control of the state.
         """
         expect(model, Model, "the model of a reference", "give the Model of the plant")
         state = as_point(x, model.states.size, "the state of a constant reference", ArgumentError)
@@ -160,15 +160,15 @@ class Reference(Strict):
         ----------
         model : Model
         x, u : callable
-            Of the time (s): states (n_states,) and controls (n_controls,).
+            Functions of time (s) that return states (n_states,) and controls (n_controls,).
         initial_time, final_time : float
-            s.
+            Time span, s.
         jumps : sequence of float
             Times at which the control jumps, s.
         tail : {"trim", "hold"}
             As in the class.
         vectorized : bool
-            Whether the functions take times (n,) and return (n_states, n) and (n_controls, n): faster.
+            Whether the functions take times (n,) and return (n_states, n) and (n_controls, n); faster.
 
         Raises
         ------
@@ -178,13 +178,13 @@ class Reference(Strict):
         Warns
         -----
         ProblemWarning
-            The states violate the model's dynamics under the controls; with the largest residual found.
+            The states do not satisfy the model's dynamics; the message contains the largest residual found.
         """
         reference = cls.__new__(cls)
         span = [float(initial_time), float(final_time)]
         if not (np.all(np.isfinite(span)) and span[0] <= span[1]):
             raise ArgumentError(
-                f"a reference from {span[0]} s to {span[1]} s is none: give increasing times."
+                f"a reference has no time span from {span[0]} s to {span[1]} s: give increasing times."
             )
         for function, of in ((x, "states"), (u, "controls")):
             if not callable(function):
@@ -231,20 +231,20 @@ class Reference(Strict):
 
     @property
     def duration(self) -> float:
-        """final_time - initial_time, s."""
+        """Duration final_time - initial_time, s."""
         return self.final_time - self.initial_time
 
     @property
     def tail_control(self) -> Array:
-        """The control after the end (n_controls,)."""
+        """Control after ``final_time``, (n_controls,)."""
         return self._tail
 
     def x(self, t: ArrayLike) -> Array:
-        """Return the states, (n_states,) at one time t (s), (n_states, n_times) at many."""
+        """Return the states at time t (s): (n_states,) for a scalar, (n_states, n_times) for an array."""
         return self._evaluate_pieces(self._x, t, None)
 
     def u(self, t: ArrayLike) -> Array:
-        """Return the controls, (n_controls,) at one time t (s), (n_controls, n_times) at many."""
+        """Return the controls at time t (s): (n_controls,) for a scalar, (n_controls, n_times) for an array."""
         return self._evaluate_pieces(self._u, t, self._tail)
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
@@ -267,7 +267,7 @@ class Reference(Strict):
         if np.any(times < self.initial_time - slack):
             raise ArgumentError(
                 f"the reference runs from {self.initial_time:g} s to {self.final_time:g} s, not at "
-                f"{shown(float(np.min(times)))} s: ask within."
+                f"{shown(float(np.min(times)))} s: choose a time in this interval."
             )
         within = np.clip(times, self.initial_time, self.final_time)
         part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
@@ -282,15 +282,15 @@ class Reference(Strict):
 
 
 def read_plant(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
-    """Return the reference of a design; a state becomes a constant one."""
+    """Return the reference of a design; a state array gives a constant reference."""
     expect(model, Model, f"the plant of {designer}()", "give the Model to control")
     return reference if isinstance(reference, Reference) else Reference.constant(model, reference)
 
 
 def trim(model: Model, t: float, x: ArrayLike) -> Array:
-    """Return the control (n_controls,) for which the state x stays at rest at time t.
+    """Return the trim control (n_controls,), for which the state x is an equilibrium at time t.
 
-    Solves ``f(t, x, u) = 0`` for u by Newton's method in the least-squares sense, from u = 0.
+    Solves ``f(t, x, u) = 0`` for u by Newton's method in the least-squares sense, starting at u = 0.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     Raises
     ------
     ArgumentError
-        No control does; the message names the state that moves most.
+        No trim control exists; the message names the state with the largest rate.
 
     Examples
     --------
@@ -336,13 +336,13 @@ def _warn_of_residual(
     found = describe_reference_residual(model, x, u, np.unique(edges))
     if found:
         warn_user(
-            f"the reference does not obey '{model.name}': {found}; give the u that makes the model move along x, or an "
-            "x that it can follow, or expect every controller to keep an error."
+            f"the reference does not satisfy the dynamics of '{model.name}': {found}; give consistent functions x "
+            "and u, or accept a tracking error with every controller."
         )
 
 
 def _cut_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the pieces that marks cut steps into: which step each belongs to, its beginning and its end."""
+    """Return the pieces of steps between marks: index of the step, start and end of each piece."""
     first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
     counts = np.maximum(behind - first, 0) + 1
     owners = np.repeat(np.arange(starts.size), counts)
@@ -377,7 +377,7 @@ def _check_vectorized(function: Callable[[Array], ArrayLike], layout: Layout) ->
 
 
 def _require_finite_reference(values: Array, times: Array, layout: Layout) -> Array:
-    """Return values (size, n) of a reference; raise `ArgumentError` where one is not finite."""
+    """Return the reference values (size, n); raise `ArgumentError` if one is not finite."""
     finite = np.all(np.isfinite(values), axis=0)
     if not np.all(finite):
         raise ArgumentError(
@@ -393,6 +393,6 @@ def _require_same_layouts(phases: Sequence[TrajectoryPhase]) -> None:
     for phase in phases[1:]:
         if (phase.model.states.labels, phase.model.controls.labels) != names:
             raise ArgumentError(
-                f"phases '{first.name}' and '{phase.name}' have other states or controls: "
-                "follow each by its own reference."
+                f"phases '{first.name}' and '{phase.name}' have different states or controls: "
+                "use a reference for each."
             )

@@ -1,4 +1,4 @@
-r"""Steady Riccati equations: the gain of the linear-quadratic regulator, and when there is none.
+r"""Algebraic Riccati equations: the gain of the linear-quadratic regulator, and its existence.
 
 Continuous, cost :math:`\int e^T Q e + v^T R v + 2 e^T N v \, dt`:
 
@@ -6,8 +6,8 @@ Continuous, cost :math:`\int e^T Q e + v^T R v + 2 e^T N v \, dt`:
 
 Sampled: :math:`P = A^T P A - K^T (R + B^T P B) K + Q`, :math:`K = (R + B^T P B)^{-1} (B^T P A + N^T)`.
 
-A stabilising P exists if no mode on or right of the stability boundary is uncontrollable (stabilisable) or without cost
-(detectable); both are tested in balanced coordinates.
+A stabilising P exists if no mode on or outside the stability boundary is uncontrollable (then: not stabilisable) or
+without cost (then: not detectable). Both are tested in balanced coordinates.
 
 Source: B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), chapters 2 and 3.
 """
@@ -27,14 +27,14 @@ from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import EQUAL, TINY
 
 _REACHABILITY_MIN = 1e-10
-"""A direction is reached if the reachability matrix has it above this, in balanced coordinates."""
+"""Smallest entry of the reachability matrix in balanced coordinates that counts as nonzero."""
 _PART = 0.3
-"""A state belongs to a mode if its share is above this times the largest."""
+"""Smallest share of a state in a mode, relative to the largest, at which an error message names it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Steady:
-    """Steady Riccati solution: K in ``v = -K e``, P (cost to go ``e'P e``), poles of A - B K, residual."""
+    """Steady Riccati solution: gain K, cost to go P (``e'P e``), poles of A - B K, residual."""
 
     gain: Array
     cost: Array
@@ -44,7 +44,7 @@ class Steady:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode that controls do not reach, its states, and the least singular value of [lambda 1 - A, B]."""
+    """Uncontrollable mode: its eigenvalue, its states, and the smallest singular value of [lambda 1 - A, B]."""
 
     eigenvalue: complex
     states: tuple[str, ...]
@@ -54,7 +54,7 @@ class Mode:
 def solve_algebraic_riccati(
     a: Array, b: Array, q: Array, r: Array, n: Array, labels: tuple[str, ...], *, sampled: bool = False
 ) -> Steady:
-    """Return the stabilising solution, or raise `DesignError` with the mode that has none."""
+    """Return the stabilising solution; raise `DesignError` with the mode that prevents it."""
     require_stabilizable(a, b, labels, sampled=sampled)
     cross = np.linalg.solve(r, n.T)
     require_detectable(a - b @ cross, q - n @ cross, labels, sampled=sampled)
@@ -63,30 +63,30 @@ def solve_algebraic_riccati(
         p = solve(a, b, q, r, s=n)
     except (scipy.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"the Riccati equation has no stabilising solution ({error}): weigh the errors and controls less "
-            "unequally, or scale the model's units."
+            f"the Riccati equation has no stabilising solution ({error}): choose weights of errors and controls that "
+            "differ less, or scale the model's units."
         ) from error
     gain = feedback_gain(a, b, r, n, p, sampled=sampled)
     poles = np.linalg.eigvals(a - b @ gain)
     size = np.abs(poles) if sampled else poles.real
     if not np.all(size < (1.0 if sampled else 0.0)):
         raise DesignError(
-            f"the solution of the Riccati equation leaves a pole at {poles[np.argmax(size)]:.3g}, which is not stable: "
-            "weigh the errors and controls less unequally, or scale the model's units."
+            f"the solution of the Riccati equation has an unstable closed-loop pole at {poles[np.argmax(size)]:.3g}: "
+            "choose weights of errors and controls that differ less, or scale the model's units."
         )
     order = np.argsort(-size)
     return Steady(gain, p, poles[order], riccati_residual(a, b, q, r, n, p, sampled=sampled))
 
 
 def feedback_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
-    """Return K (n_controls, n_errors) for the cost to go P (after the step, if sampled)."""
+    """Return the gain K (n_controls, n_errors) for the cost to go P (of the next step, if sampled)."""
     if sampled:
         return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
     return np.asarray(np.linalg.solve(r, b.T @ p + n.T))
 
 
 def riccati_backward_step(step: SampledStep, p: Array) -> tuple[Array, Array]:
-    """Return K of a control step and the cost to go before it, from the cost to go P after it."""
+    """Return K of a control step and the cost to go at its start, from the cost to go P at its end."""
     gain = feedback_gain(step.a, step.b, step.r, step.n, p, sampled=True)
     before = step.q + step.a.T @ p @ step.a - (step.b.T @ p @ step.a + step.n.T).T @ gain
     return gain, 0.5 * (before + before.T)
@@ -104,7 +104,7 @@ def riccati_residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array,
 
 
 def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
-    """Raise `DesignError` if a mode that does not decay is out of the controls' reach."""
+    """Raise `DesignError` if an uncontrollable mode does not decay."""
     for mode in uncontrollable_modes(a, b, labels):
         if not _is_decaying(mode.eigenvalue, a, sampled):
             raise DesignError(
@@ -128,7 +128,7 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
 
 
 def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
-    """Return the modes of ``de/dt = A e + B v`` that v does not reach, by a staircase."""
+    """Return the modes of ``de/dt = A e + B v`` that v does not control, from the staircase form."""
     size = a.shape[0]
     balanced, scale = _balance_matrices(a)
     balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
@@ -141,7 +141,7 @@ def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mo
     while newest.shape[1] and reached.shape[1] < size:
         image = balanced @ newest
         image -= reached @ (reached.T @ image)
-        image -= reached @ (reached.T @ image)  # twice is enough for orthogonality to rounding
+        image -= reached @ (reached.T @ image)  # twice: orthogonal to rounding
         u, s, _ = np.linalg.svd(image, full_matrices=False)
         newest = u[:, s > _REACHABILITY_MIN]
         reached = np.hstack([reached, newest])
@@ -161,7 +161,7 @@ def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mo
 
 
 def _balance_matrices(a: Array) -> tuple[Array, Array]:
-    """Return ``a`` balanced by a diagonal similarity, and its scales (n,), powers of two."""
+    """Return ``a`` balanced by a diagonal similarity transformation, and its scales (n,), powers of two."""
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     return balanced, scale

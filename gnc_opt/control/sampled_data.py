@@ -1,4 +1,4 @@
-r"""Sampling: the plant and its cost over a step in which the command is held, without approximation in time.
+r"""Sampled-data plant and cost: exact discretisation for a zero-order hold.
 
 With :math:`\dot\xi = M \xi`, :math:`\xi = (e, v)`, M = [[A, B], [0, 0]] and the cost rate :math:`\xi^T W \xi`,
 the flow of
@@ -29,7 +29,7 @@ from gnc_opt.tolerances import EQUAL, SAME_TIME
 
 
 def count_whole_steps(duration: float, step: float, what: str) -> int:
-    """Return the number of steps in a duration (s); raise an error unless it is a multiple."""
+    """Return the number of steps in a duration (s); raise an error if it is not a whole number."""
     count = round(duration / step)
     if count < 0 or abs(count * step - duration) > SAME_TIME * max(step, duration):
         raise ArgumentError(
@@ -39,17 +39,17 @@ def count_whole_steps(duration: float, step: float, what: str) -> int:
 
 
 def count_started_steps(duration: float, step: float) -> int:
-    """Return how many steps begin within a duration (s)."""
+    """Return the number of steps that begin within a duration (s)."""
     return math.ceil(duration / step - SAME_TIME)
 
 
 def is_period_start(phase: Any) -> Any:
-    """Return whether a phase (SX), which counts steps from 0, is at its beginning."""
+    """Return whether a step counter (SX) is 0."""
     return phase < 0.5
 
 
 def advance_phase(phase: Any, count: int) -> Any:
-    """Return the phase (SX) after a step: 0 again after ``count`` of them."""
+    """Return the step counter (SX) after a step, modulo ``count``."""
     return ca.if_else(phase > count - 1.5, 0.0, phase + 1)
 
 
@@ -101,13 +101,13 @@ class SampledStep:
 
 
 def discretize(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
-    """Return the exact step of constant A, B and cost over dt (s)."""
+    """Return the exact discretisation of constant A, B and cost over dt (s)."""
     flow = _van_loan_generator(a, b, _cost_matrix(q, r, n))
-    size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
+    size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M only: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
     phi, cost = _compute_transition_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
-    with np.errstate(over="ignore", invalid="ignore"):  # `_build_sampled_step` refuses what overflows
-        for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
+    with np.errstate(over="ignore", invalid="ignore"):  # `_build_sampled_step` rejects overflow
+        for _ in range(halvings):  # doubling keeps growing and decaying exponentials in separate matrices
             cost = cost + phi.T @ cost @ phi
             phi = phi @ phi
     return _build_sampled_step(phi, cost, a.shape[0], dt)
@@ -116,7 +116,7 @@ def discretize(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> S
 def discretize_time_varying(
     linearize: Linearization, q: Array, r: Array, n: Array, t: float, dt: float, jumps: Array
 ) -> SampledStep:
-    """Return the step from t to t + dt of A(t), B(t), which may jump at ``jumps`` (fourth order in dt)."""
+    """Return the discretisation of A(t), B(t) from t to t + dt, with jumps at ``jumps`` (order 4 in dt)."""
     inner = jumps[(jumps > t) & (jumps < t + dt)]
     edges = np.concatenate([[t], inner, [t + dt]])
     steps = np.repeat(np.diff(edges) / _SUBSTEPS, _SUBSTEPS)
@@ -135,14 +135,14 @@ def discretize_time_varying(
 
 
 def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
-    """Return the plant (A, B) over dt (s) with a held command."""
+    """Return the discrete plant (A, B) of a zero-order hold over dt (s)."""
     n, m = b.shape
     both = scipy.linalg.expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
     return both[:n, :n], both[:n, n:]
 
 
 def spectral_radius(matrix: Array) -> float:
-    """Return the largest magnitude of the eigenvalues: below 1, a sampled loop decays."""
+    """Return the largest magnitude of the eigenvalues; a sampled loop is stable if it is below 1."""
     return float(np.max(np.abs(np.linalg.eigvals(matrix))))
 
 
@@ -167,6 +167,6 @@ def _compute_transition_and_cost(flow: Array) -> tuple[Array, Array]:
 def _build_sampled_step(phi: Array, cost: Array, n: int, dt: float) -> SampledStep:
     if not (np.all(np.isfinite(phi)) and np.all(np.isfinite(cost))):
         raise DesignError(
-            f"the plant grows beyond all numbers within a control step of {dt:g} s: design with a shorter step."
+            f"the plant's transition matrix overflows over a control step of {dt:g} s: design with a shorter step."
         )
     return SampledStep(phi[:n, :n], phi[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:])

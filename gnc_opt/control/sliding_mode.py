@@ -1,13 +1,13 @@
-r"""Sliding mode: surfaces from outputs of any relative degree, reaching laws, boundary layers.
+r"""Sliding-mode control: surfaces of outputs of any relative degree, with reaching laws and boundary layers.
 
 For an output error e of relative degree r the surface and the law are
 
 .. math:: s = \Big(\frac{d}{dt} + \lambda\Big)^{r-1} e = e^{(r-1)} + \dots + c_1 \dot e + c_0 e, \qquad
    u = E^{-1}\big( -a - c_{r-2} e^{(r-1)} - \dots - c_0 \dot e - \hat\Gamma - \rho(s) \big),
 
-so that :math:`\dot s = -\rho(s) + d` with the unmodelled d. On s = 0 the error follows the poles of the surface as long
-as d stays below the gain of the reaching law. If s leaves its layer or moves away, an alarm is raised.
-Super-twisting has no such alarm.
+so that :math:`\dot s = -\rho(s) + d` with the disturbance d. On s = 0 the error has the poles of the surface as long as
+d is smaller than the gain of the reaching law. If s leaves its layer or grows, the law raises an alarm. Laws with
+super-twisting have no such alarm.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _sliding_mode_command(
     switching: Switching,
     observer: SuperTwistingObserver | None,
 ) -> tuple[list[Memory], Any]:
-    """Return the memory and the command of the law."""
+    """Return the memory entries and the command of the law."""
     n, dt = errors.size, switching.dt
     wanted, twist = switching.required_input(s, drift)
     memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.alarm_memory(s)]
@@ -78,7 +78,7 @@ def _sliding_mode_command(
 def _require_sampled_decay(
     labels: Sequence[str], coefficients: Sequence[Array], switching: Switching
 ) -> None:
-    """Raise `DesignError` for steps over which large sampled errors grow."""
+    """Raise `DesignError` if large sampled errors grow at this control step."""
     if switching.dt is None:
         return
     k = switching.reaching.k if isinstance(switching.reaching, ExponentialRate) else 0.0
@@ -104,7 +104,7 @@ def _sum_weighted_derivatives(c: Array, chain: Any, order: int) -> Any:
 def _report_surface(
     errors: OutputErrors, coefficients: Sequence[Array], switching: Switching
 ) -> list[ReportEntry]:
-    """Return poles, the band of s and the steady error that it allows, and the sampling limit."""
+    """Return poles, the band of s and the resulting steady error, and the sampling limit."""
     pairs = list(zip(errors.labels, coefficients, strict=True))
     poles = [
         ReportEntry(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1
@@ -120,7 +120,7 @@ def _report_surface(
 
 @dataclass(frozen=True, eq=False)
 class Switching:
-    """Switching part: bounds of the disturbances of ds/dt, control step (s), limits (n_controls,)."""
+    """Switching part: disturbance bounds of ds/dt, control step (s), control limits (n_controls,)."""
 
     reaching: Law
     boundary: Boundary
@@ -130,11 +130,11 @@ class Switching:
 
     @property
     def bands(self) -> Array:
-        """The |s| within which disturbances at their bounds may hold each surface, continuous control."""
+        """Largest |s| that disturbances at their bounds can sustain, per surface, for continuous control."""
         return np.array([self.reaching.band(self.boundary, float(b)) for b in self.bounds])
 
     def required_input(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
-        """Return E u, so that ``ds/dt = drift + E u`` obeys the reaching law, and the memory that this takes; SX."""
+        """Return E u for which ``ds/dt = drift + E u`` satisfies the reaching law, and its memory entries; SX."""
         wanted = -drift - self.reaching.rate(s, self.boundary)
         if not isinstance(self.reaching, SuperTwisting):
             return wanted, []
@@ -145,7 +145,7 @@ class Switching:
         return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
 
     def alarm_memory(self, s: Any, *, stays: bool = True) -> list[Memory]:
-        """Return the memory of the alarm for disturbances above the gain; ``stays``: `gain_alarm_memory`."""
+        """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `gain_alarm_memory`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.width(1.0)
         if isinstance(self.reaching, SuperTwisting):
@@ -153,8 +153,8 @@ class Switching:
         return gain_alarm_memory(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
     def facts(self) -> list[ReportEntry]:
-        """Return the bands of s and the sampling limit."""
-        remark = "where a disturbance at its bound may hold s, continuous control"
+        """Return the report entries of the bands of s and the sampling limit."""
+        remark = "largest abs(s) that a disturbance at its bound sustains, continuous control"
         facts = [ReportEntry("band of s", self.bands, remark=remark)]
         slope = self.reaching.slope(self.boundary)
         if np.isfinite(slope):
@@ -163,8 +163,8 @@ class Switching:
         return facts
 
     def authority_margin_facts(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
-        """Return the fact about the authority that is left on the reference beyond a finite switching gain."""
-        if isinstance(self.reaching, SuperTwisting):  # its command has no bound
+        """Return the report entry of the control authority margin with a finite switching gain."""
+        if isinstance(self.reaching, SuperTwisting):  # unbounded command
             return authority_margin_fact(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
 
@@ -187,7 +187,7 @@ def read_switching(
     *,
     memory: bool = False,
 ) -> Switching:
-    """Return the switching part for the surfaces of a model, by name; ``memory``: the law has one, so dt is needed."""
+    """Return the switching part of the named surfaces of a model; a law with ``memory`` requires dt."""
     model, labels = names
     bounds = read_bounds(reaching, bound, labels)
     return Switching(
@@ -200,7 +200,7 @@ def read_switching(
 
 
 def _read_step_length(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
-    """Return dt; `DesignError` if missing or, in the layer, dt slope >= 2 (s+ = (1 - dt slope) s)."""
+    """Return dt; raise `DesignError` if it is missing or dt slope >= 2 in the layer (s+ = (1 - dt slope) s)."""
     if not isinstance(boundary, (Sign, SaturationLayer)):
         raise DesignError(f"the boundary is {boundary!r}: give Sign() or SaturationLayer(phi).")
     if dt is None:
@@ -218,21 +218,21 @@ def _read_step_length(reaching: Law, boundary: Boundary, dt: float | None, *, ne
 
 
 SWITCHING_GAIN_EXCEEDED = "switching_gain_exceeded"
-"""The alarm."""
+"""Name of the alarm."""
 
 LAYER_EXIT_MIN_STEPS = 10
-"""Control steps in a row outside the boundary layer after which that is no noise."""
+"""Consecutive control steps outside the boundary layer that raise the alarm; fewer may be noise."""
 
 
 def gain_alarm_memory(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
-    r"""Return the alarm's memory for a relay with full gain beyond ``edge`` > 0; unless ``stays``: s grows."""
+    """Return the memory of an alarm for abs(s) > ``edge`` > 0; without ``stays`` only steps with growing s count."""
     if edge <= 0:
         return []
     n = s.shape[0]
     away, flag = ca.SX.sym("away", n), ca.SX.sym(SWITCHING_GAIN_EXCEEDED)
     distance = ca.SX.sym("distance", n)
     begun, outside, size = away > -0.5, ca.fabs(s) > edge, ca.fabs(s)
-    # steps in a row outside; before sliding begins those on which s has grown, from -1 downward
+    # consecutive steps outside; before sliding starts, steps on which s has grown, counted from -1 downward
     growing = ca.if_else(size > distance, away - 1, -1)
     after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0 if stays else -1)
     raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > LAYER_EXIT_MIN_STEPS - 0.5)
@@ -244,7 +244,7 @@ def gain_alarm_memory(s: Any, first: Any, edge: float, *, stays: bool) -> list[M
 
 
 Slopes: TypeAlias = float | Sequence[Any] | Mapping[str, Any]
-"""lambda (1/s): one number, one per component, or a mapping from outputs to lambda or the r - 1 poles."""
+"""Slope lambda (1/s): a number, one per component, or a mapping from outputs to lambda or to the r - 1 poles."""
 
 
 @one_thread()
@@ -265,14 +265,14 @@ def design_sliding_mode(
     growth: float = GROWTH,
     name: str = "sliding mode",
 ) -> Controller:
-    """Return a sliding-mode controller that follows the outputs of a reference.
+    """Return a sliding-mode controller that tracks the outputs of a reference.
 
     Parameters
     ----------
     model : Model
         Affine in its controls.
     reference : Reference or array (n_states,)
-        Its control should keep it on the model's dynamics: it is the feedforward.
+        Its control is the feedforward and should satisfy the model's dynamics.
     outputs : name, names, expressions or mapping
         See `Outputs`; at most as many components as controls.
     slopes : float, sequence or mapping
@@ -280,18 +280,18 @@ def design_sliding_mode(
     reaching : ConstantRate, ExponentialRate or SuperTwisting
     boundary : Sign or SaturationLayer
     bound : float or array (n_outputs,)
-        Largest disturbance of the r-th derivatives of the outputs; for `SuperTwisting` its largest rate.
+        Largest disturbance of the r-th derivatives of the outputs; for `SuperTwisting` its largest rate of change.
     observer : SuperTwistingObserver, optional
-        Estimates the disturbance, which the law then cancels.
+        Estimates the disturbance, which the law then compensates.
     limits : (lower, upper), optional
-        Authority, each a number or (n_controls,): checked along the reference, and the observer takes the
-        limited command for the one in force. The law itself does not limit its command.
+        Limits of the controls, numbers or (n_controls,): checked along the reference, and applied to the command that
+        the observer uses. The law itself does not limit its command.
     dt : float, optional
-        Length of a control step, s; needed by laws with memory.
+        Length of a control step, s; required by laws with memory.
     guard : float
         Smallest determinant of the decoupling matrix, relative to its largest on the reference.
     growth : float
-        Fastest growth of the zero dynamics that is accepted, 1/s; raise it for slow drifts that a mission survives.
+        Largest accepted growth rate of the zero dynamics, 1/s; raise it for slow drifts that are acceptable.
     name : str
 
     Raises
@@ -302,7 +302,7 @@ def design_sliding_mode(
 
     Notes
     -----
-    ``reaching.reaching_time(s, bound)`` is the time to the surface with ideal switching.
+    ``reaching.reaching_time(s, bound)`` returns the reaching time with ideal switching.
 
     Examples
     --------
@@ -347,7 +347,7 @@ def design_sliding_mode(
 
 
 def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
-    """Return c_0, ..., c_{r-2}, 1 of each surface."""
+    """Return the coefficients c_0, ..., c_{r-2}, 1 of each surface."""
     found = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.degrees, strict=True)):
         given = _read_slope(errors, slopes, label, i) if r > 1 else []

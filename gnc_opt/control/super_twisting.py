@@ -1,9 +1,9 @@
-r"""Super-twisting: convergence in finite time, and an observer of unmodelled disturbances.
+r"""Super-twisting algorithm: finite-time convergence conditions, and a disturbance observer.
 
 .. math:: \dot s = -k_1 |s|^{1/2} \mathrm{sgn}\,s + z, \qquad \dot z = -k_2\,\mathrm{sgn}\,s + \dot d,
    \qquad |\dot d| \le L .
 
-s and z are zero after a finite time if k2 > L and k1 > sqrt(k2 + L)
+s and z reach zero in finite time if k2 > L and k1 > sqrt(k2 + L)
 (R. Seeber, M. Horn, Automatica 84, 2017, 241-243).
 """
 
@@ -34,19 +34,19 @@ def check_super_twisting_gains(k1: float, k2: float, bound: float, what: str) ->
 
 @dataclass(frozen=True)
 class SuperTwistingObserver:
-    r"""Estimate :math:`\hat\Gamma` of the unknown part of :math:`\dot s = \text{known} + \Gamma`.
+    r"""Estimator :math:`\hat\Gamma` of the unknown part of :math:`\dot s = \text{known} + \Gamma`.
 
     .. math:: \xi = \hat s - s, \quad \hat\Gamma = -k_1 |\xi|^{1/2} \mathrm{sgn}\,\xi + q, \quad
        \dot q = -k_2\,\mathrm{sgn}\,\xi, \quad \dot{\hat s} = \text{known} + \hat\Gamma,
 
-    by Euler steps. The sampled error that is left is of the order k1 sqrt(k2) dt + k2 dt.
+    integrated by Euler steps. The remaining sampling error is of the order k1 sqrt(k2) dt + k2 dt.
 
     Attributes
     ----------
     k1, k2 : float
-        The k7 and k8 of Jia & Meng, J. Astronautics 43(10), 2022, eqs 16-18.
+        Gains, k7 and k8 of Jia & Meng, J. Astronautics 43(10), 2022, eqs 16-18.
     bound : float
-        Largest rate of the unknown part, in units of s per second squared; 0: constant.
+        Largest rate of the unknown part, in units of s per second squared; 0 if it is constant.
 
     Examples
     --------
@@ -70,11 +70,11 @@ class SuperTwistingObserver:
         check_super_twisting_gains(self.k1, self.k2, self.bound, "what the observer estimates")
 
     def estimate(self, s: Any, s_hat: Any, q: Any) -> Any:
-        """Return the estimate of the unknown rate, SX."""
+        """Return the estimate of the unknown part of ds/dt, SX."""
         xi = s_hat - s
         return q - self.k1 * ca.sqrt(ca.fabs(xi)) * ca.sign(xi)
 
     def update(self, s: Any, s_hat: Any, q: Any, known: Any, dt: float) -> tuple[Any, Any]:
-        """Return s_hat and q of the next step; ``known`` is the known rate of s with the command in force."""
+        """Return s_hat and q of the next step; ``known`` is the known part of ds/dt with the applied command."""
         unknown = self.estimate(s, s_hat, q)
         return s_hat + dt * (known + unknown), q - dt * self.k2 * ca.sign(s_hat - s)

@@ -1,11 +1,11 @@
 r"""Time-varying linear-quadratic regulator along a reference.
 
-Backward along the reference, with :math:`v = u - u_{ff}` and the errors e of `ErrorDynamics`,
+Backward in time along the reference, with :math:`v = u - u_{ff}` and the errors e of `ErrorDynamics`,
 
 .. math:: -\dot P = A^T P + P A - K^T R K + Q, \qquad K = R^{-1} (B^T P + N^T), \qquad P(t_f) = S,
 
-and :math:`u = u_{ff} - K(t)\, e`: the least :math:`e^T S e + \int e^T Q e + v^T R v + 2 e^T N v \, dt` to first order.
-With dt, plant and cost are sampled along the reference and the recursion is the discrete one.
+and :math:`u = u_{ff} - K(t)\, e` minimises :math:`e^T S e + \int e^T Q e + v^T R v + 2 e^T N v \, dt` to first order.
+With dt, plant and cost are sampled along the reference, and the discrete recursion is used.
 
 Source: B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), section 2.3.
 """
@@ -38,7 +38,7 @@ from gnc_opt.runtime_environment import one_thread
 
 @dataclass(frozen=True, eq=False)
 class GainSchedule:
-    """Rows x_ref, mean control u_ff, K row by row, for given times (n,) and step (s)."""
+    """Schedule with x_ref, mean control u_ff and K (row by row), for times (n,) and a step (s)."""
 
     gains: Gains
     reference: ReferenceSchedule = field(repr=False)
@@ -71,22 +71,24 @@ def design_tvlqr(
     Q, R, N
         As in `design_lqr`.
     terminal : weight, optional
-        S of the errors at the end. By default the steady cost to go of the tail.
+        Weight S of the final errors; default: the steady cost to go after ``final_time``.
     dt : float, optional
-        Control step, s: gains for commands held that long. Without it, the continuous gains.
+        Control step, s, of a zero-order hold. Default: the continuous gains.
     limits : (lower, upper), optional
-        Of the controls, for the statement of the reserve. Commands are not clipped.
+        Limits of the controls, for the reported control authority margin. Commands are not clipped.
     name : str
 
     Returns
     -------
     Controller
-        Without memory; signals ``<state>_ref``, ``<control>_ff``, ``K``; K and P: ``controller.schedule.gains``.
+        Without memory; signals ``<state>_ref``, ``<control>_ff``, ``K``. ``controller.schedule.gains`` has K(t) and
+        P(t).
 
     Raises
     ------
     DesignError
-        Weights not (semi)definite; no ``terminal`` and the tail not stabilisable or not detectable.
+        Weights not (semi)definite; without ``terminal``, a plant at ``final_time`` not stabilisable or
+        detectable.
 
     Examples
     --------

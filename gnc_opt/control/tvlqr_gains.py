@@ -1,4 +1,4 @@
-"""Gains of the time-varying regulator: the Riccati equation (`gnc_opt.control.tvlqr`) backward along a reference."""
+"""Gains of the time-varying LQR: backward integration of the Riccati equation along a reference."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 
 @dataclass(frozen=True, eq=False)
 class ContinuousGains:
-    """Gains from the Riccati equation; ``tail`` is K after the end."""
+    """Gains of the Riccati differential equation; ``tail`` is K after ``final_time``."""
 
     reference: Reference
     deviation: ErrorDynamics
     r: Array
     n: Array
     pieces: tuple[tuple[float, float, Callable[[float], Array]], ...]
-    """From, to, and P as a dense function of time; first piece first."""
+    """Start, end and dense output of P for each piece, in order of time."""
     terminal: Array
     tail: Array
     steady: Steady | None
@@ -57,20 +57,20 @@ class ContinuousGains:
 
 @dataclass(frozen=True, eq=False)
 class SampledGains:
-    """Gains of the discrete recursion, at the steps of dt (s) from the reference's beginning."""
+    """Gains of the discrete Riccati recursion, at multiples of dt (s) from the start of the reference."""
 
     initial_time: float
     dt: float
     steps: tuple[SampledStep, ...]
-    """Plant and cost over each step; the steps after the end are all like the last."""
+    """Plant and cost of each step; the last one also applies after the end."""
     gains: tuple[Array, ...]
     costs: tuple[Array, ...]
-    """P at the beginning of each step and after the last."""
+    """P at the start of each step and after the last."""
     tail: Array
     steady: Steady | None
 
     def index(self, t: float) -> int:
-        """Return the number of the step that t lies in."""
+        """Return the index of the step that contains t."""
         return max(int(np.floor((t - self.initial_time) / self.dt + STEP_SLACK)), 0)
 
     def P(self, t: float) -> Array:
@@ -97,7 +97,7 @@ def compute_riccati_gains(
     terminal: Weight | None = None,
     dt: float | None = None,
 ) -> Gains:
-    """Return the gains along a reference, continuous or (with dt, s) sampled."""
+    """Return the gains along a reference, continuous or sampled with dt (s)."""
     end = None if terminal is None else _read_terminal_weight(terminal, deviation)
     if dt is not None:
         return _sampled_gains(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
@@ -127,7 +127,7 @@ def _design_tail_regulator(
     *,
     sampled: bool,
 ) -> Steady | None:
-    """The steady regulator after the end; with a terminal weight the design can do without one."""
+    """Return the steady regulator after the end; ``None`` if there is none but a terminal weight is given."""
     try:
         return solve_algebraic_riccati(*plant, *cost, deviation.errors.labels, sampled=sampled)
     except DesignError as error:
@@ -161,7 +161,7 @@ def _integrate_riccati(
         def riccati_rate(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
             a, b = _linearize_on_reference(
                 deviation, reference, min(max(t, low), high)
-            )  # this side of the jumps
+            )  # one-sided limit at jumps
             p = _unpack_upper_triangle(y, size)
             half = b.T @ p + n.T
             flow = a.T @ p
@@ -179,8 +179,8 @@ def _integrate_riccati(
         )
         if not found.success or not np.all(np.isfinite(found.y[:, -1])):
             raise DesignError(
-                f"the Riccati equation cannot be continued before {found.t[-1]:.6g} s ({found.message}): weigh errors "
-                "less or controls more."
+                f"the Riccati equation cannot be continued before {found.t[-1]:.6g} s ({found.message}): choose "
+                "smaller weights of errors or larger weights of controls."
             )
         pieces.append((float(left), float(right), found.sol))
         packed = found.y[:, -1]

@@ -1,4 +1,4 @@
-"""C statements of a CasADi function of scalar operations, one line for each, and the numbers of flight code."""
+"""C statements of a CasADi function of scalar operations, and C literals of numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 
 @dataclass(frozen=True)
 class CNumbers:
-    """A floating-point type: C name, suffix, NumPy type; tolerances ``solved``, ``dependent``."""
+    """Floating-point type in C: name, suffix, NumPy type; tolerances ``solved``, ``dependent``."""
 
     type: str
     suffix: str
@@ -30,11 +30,11 @@ class CNumbers:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size in bytes."""
         return int(np.dtype(self.dtype).itemsize)
 
     def __call__(self, value: float) -> str:
-        """Return a literal, shortest that is read as the same number."""
+        """Return the shortest C literal that is read as the same number."""
         if np.isnan(value):
             return "NAN"
         if np.isinf(value):
@@ -47,21 +47,21 @@ class CNumbers:
         return text + self.suffix
 
     def entry(self, value: float) -> str:
-        """Return a literal of a table, which has to be finite."""
+        """Return the C literal of a table entry; raise an error if it is not finite."""
         if not np.isfinite(value):
             raise ArgumentError(
-                f"the flight code would hold the number {value!r}: a schedule must be finite."
+                f"the flight code would contain the number {value!r}: a schedule must be finite."
             )
         return self(value)
 
     def expression(self, text: str) -> str:
-        """Return an expression with its literals and its calls of <math.h> in this type."""
+        """Return an expression with literals and <math.h> functions of this type."""
         if not self.suffix:
             return text
         return _CALL.sub(rf"\1{self.suffix}(", _LITERAL.sub(rf"\1{self.suffix}", text))
 
     def typed(self, text: str) -> str:
-        """Return C with the type in place of ``real_t``."""
+        """Return C code with ``real_t`` replaced by the type."""
         return re.sub(r"\breal_t\b", self.type, text)
 
     def nested(self, values: Array) -> str:
@@ -81,7 +81,7 @@ FLOAT = CNumbers("float", "f", np.float32, 1e-4, 1e-5)
 
 
 def wrap_initializer(entries: Iterable[str]) -> str:
-    """Return entries of an initializer over lines."""
+    """Return the entries of an initializer, wrapped over lines."""
     return textwrap.fill(", ".join(entries), 110, subsequent_indent="    ", break_on_hyphens=False)
 
 
@@ -129,7 +129,7 @@ _FORMS: dict[str, str] = {
     "SIGN": "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
     "LT": "{0} < {1} ? 1.0 : 0.0",
     "LE": "{0} <= {1} ? 1.0 : 0.0",
-    # not by == and !=, for which compilers can warn; NaN equals nothing and is not zero
+    # not == or !=, for which compilers may warn; NaN equals nothing and is not zero
     "EQ": "{0} >= {1} && {0} <= {1} ? 1.0 : 0.0",
     "NE": "{0} >= {1} && {0} <= {1} ? 0.0 : 1.0",
     "NOT": "{0} >= 0 && {0} <= 0 ? 1.0 : 0.0",
@@ -144,7 +144,7 @@ _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca
 def write_c_statements(
     function: Any, inputs: list[str], outputs: list[str], numbers: CNumbers = DOUBLE
 ) -> list[str]:
-    """Return the body of a C function that evaluates an SXFunction; first input scalar, others pointers."""
+    """Return the body of a C function that evaluates an SXFunction; the first input is scalar, others are pointers."""
     dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
     read = _input_expressions(function, inputs)
     body, used_inputs, written = [], set(), set()
@@ -184,7 +184,7 @@ def write_c_statements(
 
 
 def _input_expressions(function: Any, inputs: list[str]) -> list[list[str]]:
-    """The C expression of each nonzero of each input."""
+    """Return the C expression of each nonzero of each input."""
     names = []
     for k, name in enumerate(inputs):
         rows = function.sparsity_in(k).row()
@@ -193,7 +193,7 @@ def _input_expressions(function: Any, inputs: list[str]) -> list[list[str]]:
 
 
 def _write_function_call(function: Any, source: list[int], target: list[int], numbers: CNumbers) -> list[str]:
-    """The call of the only function that a law calls: copies in and out, for its arguments are arrays."""
+    """Return the C call of the QP solver: its arguments are copied to and from arrays."""
     (name,) = function.get_function()
     called = function.get_function(name)
     lines, arguments = ["{"], []

@@ -1,4 +1,4 @@
-"""Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
+"""Export of a controller as self-contained C99, with its schedule, a header and a test driver.
 
 Files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (law), ``<name>_main.c`` (test driver).
 The code allocates no memory. No loop depends on data, except the bounded iterations of `design_mpc`.
@@ -31,7 +31,7 @@ _NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
 
 @dataclass(frozen=True)
 class CCode:
-    """Files and properties of exported C code.
+    """Files and properties of the exported C code.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class CCode:
     name : str
         Prefix of every C identifier.
     rows : int
-        Of the schedule's table.
+        Number of rows of the schedule table.
     dt : float
         Control step, s.
     table_bytes : int
     command_error : array (n_commands,) or None
-        Largest difference of the compiled code's commands from the law's over the given samples.
+        Largest differences between the commands of the compiled code and of the law, over the given samples.
 
     Examples
     --------
@@ -74,34 +74,34 @@ def export_c(
     precision: Literal["float64", "float32"] = "float64",
     samples: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CCode:
-    """Return the files of a controller, written as C99 code.
+    """Write a controller as C99 code and return the files.
 
-    ``<name>_start(t, x, z)`` sets the memory from the first measurement, ``<name>_step(t, x, z, u)`` returns the
-    command and updates the memory. The row of the schedule is that of the control step that t (s) lies in.
+    ``<name>_start(t, x, z)`` sets the memory from the first measurement. ``<name>_step(t, x, z, u)`` computes the
+    command and updates the memory. Both use the schedule row of the control step that contains t (s).
 
     Parameters
     ----------
     controller : Controller
-        What a design function or `output_feedback` returned.
+        From a design function or `output_feedback`.
     directory : path
-        Made if it is not there.
+        Output directory; created if missing.
     dt : float, optional
-        Control step, s; by default the controller's own.
+        Control step, s; default: the controller's own.
     name : str, optional
-        Prefix of the C identifiers, by default the controller's name in small letters.
+        Prefix of the C identifiers; default: the controller's name in lower case.
     span : (initial_time, final_time), optional
-        Times between which the schedule changes, if the controller does not tell.
+        Times between which the schedule changes; required if the controller does not define them.
     precision : {"float64", "float32"}
-        Of all numbers but times, which stay double.
+        Type of all numbers except times, which are double.
     samples : (times (n,), measured (n_states, n)), optional
-        Consecutive control steps, ``(run.times[:-1], run.measured)``, on which the compiled code (``cc``) is
-        compared with the law.
+        Consecutive control steps, for example ``(run.times[:-1], run.measured)``, for which the compiled code (``cc``)
+        is compared with the law.
 
     Raises
     ------
     ArgumentError
-        The law contains operations without a C equivalent, the schedule changes after the span, dt or the
-        span is unknown, or the samples do not fit.
+        The law contains operations without a C equivalent, the schedule changes after the span, dt or the span is
+        unknown, or the samples have wrong shapes.
     GncOptError
         Samples are given and the C compiler is missing or fails.
 
@@ -142,7 +142,7 @@ def export_c(
 
 
 def _format_comparison(count: int, missed: Array) -> str:
-    """Return the header's text on the comparison with the law."""
+    """Return the header comment on the comparison with the law."""
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
@@ -157,12 +157,12 @@ def _read_prefix(name: str) -> str:
 
 
 def flight_controller(controller: Controller) -> FlightLaw:
-    """Return the controller as flight code has it: itself, unless it solves a problem at every step."""
+    """Return the controller for C export: the same, or its `FlightLaw` if it solves a problem at every step."""
     return FlightLaw(controller) if controller.flight is None else controller.flight
 
 
 def _expand_to_scalar_operations(function: Any, form: FlightLaw) -> Any:
-    """The function as scalar operations."""
+    """Return the function expanded to scalar operations."""
     what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
     remedy = "write it with functions of its own symbols, or take a law of a design function."
     try:
@@ -186,7 +186,7 @@ _FLAGS = ("-std=c99", "-O1", "-ffp-contract=off")
 def measure_command_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
-    """Return the largest difference (n_commands,) of the compiled code's commands from the law's."""
+    """Return the largest differences (n_commands,) between commands of the compiled code and of the law."""
     times, measured = _read_samples(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
@@ -222,10 +222,10 @@ def _read_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) 
 
 
 _MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN)
-"""Instructions without a result."""
+"""CasADi instructions without a result."""
 
 _NEEDS_NAN = (
-    "/* A lost sample is told by comparisons, which have to be those of IEC 60559. */",
+    "/* Comparisons detect lost samples and must follow IEC 60559. */",
     "#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__",
     '#error "lost samples would pass: compile without -ffinite-math-only, which -ffast-math implies"',
     "#endif",
@@ -235,7 +235,7 @@ _NEEDS_NAN = (
 
 @dataclass(frozen=True, eq=False)
 class FlightFiles:
-    """A law as text: start and step as scalar operations, prefix of identifiers, step (s), number type."""
+    """Law as text: start and step as scalar operations, identifier prefix, step (s), number type."""
 
     form: FlightLaw
     start: Any
@@ -253,14 +253,14 @@ class FlightFiles:
 
     @property
     def measure_stack(self) -> int:
-        """Bytes of the local arrays of the larger of both functions and of its caller."""
+        """Return the bytes of the local arrays of the larger function and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
         own = self.step.sz_w() + memory + (0 if solver is None else solver.stack)
         return int(self.numbers.size * (row + max(self.start.sz_w(), own)))
 
     def write_header(self, remark: str = "") -> str:
-        """Return the header; the remark is a line of comment at its top."""
+        """Return the C header; ``remark`` is a comment at its top."""
         upper, prefix, controller = self.prefix.upper(), self.prefix, self.form.controller
         bounded = "at most" if self.form.solver is not None else "the same at every step, whatever the data"
         sizes = {
@@ -285,7 +285,7 @@ class FlightFiles:
             f"#define {upper}_STACK {self.measure_stack} /* bytes of the arrays on the stack, at most */",
             f"#define {upper}_TABLE {self.table.size(self.numbers)} /* bytes of the schedule */",
             "",
-            "/* What the arrays hold, with units:",
+            "/* Contents of the arrays, with units:",
         ]
         parts = {
             "x (states, measured)": controller.states,
@@ -297,7 +297,7 @@ class FlightFiles:
             lines.append(f" * {title}: {layout.size}")
             lines += [f" *   {entry}" for entry in _write_layout_comments(layout)]
         if controller.alarms:
-            lines.append(f" * alarms (not 0: the law gave up): {', '.join(controller.alarms)}, entries of z")
+            lines.append(f" * alarms (not 0: guarantees lost): {', '.join(controller.alarms)}, entries of z")
         lines += [
             " */",
             "",
@@ -315,7 +315,7 @@ class FlightFiles:
         return self.numbers.typed("\n".join(lines))
 
     def write_source(self) -> str:
-        """Return the law and its tables."""
+        """Return the C source of the law and its tables."""
         upper, prefix = self.prefix.upper(), self.prefix
         lines = [
             f'#include "{prefix}.h"',
@@ -339,13 +339,13 @@ class FlightFiles:
         return self.numbers.typed("\n".join([*lines, self._fill_template("interface.c")]))
 
     def write_driver(self) -> str:
-        """Return a program that reads measurements and writes commands."""
+        """Return the C source of a program that reads measurements and writes commands."""
         return self.numbers.typed(self._fill_template("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
 
     def _fill_template(self, name: str) -> str:
-        """Return a C file of this folder with its ``@names@`` replaced."""
+        """Return a C file of this directory with its ``@names@`` replaced."""
         double, controller = self.numbers is DOUBLE, self.form.controller
         values = {
             "prefix": self.prefix,
@@ -379,5 +379,5 @@ def _write_layout_comments(layout: Layout) -> list[str]:
 
 
 def _escape_comment(text: str) -> str:
-    """Text that can stand in a comment of any compiler."""
+    """Return text that is valid in a C comment."""
     return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

@@ -1,4 +1,4 @@
-"""The schedule of flight code: a table with a row per control step."""
+"""Table of a controller's schedule in C, with one row per control step."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.tolerances import ROUNDING
 
 _MOST_NUMBERS = 50_000_000
-"""In a table at most: some gigabytes of source, which no compiler takes."""
+"""Largest number of table entries; larger sources exceed the capacity of compilers."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightTable:
-    """Rows (n_rows, n_signals) of a schedule at multiples of the control step from ``first`` (s); the last
-    one stays in force.
+    """Schedule rows (n_rows, n_signals) at multiples of the control step from ``first`` (s); the last row stays in
+    force.
     """
 
     first: float
@@ -29,11 +29,11 @@ class FlightTable:
     layout: Layout
 
     def size(self, numbers: CNumbers) -> int:
-        """Return its bytes."""
+        """Return the size in bytes."""
         return self.rows.size * numbers.size
 
     def text(self, numbers: CNumbers) -> list[str]:
-        """Return the C of the tables and of ``static void look_up(long row, real_t *r)``."""
+        """Return the C code of the tables and of ``static void look_up(long row, real_t *r)``."""
         if self.layout.size == 0:
             return [
                 "static void look_up(long row, real_t *r)",
@@ -57,13 +57,13 @@ class FlightTable:
 
 
 def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, float] | None) -> FlightTable:
-    """Return the schedule of a controller as a table."""
+    """Return the schedule of a controller as a table of its control steps."""
     if controller.signals.size == 0:
         return FlightTable(0.0, np.zeros((1, 0)), controller.signals)
     found = controller.span if span is None else span
     if found is None:
         raise ArgumentError(
-            f"the schedule of '{controller.name}' does not tell when it ends: give export_c(..., span=(t_0, t_f))."
+            f"the schedule of '{controller.name}' has no known end: give export_c(..., span=(t_0, t_f))."
         )
     ends = read_numbers(found, "the span of a schedule").reshape(-1)
     if ends.size != 2 or not (np.isfinite(ends).all() and ends[0] <= ends[1]):
@@ -71,7 +71,7 @@ def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, floa
             f"the span of a schedule is {shown(found)}: give finite times (t_0, t_f), t_0 <= t_f."
         )
     first, last = (float(t) for t in ends)
-    # rounding: a row at the end itself is of the tail; a little before it is not
+    # tolerance of rounding: a row at the end itself belongs to the tail
     count = int(np.ceil((last - first) / dt - 1e-9)) + 1
     if count * controller.signals.size > _MOST_NUMBERS:
         raise ArgumentError(

@@ -29,7 +29,7 @@ def controller(dt=0.5, **changes):
      {"signals": Layout("signal", ())}, {"memory": Layout("memory", (Variable("z", 2),))}],
 )  # fmt: skip
 def test_a_law_has_the_sizes_of_its_layouts(changes):
-    with pytest.raises(ArgumentError, match="its layouts ask for"):
+    with pytest.raises(ArgumentError, match="its layouts require"):
         controller(**changes)
 
 

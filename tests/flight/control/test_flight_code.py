@@ -144,7 +144,7 @@ def test_refusals(tmp_path):
     )
     with pytest.raises(ArgumentError, match="'every operation' is not made of elementary operations"):
         export_c(solving, tmp_path, dt=0.1)
-    with pytest.raises(ArgumentError, match="fits any control step: give dt"):
+    with pytest.raises(ArgumentError, match="has no own control step: give dt"):
         export_c(follower(), tmp_path)
     with pytest.raises(ArgumentError, match="still changes by"):
         export_c(follower(), tmp_path, dt=0.1, span=(0.5, 2.0))
@@ -270,7 +270,7 @@ def test_the_rows_of_a_schedule_in_c():
     assert table(scheduled(lambda t, dt: 0 * t[None, :], span=None), 0.1, (2.0, 2.0)).rows.shape == (1, 1)
     for wrong, span, message in (
         (scheduled(lambda t, dt: t[None, :]), None, "still changes by"),
-        (scheduled(lambda t, dt: 0 * t[None, :], span=None), None, "does not tell"),
+        (scheduled(lambda t, dt: 0 * t[None, :], span=None), None, "has no known end"),
         (scheduled(lambda t, dt: 0 * t[None, :]), (1.0, 0.0), "t_0 <= t_f"),
         (scheduled(lambda t, dt: 0 * t[None, :]), (0.0, INF), "finite"),
     ):

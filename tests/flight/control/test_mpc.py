@@ -132,12 +132,12 @@ def test_refusals():
         tracker(limits=(1, 1))
     with pytest.raises(DesignError, match="rate limit of control 'a' is 0"):
         tracker(rate_limits=0.0)
-    with pytest.raises(DesignError, match="state 'v' leave no room"):
+    with pytest.raises(DesignError, match="state 'v' are empty"):
         tracker(state_limits={"v": (1, -1)})
     for wrong, message in (
         ({"horizon": 1e4 * DT * 3}, "30000 steps of"),
         ({"limits": None}, "has no limits of the controls"),
-        ({"limits": (-np.inf, 0.3)}, "are .*inf.*: give finite ones"),  # left out altogether
+        ({"limits": (-np.inf, 0.3)}, "are .*inf.*: give finite limits"),  # left out altogether
         ({"state_limits": {"v": 3}}, r"limits of state 'v' are 3: give \(lower, upper\)"),
         ({"state_limits": [1]}, "state_limits of design_mpc.. is a list"),
         ({"hard": "v", "state_limits": {"v": (-1, 1)}}, "hard of design_mpc.. is 'v': give a list"),

@@ -45,7 +45,10 @@ def test_what_moves_as_its_model_says_is_not_reported(rate):
 @pytest.mark.parametrize("push", [0.0, 0.9, 0.995])
 def test_a_wrong_force_is_reported_with_its_residual(push, unit):
     """(1 - push) (g - sin t) in the unit of the model, and a share that has none."""
-    with pytest.warns(ProblemWarning, match="does not obey 'lift': 'w' moves by .* give the u that") as told:
+    with pytest.warns(
+        ProblemWarning,
+        match="does not satisfy the dynamics of 'lift': 'w' moves by .* give consistent functions",
+    ) as told:
         wave(1.0, unit, push)
     by, at, share = (
         float(re.search(p, str(told[0].message))[1])

@@ -52,7 +52,7 @@ def test_a_solution_that_leaves_an_unstable_pole_is_refused(sampled, monkeypatch
         other = float(np.min(np.roots([1.0, 1.0 - 2.0 - 1.44, -2.0])))
     name = "solve_discrete_are" if sampled else "solve_continuous_are"
     monkeypatch.setattr(riccati.scipy.linalg, name, lambda *_, **__: np.array([[other]]))
-    with pytest.raises(DesignError, match="leaves a pole at"):
+    with pytest.raises(DesignError, match="unstable closed-loop pole at"):
         solve_algebraic_riccati(*(np.array([[v]]) for v in (a, b, 2.0, 1.0, 0.0)), ("x",), sampled=sampled)
 
 

@@ -247,7 +247,7 @@ def test_what_does_not_fit_is_refused(right):
     both = output_feedback(law, right)
     with pytest.raises(go.ArgumentError, match="fed by an estimator already"):
         output_feedback(both, right)
-    with pytest.raises(go.ArgumentError, match="bridge the controller inside"):
+    with pytest.raises(go.ArgumentError, match="apply it to the controller inside"):
         with_dropout_handling(both)
     with pytest.raises(go.ArgumentError, match=r"for control steps of 0\.1 s, not 0\.2 s"):
         output_feedback(law, filter_(model, dt=0.2))
