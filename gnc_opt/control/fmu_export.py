@@ -68,7 +68,7 @@ def export_fmu(
     span: tuple[float, float] | None = None,
     binary: bool | None = None,
 ) -> Fmu:
-    """Write a controller as a functional mock-up unit (FMI 2.0 for co-simulation) and return its description.
+    """Return the functional mock-up unit (FMI 2.0 for co-simulation) of a controller, written to a file.
 
     Inputs are the measured states, outputs the commands; both are Real with the names and units of the model. Alarms
     are Boolean outputs. ``fmi2DoStep(t, h)`` runs the control steps (start time plus multiples of dt) in [t, t + h).

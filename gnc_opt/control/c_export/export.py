@@ -74,7 +74,7 @@ def export_c(
     precision: Literal["float64", "float32"] = "float64",
     samples: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CCode:
-    """Write a controller as C99 code and return the files.
+    """Return the files of a controller, exported as C99 code.
 
     ``<name>_start(t, x, z)`` sets the memory from the first measurement. ``<name>_step(t, x, z, u)`` computes the
     command and updates the memory. Both use the schedule row of the control step that contains t (s).
