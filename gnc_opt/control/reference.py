@@ -55,7 +55,7 @@ def _describe_residual(model: Model, times: Array, left: Array, x: Array, u: Arr
         return ""
     per_second = f"{model.states.units[i]} per second".strip()
     return (
-        f"'{model.states.labels[i]}' moves by {left[i, k]:.3g} {per_second} off the model's rate at t = "
+        f"the rate of '{model.states.labels[i]}' differs by {left[i, k]:.3g} {per_second} from the model's at t = "
         f"{times[k]:.4g} s, {100 * share[i, k]:.3g} % of the terms of its rate"
     )
 

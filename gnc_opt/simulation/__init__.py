@@ -1,4 +1,4 @@
-"""The closed loop of plant, controller, actuators, sensors, disturbances and events: runs and campaigns."""
+"""Closed-loop simulation: plant, controller, actuators, sensors, disturbances and events; Monte Carlo campaigns."""
 
 from typing import Any
 
@@ -95,6 +95,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Report the present name of a former one."""
+    """Raise an error that names the replacement of a renamed name."""
     check_renamed(__name__, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""The reference that one run follows, as re-planning in flight changes it."""
+"""Reference of a single run, with in-flight re-planning."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from gnc_opt.tolerances import STEP_SLACK
 
 @dataclass(frozen=True)
 class Replan:
-    """A re-planning in flight.
+    """Record of an in-flight re-planning.
 
     Attributes
     ----------
     time : float
-        When it was begun, s.
+        Start of the re-planning, s.
     effective : float
-        When the new plan begins, s.
+        Time from which the new plan is followed, s.
     solve_s : float
-        s.
+        Computation time, s.
     failure : str
-        Why there is no new plan; "" if there is one.
+        Cause of a failure; "" if a new plan was found.
     final_time : float
-        End of the new plan, s; NaN without one.
+        End of the new plan, s; NaN after a failure.
     objective : float
     way : str
         See `gnc_opt.planning.solver.SolveMethod`.
@@ -59,13 +59,13 @@ class Replan:
 
     @property
     def failed(self) -> bool:
-        """Whether the old plan was kept."""
+        """Whether the re-planning failed and the old plan was kept."""
         return bool(self.failure)
 
 
 @runtime_checkable
 class PlanUpdater(Protocol):
-    """Re-planning ``every`` so many s, with a ``latency``, not after ``last`` s before the end."""
+    """Re-planning with period ``every`` (s) and ``latency`` (s), until ``last`` s before the end of the plan."""
 
     every: float
     latency: float
@@ -73,33 +73,33 @@ class PlanUpdater(Protocol):
 
     @property
     def plan(self) -> Trajectory:
-        """The plan before the run."""
+        """Plan before the run."""
 
     @property
     def model(self) -> Model:
-        """Of the plan."""
+        """Model of the plan."""
 
     @property
     def description(self) -> str:
-        """Everything that decides the plans, for the fingerprint of a compiled loop."""
+        """Text that determines the plans, part of the fingerprint of a compiled loop."""
 
     def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
-        """Raise `ArgumentError` if a controller does not follow the plan."""
+        """Raise `ArgumentError` if the controller does not follow the plan."""
 
     def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
-        """Return the state (n_states,) that the controls of a plan reach from x at t until a time (s)."""
+        """Return the state (n_states,) predicted at time ``until`` (s) from x at t with the controls of a plan."""
 
     def solved(self, begin: float, x: Array, near: Any) -> Any:
-        """Return the plan from a time (s) and a state (n_states,) on, near a known one."""
+        """Return the plan from a time (s) and a state (n_states,), warm-started from a known plan."""
 
     def rows(self, plan: Any, times: Array, dt: float, size: int) -> Array:
-        """Return the schedule (size, n_times) of a plan at times (s)."""
+        """Return the schedule (size, n_times) of a plan at the given times (s)."""
 
 
 class ActiveReference:
-    """The rows ``schedule`` (n_signals, n_steps + 1) of one run; re-planning changes a copy.
+    """Rows ``schedule`` (n_signals, n_steps + 1) of one run; re-planning changes a copy.
 
-    ``places`` are the rows (n_followed,) of the reference, or None.
+    ``places`` are the indices (n_followed,) of the reference rows, or None.
     """
 
     def __init__(
@@ -119,13 +119,13 @@ class ActiveReference:
             self._plan, self._path = replanner.plan, Reference(replanner.plan, tail="hold")
 
     def reference_at(self, times: Array) -> Array | None:
-        """Return what is followed (n_followed, n_times) at these times (s), linear between control steps."""
+        """Return the reference (n_followed, n_times) at times (s), linear between control steps."""
         if self.places is None:
             return None
         return np.stack([np.interp(times, self.times, row) for row in self.schedule[self.places]])
 
     def replan_if_due(self, step: int, x: Array) -> None:
-        """Re-plan at a control step, from the estimated states (n_followed,), if a new plan is due."""
+        """Start a re-planning at a control step if one is due, from the estimated states (n_followed,)."""
         planner = self.replanner
         assert planner is not None
         t, late = float(self.times[step]), math.ceil(planner.latency / self.dt - STEP_SLACK)
@@ -134,13 +134,13 @@ class ActiveReference:
         if self.times[step + late] >= self._path.final_time - planner.last:
             return
         if self.replans and t < self.replans[-1].effective - self.dt / 2:
-            return  # the one before is not ready yet
+            return  # the previous plan is not in force yet
         names = planner.model.states.names
         start = np.concatenate([x[self.followed.slice(n)] for n in names])
         self.replans.append(self._replan(planner, step, step + late, start))
 
     def _replan(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
-        """Plan for the steps from ``first`` on; what cannot be solved leaves the old plan."""
+        """Re-plan the steps from ``first`` on; the old plan is kept if the solve fails."""
         t, begin = float(self.times[step]), float(self.times[first])
         begun = time.perf_counter()
         try:
@@ -150,7 +150,7 @@ class ActiveReference:
             plan = planner.solved(begin, state, self._plan)
             rows = planner.rows(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
-        except Exception as error:  # in flight any failure of a solver or design keeps the old plan
+        except Exception as error:  # any failure of a solver or design keeps the old plan
             return Replan(t, begin, time.perf_counter() - begun, format_error(error))
         self.schedule[:, first:] = rows
         self._plan, self._path = plan, path

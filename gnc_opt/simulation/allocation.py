@@ -1,9 +1,9 @@
-r"""Allocation: which of many actuators does how much; arrays of reaction wheels.
+r"""Control allocation over redundant actuators, and arrays of reaction wheels.
 
-With the effects of the actuators in the columns of B, a command w requires outputs u with :math:`B u = w`.
-The pseudo-inverse gives the shortest u; "min-max" the smallest peak :math:`\max_i |u_i + \lambda n_i|`, B n =
-0, at a :math:`\lambda` that makes two components equal in size; "non-negative" the sum of the outputs
-:math:`u \ge 0` of least sum for each component and sign, found by linear programming.
+With the effects of the actuators in the columns of B, a command w requires outputs u with :math:`B u = w`. The
+pseudo-inverse gives the u of least norm. "min-max" minimises the peak :math:`\max_i |u_i + \lambda n_i|`, B n = 0; at
+the optimum two components have equal magnitude. "non-negative" minimises the sum of the outputs :math:`u \ge 0` for
+each component and sign by linear programming.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
     Raises
     ------
     DesignError
-        The actuators left cannot produce every command; the message gives the direction and the singular value.
+        The remaining actuators cannot produce every command; the message gives the direction and the singular value.
     """
     effects = effect_matrix(matrix, failed, what)
     left, sizes, _ = np.linalg.svd(effects)
@@ -54,7 +54,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
         lost = f" after the loss of {', '.join(map(str, failed))}" if len(failed) else ""
         raise DesignError(
             f"{what}: {effects.shape[1] - len(failed)} actuators{lost} span {rank} of {effects.shape[0]} directions, "
-            f"none acts along {np.round(left[:, -1], 4)} (singular value {least:.1e}): add actuators or command less."
+            f"no output along {np.round(left[:, -1], 4)} (singular value {least:.1e}): add actuators or command less."
         )
     inverse = np.asarray(np.linalg.pinv(effects))
     inverse[list(failed)] = 0.0
@@ -62,12 +62,12 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
 
 
 def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation") -> Array | None:
-    """Return the outputs (n,) without effect, largest entry 1, or ``None`` if there are none.
+    """Return the outputs (n,) without effect, scaled to a largest entry of 1, or ``None`` if there are none.
 
     Raises
     ------
     DesignError
-        There is more than one direction of such outputs.
+        The null space has more than one dimension.
     """
     effects = effect_matrix(matrix, failed, what)
     alive = [i for i in range(effects.shape[1]) if i not in failed]
@@ -76,7 +76,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
         return None
     if basis.shape[1] > 1:
         raise DesignError(
-            f"{what} has {basis.shape[1]} null directions where min-max allocation handles one: use the pseudo-inverse."
+            f"{what} has {basis.shape[1]} null directions, but min-max allocation supports one: use the pseudo-inverse."
         )
     n = np.zeros(effects.shape[1])
     n[alive] = basis[:, 0] / basis[np.argmax(np.abs(basis[:, 0])), 0]
@@ -86,7 +86,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
 def minimise_output_cost(
     matrix: ArrayLike, sign: float, failed: Sequence[int] = (), what: str = "the allocation"
 ) -> Array:
-    """Return the outputs >= 0 (n, k) of least sum for a unit command of this sign along each component.
+    """Return the outputs >= 0 (n, k) of least sum for a unit command of the given sign along each component.
 
     Raises
     ------
@@ -99,8 +99,8 @@ def minimise_output_cost(
         found = scipy.optimize.linprog(np.ones(effects.shape[1]), A_eq=effects, b_eq=unit, bounds=(0, None))
         if not found.success:
             raise DesignError(
-                f"{what} cannot produce component {i} of its command with sign {'+' if sign > 0 else '-'} by pushing "
-                "alone: add thrusters, turn them, or command less."
+                f"{what} cannot produce component {i} of its command with sign {'+' if sign > 0 else '-'} with outputs "
+                ">= 0: add or turn thrusters, or reduce the command."
             )
         columns.append(found.x)
     return np.stack(columns, axis=1)
@@ -122,26 +122,26 @@ def compute_min_max_shift(u: Any, n: Array) -> Any:
 
 @dataclass(frozen=True)
 class Allocation(Block):
-    """Distributes a command over actuators.
+    """Control allocation of a command to redundant actuators.
 
     Parameters
     ----------
     matrix : array (k, n)
-        Effects of n actuators on the k components of the command.
+        Effects of n actuators on k components of the command.
     to : str
-        Name of the outputs, for the blocks that follow.
+        Name of the outputs, for the following blocks.
     method : {"pseudo-inverse", "min-max", "non-negative"}
-        Least length, smallest peak, or outputs >= 0, for thrusters that only push: their sum is least for
-        commands along one component.
+        Least norm, smallest peak, or outputs >= 0 (one-directional thrusters) of least sum for commands along one
+        component.
     failed : sequence of int
-        Actuators known to be lost; they are not used.
+        Failed actuators; they are not used.
     unit : str
-        Of the outputs.
+        Unit of the outputs.
 
     Raises
     ------
     DesignError
-        The actuators that are left cannot produce every command.
+        The remaining actuators cannot produce every command.
 
     Examples
     --------
@@ -190,13 +190,13 @@ class Allocation(Block):
 
 @dataclass(frozen=True)
 class Mixer(Block):
-    """What actuators do to the plant together: ``matrix @ outputs``, cut into controls.
+    """Combined effect of actuators on the plant: ``matrix @ outputs``, split into controls.
 
     Parameters
     ----------
     matrix : array (k, n)
     to : str or mapping of str to int
-        Name of the control, or names and sizes of several, in the order of the rows.
+        Name of the control, or names and sizes of several controls, in the order of the rows.
     unit : str
 
     Examples
@@ -236,21 +236,21 @@ class Mixer(Block):
 
 
 def thruster_effects(positions: ArrayLike, directions: ArrayLike) -> Array:
-    """Return force (3 rows) and torque (3 rows) of thrusters at unit thrust, (6, n), for `Allocation` and `Mixer`.
+    """Return forces (3 rows) and torques (3 rows) of thrusters at unit thrust, (6, n), for `Allocation` and `Mixer`.
 
     Parameters
     ----------
     positions, directions : array (3, n)
-        Where they push (m, relative to the centre of mass) and in which direction they push the body (normalised).
+        Positions (m, relative to the centre of mass) and directions of the force on the body (normalised).
 
     Raises
     ------
     DesignError
-        Shapes that do not fit, or a direction of zero length.
+        Inconsistent shapes, or a direction of zero length.
 
     Examples
     --------
-    Four thrusters in a plane that push a body along x and turn it about z:
+    Four thrusters in a plane, with force along x and torque about z:
 
     >>> positions = [[0, 0, 0, 0], [1, -1, 1, -1], [0, 0, 0, 0]]
     >>> print(thruster_effects(positions, [[1, 1, -1, -1], [0, 0, 0, 0], [0, 0, 0, 0]])[[0, 5]])
@@ -263,7 +263,7 @@ def thruster_effects(positions: ArrayLike, directions: ArrayLike) -> Array:
             f"thrusters have positions {r.shape} and directions {d.shape}: give (3, n) for both."
         )
     if not np.all(np.linalg.norm(d, axis=0) > 0):
-        raise DesignError("a thruster has a direction of zero length: give where it pushes.")
+        raise DesignError("a thruster has a direction of zero length: give the direction of its force.")
     d = d / np.linalg.norm(d, axis=0)
     return np.vstack([d, np.cross(r.T, d.T).T])
 
@@ -272,8 +272,8 @@ def thruster_effects(positions: ArrayLike, directions: ArrayLike) -> Array:
 class WheelArray(Block):
     r"""Reaction wheels: allocation, torque limits and momentum (speed) limits.
 
-    A commanded body torque (3, N m) becomes motor torques T, :math:`A T = T_{body}`; the wheels' momenta change by
-    :math:`\dot h = -T`. A torque that would take a wheel beyond its momentum within a minor step is cut.
+    A commanded body torque (3, N m) gives motor torques T with :math:`A T = T_{body}`; the wheel momenta obey
+    :math:`\dot h = -T`. A torque that would exceed the momentum limit within a minor step is reduced.
 
     Parameters
     ----------
@@ -282,23 +282,22 @@ class WheelArray(Block):
     max_torque : float or one per wheel
         N m.
     max_momentum : float or one per wheel
-        Inertia of the wheel times its largest rate, N m s.
+        Wheel inertia times largest wheel speed, N m s.
     balance : {"none", "torque", "momentum"}
-        Least length of T, smallest peak of the torques, or smallest peak of the momenta.
+        Least norm of T, smallest peak torque, or smallest peak momentum.
     momenta : str, optional
-        State of the plant with the wheels' momenta (n); default: the block keeps them.
+        State of the plant that contains the wheel momenta (n); default: the block integrates them.
     to : str, optional
-        Control of the plant that takes the motor torques (n); default: the body torque under the command's
-        name.
+        Control of the plant that takes the motor torques (n); default: the body torque, named as the command.
     failed : sequence of int
-        Wheels known to be lost.
+        Failed wheels.
     initial : float or one per wheel
-        Momenta at the start if the block keeps them, N m s.
+        Initial momenta, N m s, if the block integrates them.
 
     Raises
     ------
     DesignError
-        The wheels left do not span all axes.
+        The remaining wheels do not span all axes.
 
     Examples
     --------
@@ -374,7 +373,7 @@ class WheelArray(Block):
             wanted = wanted + _clip_null_space_shift(shift, wanted, n, p["max_torque"]) * n
         torque = clip(wanted, -p["max_torque"], p["max_torque"])
         torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)
-        # a wheel beyond its momentum limit may come back no faster than its motor allows
+        # beyond its momentum limit a wheel is decelerated within its torque limit
         torque = clip(torque, -p["max_torque"], p["max_torque"])
         saturated = differs_after_clipping(torque, wanted)
         torque = torque * p["health"]
@@ -396,7 +395,7 @@ class WheelArray(Block):
 
 
 def _clip_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
-    """Return the shift along n, cut so that no torque within its limit leaves it."""
+    """Return the shift along n, reduced so that all torques stay within their limits."""
     for i in range(n.size):
         if n[i] == 0:
             continue
@@ -408,7 +407,7 @@ def _clip_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any
 
 
 def effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
-    """Return the effects (k, n) as numbers, those of failed actuators zero."""
+    """Return the effects (k, n) as an array, with zero columns for failed actuators."""
     effects = read_numbers(matrix, f"the matrix of {what}", DesignError)
     if effects.ndim != 2 or not np.all(np.isfinite(effects)):
         raise DesignError(f"the matrix of {what} has the shape {effects.shape}: give finite numbers (k, n).")
@@ -420,6 +419,6 @@ def effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
 
 
 def check_rows(matrix: ArrayLike, size: int, name: str) -> None:
-    """Refuse a command whose size is not that of the effects."""
+    """Raise an error if the size of the command differs from the rows of the matrix."""
     if np.shape(matrix)[0] != size:
         raise DesignError(f"'{name}' allocates {np.shape(matrix)[0]} components, but gets {size}.")

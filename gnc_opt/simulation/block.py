@@ -1,4 +1,4 @@
-"""Block: one effect in the loop, between sensor and controller or between controller and plant."""
+"""Block: model of an effect between sensor and controller or between controller and plant."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from gnc_opt.model.variables import as_vector
 from gnc_opt.simulation.intersample_input import Wave
 
 Parameters: TypeAlias = Mapping[str, Any]
-"""The SX columns of a block's parameters by name."""
+"""Parameters of a block by name, SX columns."""
 
 Defaults: TypeAlias = dict[str, tuple[Array, str]]
-"""Values and units of a block's parameters by name."""
+"""Default values and units of a block's parameters by name."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """Time and state of the plant that a block can use.
+    """Time, step lengths and plant state, as inputs of a block.
 
     Attributes
     ----------
     t : SX
     t, h, dt : SX, float, float
-        Beginning, length of the minor step and of the control step, s; for sensors both lengths are the
-        control step.
+        Start, length of the minor step and of the control step, s; for sensors both lengths are the control step.
         State of the plant by name, SX columns.
     """
 
@@ -44,14 +43,14 @@ class Tick:
 
 @dataclass(frozen=True)
 class Step:
-    """Result of a block.
+    """Output of a block for one step.
 
     Attributes
     ----------
     signal : SX
-        Mean over the minor step; a sample for sensors.
+        Mean over the minor step; for sensors a sample.
     state : SX
-        Memory of the next step.
+        Memory for the next step.
     saturated : SX or None
         1 where a limit acts, else 0; one per component of the input, or ``None`` for blocks without limits.
     """
@@ -63,18 +62,18 @@ class Step:
 
 @dataclass(frozen=True)
 class Block:
-    """Base of actuators and sensors: a symbolic step with a memory, parameters and random numbers.
+    """Base class of actuators and sensors: a symbolic step with memory, parameters and random numbers.
 
     Attributes
     ----------
     name : str
-        Unique in a loop; its parameters are called ``"<name>.<parameter>"``.
+        Unique in a loop; prefix of the parameters, ``"<name>.<parameter>"``.
     on : str or tuple of str, optional
-        The commands (sensors: states) it acts on; default all.
+        Commands (sensors: states) that the block acts on; default: all.
 
     Examples
     --------
-    One's own device, a valve that only opens one way:
+    A user-defined actuator, a valve that opens in one direction only:
 
     >>> import casadi as ca
     >>> from dataclasses import dataclass
@@ -99,46 +98,46 @@ class Block:
 
     @property
     def memoryless(self) -> bool:
-        """Whether it acts at every time alike; if not, it works once per minor step."""
+        """Whether the output depends on the present input only; other blocks act once per minor step."""
         return False
 
     @property
     def starts_at_trim(self) -> bool:
-        """Whether it begins with the feedforward."""
+        """Whether the initial output is the feedforward."""
         return False
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        """Return the values and units of the parameters, for a signal of ``size`` components in ``unit``."""
+        """Return values and units of the parameters, for a signal of ``size`` components in ``unit``."""
         return {}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        """Return the least and the largest permitted value of parameters by name."""
+        """Return the smallest and largest permitted values of parameters by name."""
         return {}
 
     def noise(self, size: int) -> int:
-        """Return how many standard normal numbers a step needs."""
+        """Return the number of standard normal random numbers per step."""
         return 0
 
     def outputs(
         self, sizes: Mapping[str, int], units: Mapping[str, str]
     ) -> dict[str, tuple[int, str]] | None:
-        """Return sizes and units of the signals that replace those of `on`; ``None``: the same."""
+        """Return sizes and units of the signals that replace those of `on`; ``None`` if they are unchanged."""
         return None
 
     def check(self, size: int, h: float, dt: float) -> None:
-        """Raise `ArgumentError` if the block cannot act on ``size`` components with these steps (s)."""
+        """Raise `ArgumentError` if the block does not support ``size`` components or these step lengths (s)."""
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        """Return the memory at the beginning, SX.
+        """Return the initial memory, SX.
 
-        ``signal`` is the first sample (sensors), the feedforward (actuators that begin in trim), or zero.
+        ``signal`` is the first sample (sensors), the feedforward (actuators that start at trim), or zero.
         """
         return ca.SX(0, 1)
 
     def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
-        """Return what an actuator makes of a wave within a minor step, and its step.
+        """Return an actuator's output for an input wave within a minor step, and the result of its step.
 
-        Blocks that are `memoryless` act at every time; others take the mean and hold their output.
+        Blocks that are `memoryless` act at every time; others use the mean input and have a constant output.
         """
         step = self.step(tick, wave.mean, state, p, noise)
         if self.memoryless:
@@ -146,7 +145,7 @@ class Block:
         return Wave(step.signal), step
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        """Return what becomes of the signal during one step.
+        """Return the output signal and the next memory.
 
         Parameters
         ----------
@@ -160,7 +159,7 @@ class Block:
 
 
 def read_block_values(value: ArrayLike, size: int, what: str) -> Array:
-    """Return a block's values as ``size`` numbers; not-a-number is refused."""
+    """Return a block's values as an array (size,); raise an error for NaN."""
     vector = as_vector(value, size, what, ArgumentError)
     if np.any(np.isnan(vector)):
         raise ArgumentError(f"{what} is {vector}: give numbers.")
@@ -176,15 +175,15 @@ def read_block_scalar(value: ArrayLike, what: str) -> Array:
 
 
 def slice_rows(column: Any, begin: int, end: int) -> Any:
-    """Return rows of a symbolic column, as a column also if there are none."""
+    """Return rows of a symbolic column; an empty selection has shape (0, 1)."""
     return column[begin:end] if end > begin else type(column)(0, 1)
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
-    """Return the SX value between its limits; NaN stays NaN, which the minimum and maximum of C would replace."""
+    """Return the SX value clipped to its limits; NaN stays NaN, unlike with fmin and fmax of C."""
     return ca.if_else(value > upper, upper, ca.if_else(value < lower, lower, value))
 
 
 def differs_after_clipping(a: Any, b: Any) -> Any:
-    """Return 1 where a clipped SX value differs from the original, else 0."""
+    """Return 1 if a clipped SX value differs from the original, else 0."""
     return ca.if_else(a != b, 1.0, 0.0)

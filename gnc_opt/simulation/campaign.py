@@ -1,4 +1,4 @@
-"""Campaign: what became of many runs, and what that says of all possible ones."""
+"""Campaign: results of many runs, their statistics, and confidence intervals."""
 
 from __future__ import annotations
 
@@ -33,34 +33,34 @@ from gnc_opt.text_formatting import Printed, json_text
 
 @dataclass(frozen=True, eq=False)
 class Campaign(Strict, Printed):
-    """Many runs of a closed loop; arrays have one column for each of the m available runs.
+    """Results of many runs of a closed loop; arrays have one column for each of the m available runs.
 
     Attributes
     ----------
     seed : int
-        Run i has the random numbers of ``SeedSequence([seed, i])``.
+        Run i uses the random numbers of ``SeedSequence([seed, i])``.
     asked : int
-        Requested runs; more than m after Ctrl-C.
+        Number of requested runs; larger than m after Ctrl-C.
     indices : int array (m,)
-        Numbers of the runs.
+        Indices of the runs.
     parameters : array (n_parameters, m)
-        What was drawn, in the order of ``layouts["parameter"]``.
+        Drawn parameter values, in the order of ``layouts["parameter"]``.
     states : array (n_states, m)
-        Of the plant at the end.
+        Final states of the plant.
     errors : array (n_errors, m)
-        Of the states at the end, relative to the reference or target, by the plant's own difference.
+        Final errors relative to the reference or target, with the plant's difference function.
     target : array (n_states,)
-        Reference of the errors; NaN without one.
+        Final states that the errors are relative to; NaN without a reference.
     effort, energy, saturation_time, variation, integration_error, memory : arrays (..., m)
     event_counts, event_times, replans, sums, samples : arrays (..., m)
         As in `FinalValues`.
     sample_times : array (n_samples,)
-        Of ``samples``, s.
+        Times of ``samples``, s.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
     limits : mapping
-        Largest permitted value by `measure`.
+        Largest permitted values, by the name of the `measure`.
     measured : mapping
         Values (m,) of user-defined measures by name.
     interrupted : bool
@@ -68,9 +68,9 @@ class Campaign(Strict, Printed):
     layouts : mapping
         Names, sizes and units by kind: parameter, state, error, applied, command, memory, event.
     flight : CompiledLoop or None
-        Not stored in files.
+        Compiled loop; not stored in files.
     fingerprint : str
-        That of the flight.
+        Fingerprint of the compiled loop.
 
     Examples
     --------
@@ -122,34 +122,34 @@ class Campaign(Strict, Printed):
         return f"<{str(self).splitlines()[0]}>"
 
     def state(self, name: str) -> Array:
-        """Return a state at the end, (size, m)."""
+        """Return a final state, (size, m)."""
         return self.states[self.layouts["state"].slice(name)]
 
     def error(self, name: str) -> Array:
-        """Return the error of a state at the end, (size, m)."""
+        """Return the final error of a state, (size, m)."""
         return self.errors[self.layouts["error"].slice(name)]
 
     def parameter(self, name: str) -> Array:
-        """Return what was drawn for a parameter, (size, m)."""
+        """Return the drawn values of a parameter, (size, m)."""
         return self.parameters[self.layouts["parameter"].slice(name)]
 
     def event_occurred(self, event: str) -> Any:
-        """Return whether an event happened in each run, bool array (m,)."""
+        """Return whether an event occurred in each run, bool array (m,)."""
         return self.event_counts[self._measures.layout("event").slice(event)][0] > 0
 
     def measure(self, name: str) -> Array:
-        """Return a number per run, (m,); NaN for runs that have none.
+        """Return a measure of each run, (m,); NaN for runs without a value.
 
         Parameters
         ----------
         name : str
-            ``"r_L"``, the name of a state: Euclidean norm of its error at the end (unit of the error).
-            ``"angle(sigma)"``: angle between an attitude and its target at the end, rad. ``"effort(F_B)"``,
+            ``"r_L"``, the name of a state: Euclidean norm of its final error (unit of the error).
+            ``"angle(sigma)"``: final angle between an attitude and its target, rad. ``"effort(F_B)"``,
             ``"energy(F_B)"``: integral of \\|u\\| or u^2, summed over the components. ``"variation(F_B)"``:
-            chattering, summed; ``"saturation(F_B)"``: saturation time of the worst component, s.
-            ``"time(touchdown)"``: when an event happened first, s. ``"max(tilt)"``, ``"min(tilt)"``,
+            total variation, summed; ``"saturation(F_B)"``: longest saturation time of a component, s.
+            ``"time(touchdown)"``: time of the first occurrence of an event, s. ``"max(tilt)"``, ``"min(tilt)"``,
             ``"integral(tilt)"``: of a quantity of the loop over the run. ``"replans"``, ``"failed replans"``:
-            numbers of successful and of failed re-plans in flight. Or the name of a user-defined measure.
+            numbers of successful and of failed re-plannings. Or the name of a user-defined measure.
         """
         return self._measures.values(name)
 
@@ -176,21 +176,21 @@ class Campaign(Strict, Printed):
 
     @cached_property
     def ok(self) -> Any:
-        """Whether each run's outcome is OK, bool array (m,)."""
+        """Whether the status of each run is OK, bool array (m,)."""
         return np.array([outcome.ok for outcome in self.outcomes], dtype=bool)
 
     def passed(self, name: str | None = None) -> Any:
-        """Return whether each run is OK and within one limit, or all of them: bool array (m,)."""
+        """Return whether each run is OK and within the named limit, or all limits: bool array (m,)."""
         names = self.limits if name is None else [name]
         passed = self.ok.copy()
         for each in names:
             if each not in self.limits:
                 raise unknown_name("limit", each, "the campaign", self.limits)
-            passed &= self.measure(each) <= self.limits[each]  # false for not-a-number
+            passed &= self.measure(each) <= self.limits[each]  # false for NaN
         return passed
 
     def pass_rate(self, name: str | None = None, confidence: float = CONFIDENCE) -> PassRate:
-        """Return the share of runs that are OK and within one limit, or all; `GncOptError` if no run has ended."""
+        """Return the share of runs that are OK and within the named limit, or all; raise `GncOptError` without runs."""
         return estimate_pass_rate(int(np.sum(self.passed(name))), self._require_runs(), confidence)
 
     def percentile(self, name: str, level: float, confidence: float = CONFIDENCE) -> Percentile:
@@ -199,39 +199,39 @@ class Campaign(Strict, Printed):
         return estimate_percentile(self.measure(name), level, confidence)
 
     def maximum(self, name: str) -> float:
-        """Return the largest value of a measure; infinite if a run has none."""
+        """Return the largest value of a measure; infinite if a run has no value."""
         self._require_runs()
         return float(np.max(_replace_nan_by_infinity(self.measure(name))))
 
     @property
     def counts(self) -> dict[RunStatus, int]:
-        """How many runs ended with each status."""
+        """Number of runs by status."""
         found = Counter(outcome.status for outcome in self.outcomes)
         return {status: found[status] for status in RunStatus if found[status]}
 
     @property
     def event_totals(self) -> dict[str, int]:
-        """In how many runs each event happened."""
+        """Number of runs in which each event occurred."""
         return {name: int(np.sum(self.event_occurred(name))) for name in self._measures.layout("event").names}
 
     @property
     def failures(self) -> dict[int, Outcome]:
-        """Outcomes of the runs that are not OK, by number of the run."""
+        """Outcomes of the runs that are not OK, by index."""
         pairs = zip(self.indices, self.outcomes, strict=True)
         return {int(i): outcome for i, outcome in pairs if not outcome.ok}
 
     def worst(self, name: str, count: int = 5) -> list[int]:
-        """Return the numbers of the runs with the largest values of a measure, the worst first."""
+        """Return the indices of the runs with the largest values of a measure, in descending order."""
         order = np.argsort(-_replace_nan_by_infinity(self.measure(name)), kind="stable")
         return [int(i) for i in self.indices[order[:count]]]
 
     def rerun(self, index: int) -> Run:
-        """Return one run again, with everything logged; it ends with the same bits.
+        """Simulate one run again and return it with all signals; the final state is bitwise identical.
 
         Raises
         ------
         ArgumentError
-            There is no such run, or it cannot be flown.
+            The index is out of range, or the run cannot be simulated.
         GncOptError
             The campaign was loaded from a file: use ``Campaign.load(path, flight=loop.compile(...))``.
         """
@@ -240,22 +240,22 @@ class Campaign(Strict, Printed):
             raise ArgumentError(f"the campaign has no run {index}: its {len(self)} runs count from 0.")
         if self.flight is None:
             raise GncOptError(
-                "the campaign came from a file and cannot fly: load it with flight=loop.compile(x0, tf=...)."
+                "the campaign has no compiled loop: load it with flight=loop.compile(x0, tf=...)."
             )
         return self.flight.run(self.parameters[:, places[0]], [self.seed, int(index)])
 
     # --- tables -------------------------------------------------------------------------------------------
 
     def to_pandas(self) -> Any:
-        """Return a row per run as a DataFrame, one column per component; ``attrs["units"]`` holds the units."""
+        """Return a DataFrame with one row per run and one column per component; ``attrs["units"]`` has the units."""
         return self._records().to_pandas()
 
     def to_xarray(self) -> Any:
-        """Return the same as a Dataset, each variable with its unit; vectors have a dimension for their components."""
+        """Return a Dataset with units; vector variables have a dimension for their components."""
         return self._records().to_xarray()
 
     def export(self, path: str | Path) -> Path:
-        """Write the same to a file for other programs, ``.csv``, ``.json`` or ``.mat``, and return its path."""
+        """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
         return self._records().write(path)
 
     def _records(self) -> Records:
@@ -276,7 +276,7 @@ class Campaign(Strict, Printed):
     # --- files --------------------------------------------------------------------------------------------
 
     def to_json(self, path: str | Path | None = None) -> str:
-        """Return the statistics and what failed as JSON text; with a path also write it."""
+        """Return statistics and failures as JSON text; with a path also write them to a file."""
         from gnc_opt.simulation.campaign_text import campaign_dict
 
         text = json_text(campaign_dict(self))
@@ -285,21 +285,21 @@ class Campaign(Strict, Printed):
         return text
 
     def save(self, path: str | Path) -> Path:
-        """Write all runs to a file (``.npz`` is appended if it has no suffix); every bit is kept."""
+        """Write all runs to a file (default suffix ``.npz``), without loss of precision."""
         return CAMPAIGN_FILES.write(path, self)
 
     @classmethod
     def load(cls, path: str | Path, flight: CompiledLoop | None = None) -> Campaign:
-        """Return a campaign that `save` wrote.
+        """Return a campaign from a file written by `save`.
 
-        ``flight`` is ``loop.compile(x0, tf=...)`` of the same loop, for `rerun`.
+        ``flight`` is ``loop.compile(x0, tf=...)`` of the same loop; `rerun` needs it.
 
         Raises
         ------
         FileNotFoundError
-            There is no such file.
+            The file does not exist.
         GncOptError
-            The file holds no campaign or a damaged one, or the flight is another one.
+            The file is damaged or contains no campaign, or ``flight`` is of another loop.
         """
         campaign, _ = CAMPAIGN_FILES.read(path)
         assert isinstance(campaign, Campaign)
@@ -309,12 +309,12 @@ class Campaign(Strict, Printed):
 
     def _require_runs(self) -> int:
         if not self.outcomes:
-            raise GncOptError("no run of the campaign has ended: let it fly longer.")
+            raise GncOptError("no run of the campaign has ended: run it longer.")
         return len(self.outcomes)
 
 
 def _require_same_campaign(campaign: Campaign, flight: CompiledLoop, path: str | Path) -> None:
-    """Refuse a flight that would not fly a run of the campaign with the same bits."""
+    """Raise an error unless the compiled loop reproduces the runs of the campaign bitwise."""
     span = (float(flight.times[0]), float(flight.times[-1]))
     if flight.layout.labels != campaign.layouts["parameter"].labels:
         why = "another loop than the given flight: its parameters have other names"

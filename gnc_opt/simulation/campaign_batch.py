@@ -1,7 +1,7 @@
-"""Batches of a campaign: the task of a worker, files in which a campaign resumes, and their assembly.
+"""Batches of a Monte Carlo campaign: worker task, checkpoint files and assembly of the results.
 
-A batch is a range of run numbers; results depend on the seed and the number of a run alone. A checkpoint is a
-folder with one `Campaign` file per batch, identified by the compiled loop, the seed and one run drawn again.
+A batch is a range of run indices; the results depend on the seed and the index of a run only. A checkpoint is a folder
+with one `Campaign` file per batch. It is identified by the compiled loop, the seed and one run that is drawn again.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.workers import Done, WorkerDied
 
 MOST_PER_BATCH = 25
-"""Runs in a batch at most: what a process can lose when the campaign is killed."""
+"""Largest number of runs in a batch, which are lost if the process is killed."""
 
 BATCHES = 32
-"""Number of batches aimed at, enough to occupy all processes evenly."""
+"""Target number of batches; enough for an even load of all processes."""
 
 _PATTERN = "runs * to *.npz"
 
@@ -35,16 +35,16 @@ _STORED = (
     *("states", "memory", "effort", "energy", "saturation_time", "variation", "integration_error"),
     *("event_counts", "event_times", "replans", "sums", "samples"),
 )
-"""Arrays of a campaign with one column for each run, as of its final values."""
+"""Arrays of a campaign with one column per run, named as in `FinalValues`."""
 
 
 def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
-    """Return the runs below number ``runs`` that are in the folder, which is made if missing.
+    """Return the stored runs with index below ``runs``; creates the folder if it is missing.
 
     Raises
     ------
     GncOptError
-        The folder is of another campaign, or a file in it is damaged.
+        The folder belongs to another campaign, or one of its files is damaged.
     """
     folder.mkdir(parents=True, exist_ok=True)
     found = []
@@ -58,7 +58,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Flo
 
 
 def store_runs(folder: Path, part: Campaign) -> None:
-    """Write runs with consecutive numbers."""
+    """Write runs with consecutive indices."""
     part.save(folder / f"runs {part.indices[0]:08d} to {part.indices[-1]:08d}.npz")
 
 
@@ -68,7 +68,7 @@ def _load_batch(path: Path) -> Campaign:
     except GncOptError as error:
         raise GncOptError(
             f"the checkpoint cannot be read: {str(error).partition(';')[0].rstrip('.')}. Delete this file: the same "
-            "call then flies its runs again."
+            "call then simulates its runs again."
         ) from error
 
 
@@ -101,7 +101,7 @@ def _find_first_runs(part: Campaign, count: int) -> Flown:
 def merge_batches(
     flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array
 ) -> Campaign:
-    """Return the campaign of these batches of runs; ``goal`` (n_states,) is what ends are compared with."""
+    """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
     def join_values(attribute: str, size: int) -> Array:
         parts = [
@@ -160,14 +160,14 @@ Batch: TypeAlias = range
 
 @dataclass(frozen=True, eq=False)
 class CampaignTask:
-    """The flight, and how runs differ."""
+    """Compiled loop and dispersions of a campaign."""
 
     flight: CompiledLoop
     dispersions: Dispersions
     seed: int
 
     def parameters(self, batch: Batch) -> Array:
-        """Return the columns P (n_parameters, n) of runs."""
+        """Return the parameter columns P (n_parameters, n) of runs."""
         flight = self.flight
         columns = [
             draw_parameters(self.dispersions, flight.layout, flight.nominal, self.seed, index)
@@ -176,11 +176,11 @@ class CampaignTask:
         return np.stack(columns, axis=1)
 
     def simulate_runs(self, batch: Batch) -> list[Flown]:
-        """Fly a batch of runs; those that raise an exception are set apart from the others."""
+        """Simulate a batch of runs; runs that raise an exception are returned separately."""
         try:
             P = self.parameters(batch)
             return [Flown(batch, P, self.flight.final(P, [[self.seed, index] for index in batch]))]
-        except Exception as error:  # whatever a dispersion or a solver in the loop does, no run is lost
+        except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:
                 return [Flown(batch, None, None, format_error(error))]
             return [flown for half in split_batch(batch) for flown in self.simulate_runs(half)]
@@ -188,7 +188,7 @@ class CampaignTask:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """A batch of runs with their parameters (n_parameters, n) and endings, or with the mishap that prevented them."""
+    """Batch of runs with parameters (n_parameters, n) and final values, or the error that prevented the simulation."""
 
     batch: Batch
     parameters: Array | None
@@ -198,7 +198,7 @@ class Flown:
 
 
 def find_remaining_batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
-    """Return runs 0 to ``runs`` - 1 without those already flown, cut into batches."""
+    """Return batches of the runs 0 to ``runs`` - 1 that have not been simulated."""
     size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
     ends = sorted((batch.start, batch.stop) for batch in flown)
     gaps = zip([0, *(stop for _, stop in ends)], [*(start for start, _ in ends), runs], strict=True)
@@ -208,7 +208,7 @@ def find_remaining_batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch
 
 
 def split_batch(batch: Batch) -> tuple[Batch, ...]:
-    """Return the two halves of a batch; none of a single run."""
+    """Return the two halves of a batch; empty for a single run."""
     if len(batch) == 1:
         return ()
     middle = batch.start + len(batch) // 2
@@ -216,7 +216,7 @@ def split_batch(batch: Batch) -> tuple[Batch, ...]:
 
 
 def batch_results(done: Done[Batch, list[Flown]]) -> list[Flown]:
-    """Return the results of a batch, also of one that could not be simulated."""
+    """Return the results of a finished batch, or of one that could not be simulated."""
     if done.answer is not None:
         return done.answer
     assert done.error is not None

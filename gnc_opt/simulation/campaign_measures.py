@@ -1,4 +1,4 @@
-"""Measures: named numbers of each run that a campaign evaluates, and envelopes of quantities over time."""
+"""Measures of a campaign: scalar results of each run, and envelopes of quantities over time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gnc_opt.spacecraft.attitude import attitude_angle
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Percentiles of a quantity over time, each time by itself.
+    """Pointwise percentiles of a quantity over time.
 
     Attributes
     ----------
@@ -27,11 +27,11 @@ class Envelope:
         s.
     levels : tuple of float
     values : array (n_levels, n_times)
-        That a share ``level`` of the runs still flying does not exceed.
+        Values that a share ``level`` of the runs still active does not exceed.
     low, high : array (n_levels, n_times)
-        Intervals that hold the true percentile with ``confidence``; infinite for few runs.
+        Confidence intervals of the percentiles, at the given ``confidence``; infinite for few runs.
     runs : int array (n_times,)
-        That are still flying.
+        Number of runs still active.
     confidence : float
 
     Examples
@@ -55,7 +55,7 @@ class Envelope:
 def compute_envelope(
     name: str, unit: str, times: Array, samples: Array, levels: Sequence[float], confidence: float
 ) -> Envelope:
-    """Return the envelope of samples (n_times, n_runs), not-a-number where a run is over; see `Envelope`."""
+    """Return the envelope of samples (n_times, n_runs) that are NaN after the end of a run; see `Envelope`."""
     shape = (len(levels), times.size)
     values, low, high = (np.full(shape, np.nan) for _ in range(3))
     flying = np.sum(~np.isnan(samples), axis=1)
@@ -68,34 +68,34 @@ def compute_envelope(
 
 
 COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
-"""Costs that are summed over the components of a command or control, and what follows the unit."""
+"""Control costs that are summed over components, with the suffix of their unit."""
 
 REPLANS = ("replans", "failed replans")
-"""Measures of runs that re-plan in flight."""
+"""Measures of runs with re-planning."""
 
 ATTITUDE = (3, 4)
-"""Components that an attitude can have: modified Rodrigues parameters, or a quaternion."""
+"""Valid numbers of attitude components: 3 (modified Rodrigues parameters) or 4 (quaternion)."""
 
 
 Runs: TypeAlias = Any
-"""A `gnc_opt.simulation.Campaign`, which imports this module."""
+"""A `gnc_opt.simulation.Campaign`; not imported here to avoid a circular import."""
 
 
 class Measures:
-    """The measures of a campaign's runs; see `Campaign.measure` for their names."""
+    """Measures of the runs of a campaign; `Campaign.measure` lists their names."""
 
     def __init__(self, runs: Runs) -> None:
         self._runs = runs
         self._known: dict[str, Array] = {}
 
     def layout(self, kind: str) -> Layout:
-        """Return names, sizes and units of a kind; older files have neither events nor quantities."""
+        """Return the layout of a kind; empty for events and quantities missing in older files."""
         layouts: Mapping[str, Layout] = self._runs.layouts
         return layouts.get(kind, Layout(kind, (), "the campaign"))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All measures that have values."""
+        """Names of all measures that have values."""
         controls, commands = self.layout("applied").names, self.layout("command").names
         states = [n for n in self.layout("state").names if self._needs_target(n)]
         costs = [f"{cost}({n})" for cost in ("effort", "energy") for n in controls]
@@ -167,7 +167,7 @@ class Measures:
             raise unknown_name("measure", name, "the campaign", known)
         if kind in ("error", "angle") and not self._needs_target(subject):
             raise ArgumentError(
-                f"the controller follows no reference of '{subject}': give target={{'{subject}': ...}}."
+                f"the controller has no reference for '{subject}': give target={{'{subject}': ...}}."
             )
         return kind, subject
 
@@ -181,4 +181,4 @@ _SUBJECTS = {
     "time": "event",
     **dict.fromkeys(KEPT, "quantity"),
 }
-"""Of what kind the subject of a measure is, other than of an error and an angle."""
+"""Layout kind of the subject of each measure, except errors and angles."""

@@ -1,4 +1,4 @@
-"""A campaign: its table, and its statistics as JSON."""
+"""Text and JSON output of a campaign's statistics."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percen
 from gnc_opt.text_formatting import convert_to_json
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
-"""Of the percentiles that are printed and written."""
+"""Levels of the percentiles in the output."""
 
 LISTED = 5
-"""Causes of failure, failed runs of each, and events of a run that are printed."""
+"""Largest numbers of failure causes, of failed runs per cause, and of events in the output."""
 
 CampaignStatistics: TypeAlias = Any
-"""A `gnc_opt.simulation.Campaign`, which imports this module."""
+"""A `gnc_opt.simulation.Campaign`; not imported here to avoid a circular import."""
 
 
 def select_printed_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
@@ -30,7 +30,7 @@ def select_printed_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
 
 
 def format_campaign_table(campaign: CampaignStatistics) -> str:
-    """Return a campaign as a short table: what ended how, percentiles, and pass rates with their intervals."""
+    """Return the summary table of a campaign: outcomes, percentiles, and pass rates with confidence intervals."""
     runs, asked = len(campaign), campaign.asked
     counts = ", ".join(f"{count} {status.value}" for status, count in campaign.counts.items())
     interrupted = f" of {asked}, interrupted" if campaign.interrupted else ""
@@ -48,7 +48,7 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
 
 
 def campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
-    """Return titles and rows of the table: percentiles, maximum, limit and pass rate of every printed measure."""
+    """Return header and rows of the table: percentiles, maximum, limit and pass rate of each printed measure."""
     rows = [["at the end", "", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed"]]
     for name in select_printed_measures(campaign):
         values = [campaign.percentile(name, level).value for level in LEVELS] + [campaign.maximum(name)]
@@ -62,7 +62,7 @@ def campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
 
 
 def campaign_notes(campaign: CampaignStatistics) -> list[str]:
-    """Return the confidence of the intervals, the events, and the causes of failure."""
+    """Return the notes on confidence levels, events and causes of failure."""
     note = f"intervals: {100 * CONFIDENCE:g} % confidence"
     if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
         content = share_below_maximum(len(campaign))
@@ -71,17 +71,17 @@ def campaign_notes(campaign: CampaignStatistics) -> list[str]:
 
 
 def _event_lines(campaign: CampaignStatistics) -> list[str]:
-    """Return one line on the events, if the loop has any."""
+    """Return one line on the events; empty for a loop without events."""
     text = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
     return [f"events: {text}"] if text else []
 
 
 def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
-    """Return one line per cause of failure, with the first runs that it struck."""
+    """Return one line per cause of failure, with the first runs concerned."""
     struck: dict[str, list[int]] = defaultdict(list)
     for index, outcome in campaign.failures.items():
         status = outcome.status.value
-        what = re.sub(r" (is )?[-+.\de]+(, |$)", r" \1", outcome.what).strip()  # without the run's own number
+        what = re.sub(r" (is )?[-+.\de]+(, |$)", r" \1", outcome.what).strip()  # without numbers
         struck[f"{status}: {what}" if what else status].append(index)
     ordered = sorted(struck.items(), key=lambda item: -len(item[1]))
     lines = []
@@ -97,7 +97,7 @@ def _format_value(value: float) -> str:
 
 
 def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
-    """Return the statistics of a campaign and what failed as plain JSON values; null is infinite."""
+    """Return statistics and failures of a campaign as JSON values; null stands for infinity."""
     runs = len(campaign)
     content = {
         "runs": runs,

@@ -1,4 +1,4 @@
-"""ClosedLoop: a plant, its controller, and what lies between them."""
+"""ClosedLoop: plant, controller, actuators, sensors, disturbances and events of a simulation."""
 
 from __future__ import annotations
 
@@ -31,48 +31,48 @@ from gnc_opt.simulation.step_selection import StepSelection
 from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 
 _MAX_STEPS = 2_000_000
-"""Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
+"""Largest number of control steps of a run; with 50 numbers per step its log has 1 GB."""
 
 _MAX_UNROLLED = 2000
-"""Integration steps per control step at most: they are written out one by one in the compiled function."""
+"""Largest number of integration steps per control step; they are unrolled in the compiled function."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """A plant under a discrete-time controller, with actuators, sensors and disturbances.
+    """Plant under a discrete-time controller, with actuators, sensors and disturbances.
 
-    Every control step of ``dt`` begins with a measurement and a command, which is held over its
-    ``minor_steps``.
+    Every control step of length ``dt`` starts with a measurement and a command (zero-order hold) and has
+    ``minor_steps`` minor steps.
 
     Parameters
     ----------
     plant : Model
-        May differ from the design model if it has the controller's measurements and the applied controls by
-        name; its other controls are zero.
+        May differ from the design model if it contains the controller's measurements and the applied controls by name;
+        its other controls are zero.
     controller : Controller
-        Includes the estimator of `output_feedback`, if any.
+        Includes the estimator if it comes from `output_feedback`.
     actuators, sensors : sequence of Block
-        In the order in which the signal passes them.
+        In the order of the signal flow.
     disturbances : sequence of Disturbance
     events : sequence of Event
     quantities : sequence of Quantity
-        Extremes, integrals and envelopes of expressions, stored by campaigns.
+        Expressions whose extremes, integrals and envelopes are stored by campaigns.
     replanner : Replanner, optional
     dt : float, optional
         Control step, s; default the controller's own.
     minor_steps : int
     accuracy : float
-        Of the integration over a run, relative to max(1, \\|x\\|) per state. The integration steps keep the
-        nominal run's error estimate below a tenth of it; runs that exceed it are flagged.
+        Accuracy of the integration over a run, relative to max(1, \\|x\\|) per state. The step size is chosen so that
+        the estimated error of the nominal run is below a tenth of it; runs that exceed it are flagged.
     substeps : int, optional
-        Integration steps per minor step; default: chosen by ``accuracy``.
+        Integration steps per minor step; default: chosen according to ``accuracy``.
     divergence_limits : float or mapping
-        Size of the plant's states, one for all or by name, beyond which a run has *diverged*; default 1e15.
+        Magnitude of states, one for all or by name, above which a run has *diverged*; default 1e15.
 
     Raises
     ------
     ArgumentError, UnknownNameError
-        Something does not fit; the message names it.
+        Inconsistent parts; the message names the cause.
 
     Examples
     --------
@@ -143,7 +143,7 @@ class ClosedLoop:
 
     @property
     def layout(self) -> Layout:
-        """Names, sizes and units of everything that can differ between runs.
+        """Names, sizes and units of all parameters that can differ between runs.
 
         ``"plant.<parameter>"``, ``"initial.<state>"`` and ``"<block>.<parameter>"``.
         """
@@ -151,12 +151,12 @@ class ClosedLoop:
 
     @property
     def defaults(self) -> Array:
-        """Values of `layout`, shape (n,); initial states are not-a-number until they are given."""
+        """Default values of `layout`, shape (n,); NaN for initial states."""
         return self.wiring.defaults
 
     @property
     def ranges(self) -> tuple[Array, Array]:
-        """Least and largest permitted values of `layout`, each of shape (n,)."""
+        """Smallest and largest permitted values of `layout`, each of shape (n,)."""
         return self.wiring.ranges
 
     def parameters(
@@ -164,7 +164,7 @@ class ClosedLoop:
         x0: ArrayLike | Mapping[str, ArrayLike] | None = None,
         changes: Mapping[str, ArrayLike] | None = None,
     ) -> Array:
-        """Return the column P (n,) of a run: the defaults, the initial states and the changes by dotted name.
+        """Return the parameter column P (n,) of a run: defaults, initial states and changes by dotted name.
 
         Parameters
         ----------
@@ -213,21 +213,21 @@ class ClosedLoop:
         tf: float,
         parameters: Mapping[str, ArrayLike] | None = None,
     ) -> CompiledLoop:
-        """Return the loop made ready for many runs over one time span; it can be sent to other processes.
+        """Return the loop compiled for many runs over one time span; it can be pickled.
 
         Parameters
         ----------
         x0 : array (n_states,) or mapping by name
             Nominal initial state.
         t0, tf : float
-            First and last time, s. The last control step ends at ``tf`` or up to one step after it.
+            Start and end time, s. The last control step ends at ``tf`` or less than one step later.
         parameters : mapping
-            Nominal changes of parameters by dotted name.
+            Changed nominal parameters by dotted name.
 
         Raises
         ------
         ArgumentError
-            Bad times or parameters; or the plant is too fast for ``accuracy`` at this step.
+            Invalid times or parameters; or the plant is too fast for ``accuracy`` at this minor step.
         """
         nominal = self.parameters(x0, parameters)
         times = self._control_step_times(t0, tf)
@@ -236,13 +236,13 @@ class ClosedLoop:
         return replace(flight, replanner=self.replanner)
 
     def _with_accurate_steps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
-        """Return the compiled loop with as many integration steps as its accuracy needs."""
+        """Return the compiled loop with the number of integration steps that its accuracy requires."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.initial_modes(times[0], *self._initial_plant_values(nominal))
         return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes)
 
     def _initial_plant_values(self, nominal: Array) -> tuple[Array, Array]:
-        """Return the plant's states (n_states,) and parameters (n_parameters,) in a column of parameters."""
+        """Return the plant's states (n_states,) and parameters (n_parameters,) from a parameter column."""
         named = [
             [nominal[self.layout.slice(f"{group}.{name}")] for name in layout.names]
             for group, layout in (("initial", self.plant.states), ("plant", self.plant.parameters))
@@ -260,24 +260,24 @@ class ClosedLoop:
         parameters: Mapping[str, ArrayLike] | None = None,
         every: int = 1,
     ) -> Run:
-        """Return a run of the loop with everything logged, also if it fails: see its outcome.
+        """Return a run of the loop with all signals; a failed run is returned with its outcome.
 
         Parameters
         ----------
         x0, t0, tf
             As in `compile`.
         seed : int or sequence of int
-            Of the random numbers: the same seed gives the same bits.
+            Seed of the random numbers; equal seeds give bitwise identical runs.
         parameters : mapping
-            Changes by dotted name, see `layout`.
+            Changed parameters by dotted name, see `layout`.
         every : int
-            Log every n-th control step, and the end. Sums such as the effort include all.
+            Log every n-th control step, and the last one. Integrals such as the effort include all steps.
         """
         flight = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every)
 
     def kernel(self, substeps: int) -> Kernel:
-        """Return the symbolic step with that many integration steps per minor step."""
+        """Return the symbolic control step with ``substeps`` integration steps per minor step."""
         if substeps * self.minor_steps > _MAX_UNROLLED:
             raise ArgumentError(
                 f"a control step of {self.dt:g} s with {self.minor_steps} minor steps of {substeps} integration steps "
@@ -332,7 +332,7 @@ class ClosedLoop:
         )
         if not (np.isfinite([begin, end]).all() and end > begin):
             raise ArgumentError(
-                f"a run from t0 = {begin:g} s to tf = {end:g} s is none: give finite times, tf > t0."
+                f"a run cannot last from t0 = {begin:g} s to tf = {end:g} s: give finite times, tf > t0."
             )
         count = max(1, int(np.ceil((end - begin) / self.dt - STEP_SLACK)))
         if count > _MAX_STEPS:
@@ -344,7 +344,7 @@ class ClosedLoop:
     def _sample_schedule(self, times: Array) -> Array:
         size = self.controller.signals.size
         rows = np.empty((size, times.size))
-        for first in range(0, times.size, LEG):  # a schedule may need many times its size on the way
+        for first in range(0, times.size, LEG):  # limits the memory of the evaluation
             some = times[first : first + LEG]
             found = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
             if found.shape != (size, some.size):
@@ -356,7 +356,7 @@ class ClosedLoop:
         return rows
 
     def _reference_rows(self) -> Any:
-        """Return the rows of the schedule that are the reference of what the controller follows, or None."""
+        """Return the row indices of the reference in the schedule, or None."""
         signals, states = self.controller.signals, self.controller.followed
         if all(f"{n}_ref" in signals for n in states.names):
             return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
@@ -365,7 +365,7 @@ class ClosedLoop:
         return None
 
     def _estimate_entries(self) -> Any:
-        """Return the entries of the memory that are the estimated states; None without an estimator."""
+        """Return the indices of the estimated states in the memory; None without an estimator."""
         memory, states = self.controller.memory, self.controller.estimated
         if states is None:
             return None
@@ -377,7 +377,7 @@ class ClosedLoop:
 
 
 def _as_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
-    """Return one or several parts of a loop as a tuple."""
+    """Return one or several elements of a loop as a tuple."""
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
         raise ArgumentError(f"the {name} of a closed loop are {shown(given)}: give a list; {remedy}.")
@@ -385,7 +385,7 @@ def _as_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]
 
 
 def _read_divergence_limits(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:
-    """Return the largest plausible sizes of the states, (n_states,)."""
+    """Return the largest permitted magnitudes of the states, (n_states,)."""
     largest = np.full(states.size, PLAUSIBLE)
     given = value if isinstance(value, Mapping) else dict.fromkeys(states.names, value)
     for name, size in given.items():

@@ -1,4 +1,4 @@
-"""A closed loop over one time span, numeric and picklable, for single runs and campaigns."""
+"""Compiled closed loop over one time span, numeric and picklable, for single runs and campaigns."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import Outcome, OutcomeClassifier, RunStatus
 
 LEG = 1000
-"""Control steps that are flown in one call at most, so that its memory does not grow with the run."""
+"""Largest number of control steps per function call; limits the memory of long runs."""
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledLoop:
-    """A closed loop ready for many runs; see `ClosedLoop.compile`.
+    """Closed loop compiled for many runs; see `ClosedLoop.compile`.
 
     Attributes
     ----------
     layout, nominal, ranges : Layout, array (n_parameters,), pair of them
-        Of the columns P: names and units, nominal values, least and largest permitted values.
+        Names and units, nominal values, smallest and largest permitted values of the parameter columns P.
     times, dt, schedule : array (n_steps + 1,), float, array (n_signals, n_steps + 1)
-        s, s, and the rows r of the controller as planned before the flight.
+        Step times, s; control step, s; planned schedule of the controller.
     followed_rows, estimates : int array (n,) or None
-        Rows of the schedule that are the reference; entries of the memory that are the estimated states.
+        Row indices of the reference in the schedule; indices of the estimated states in the memory.
     kernel, companion, substeps : Kernel, Kernel, int
-        The loop as functions, with so many integration steps per minor step, and with twice as many.
+        Symbolic step with ``substeps`` integration steps per minor step, and with twice as many.
     states, measured, followed, commands, controls, memory, error_layout, events, quantities : Layout
-        Names, sizes and units; ``followed`` are the states that the reference is of.
+        Names, sizes and units; ``followed`` are the states of the reference.
     errors : casadi Function
         Errors of the states relative to the reference.
     classifier, replanner, minor_steps : OutcomeClassifier, PlanUpdater or None, int
     libraries : tuple of two str
-        Paths of the compiled steps of both kernels; "" for the interpreter.
+        Paths of the compiled steps of both kernels; "" if the interpreter is used.
 
     Examples
     --------
@@ -110,17 +110,17 @@ class CompiledLoop:
 
     @property
     def accuracy(self) -> float:
-        """Asked of the integration, relative."""
+        """Required relative accuracy of the integration."""
         return self.classifier.accuracy
 
     @property
     def reference(self) -> Array | None:
-        """What the controller follows (n, n_steps + 1), in its own states, as planned before the flight."""
+        """Planned reference (n, n_steps + 1) of the controller, in the followed states."""
         return None if self.followed_rows is None else self.schedule[self.followed_rows]
 
     @cached_property
     def fingerprint(self) -> str:
-        """Digest of everything that decides the bits of a run, beside its parameters and its seed."""
+        """Digest of all data that determine a run, except its parameters and its seed."""
         digest = hashlib.sha256()
         for kernel in (self.kernel, self.companion):
             for function in (kernel.start, kernel.constants, kernel.step):
@@ -132,7 +132,7 @@ class CompiledLoop:
         return digest.hexdigest()
 
     def with_machine_code(self, runs: int) -> CompiledLoop:
-        """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
+        """Return the loop with machine code, if that is faster for so many runs, possible and bitwise identical."""
         if runs * self.n_steps < MIN_EVALUATIONS_TO_COMPILE:
             return self
         first, second = (build_step_library(folded.machine_code_step) for folded in self._step_executors)
@@ -145,7 +145,7 @@ class CompiledLoop:
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
-        """Return how n runs end; failed ones are flagged, never dropped.
+        """Return the final values of n runs, including failed ones with their status.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class CompiledLoop:
         return replace(ending, sums=record[: 3 * self.quantities.size], samples=samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1) -> Run:
-        """Return all of one run; its last state has the bits of `final`.
+        """Return one run with all signals; its final state is bitwise identical to that of `final`.
 
         Parameters
         ----------
@@ -199,20 +199,20 @@ class CompiledLoop:
         Raises
         ------
         ArgumentError
-            A parameter is outside its permitted range.
+            A parameter exceeds its permitted range.
         """
         P = np.asarray(P, dtype=float)
         every = read_integer(every, "the number of control steps of which one is logged", 1)
         culprit = self.invalid_parameter_message(P)
         if culprit:
-            raise ArgumentError(f"the run cannot be flown: {culprit}.")
+            raise ArgumentError(f"the run cannot be simulated: {culprit}.")
         kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
         log: dict[str, list[Array]] = defaultdict(list)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
         course, last = self._active_reference(), self.n_steps
         for end, X, logged in self._propagate_legs(P, seed, known, course, logged=True):
-            if logged is None:  # the companion goes on until an event ends it, too
+            if logged is None:  # the companion also needs the steps until an event ends it
                 continue
             parts, told = self.kernel.state.split(logged[0]), self.kernel.log.split(logged[1])
             count = logged[1].shape[1]
@@ -257,7 +257,7 @@ class CompiledLoop:
         )
 
     def invalid_parameter_message(self, P: Array) -> str:
-        """Return what is wrong with a column P (n_parameters,), "" if nothing is."""
+        """Return the error message for a column P (n_parameters,); "" if it is valid."""
         lower, upper = self.ranges
         bad = np.flatnonzero(~((lower <= P) & (upper >= P)))
         if not bad.size:
@@ -268,10 +268,9 @@ class CompiledLoop:
     def legs(
         self, seed: Any, known: Array, course: ActiveReference | None = None, *, again: bool = False
     ) -> Iterator[tuple[int, Array]]:
-        """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
+        """Yield, for each leg, its first step and the known and drawn values of its steps (n_steps, n_known).
 
-        The rows are written to ``known``; ``again``: they hold those of an earlier run with the same
-        schedule.
+        The values are written to ``known``; with ``again`` it contains those of a run with the same schedule.
         """
         planned = course is None or course.schedule is self.schedule
         followed = self._schedule_rows if course is None or planned else course.schedule.T
@@ -287,18 +286,18 @@ class CompiledLoop:
             yield first, rows
 
     def _normal_number_source(self, seed: Any, size: int) -> Callable[[int, int], Array]:
-        """Return the standard normal numbers (n, size) from one control step to before another, in their order."""
+        """Return a function of two steps that draws the standard normal numbers (n, size) for the steps between."""
         generator = np.random.Generator(np.random.Philox(_make_seed_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
     def _schedule_rows(self) -> Array:
-        """The schedule by rows, as every run reads it."""
+        """Schedule with one row per step."""
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
     def _leg_boundaries(self) -> list[int]:
-        """Steps at which a leg begins, and the end: every `LEG` steps, at re-plans and where quantities are sampled."""
+        """Steps at which a leg starts, and the end: every `LEG` steps, at re-plans and at sampling times."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
         edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
@@ -306,11 +305,11 @@ class CompiledLoop:
 
     @cached_property
     def _sample_step_indices(self) -> Any:
-        """Steps at whose beginnings quantities are sampled, and the end."""
+        """Steps at whose start quantities are sampled, and the end."""
         return select_sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
 
     def _sample_quantities(self, samples: Array, step: int, X: Array) -> None:
-        """Write the quantities at a step, the last values in the record of a run X, to (n, n_samples)."""
+        """Write the quantities at a step, the last values in the kernel state X, to (n, n_samples)."""
         if step in self._sample_step_indices and not self._is_ended_by_event(X):
             n = self.quantities.size
             record = X[self.kernel.state.slices["quantities"]]
@@ -325,7 +324,7 @@ class CompiledLoop:
     def _replan_if_due(
         self, course: ActiveReference, step: int, X: Array, rows: Array, C: tuple[Array, Array]
     ) -> None:
-        """Re-plan at the first of the steps ``rows`` if that is due, and write the new plan to them."""
+        """Re-plan at the first of the steps ``rows`` if a plan is due, and write the new plan to these rows."""
         if self.replanner is None:
             return
         if step % round(self.replanner.every / self.dt) == 0 and not self._is_ended_by_event(X[0]):
@@ -337,12 +336,12 @@ class CompiledLoop:
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
     def _initial_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
-        """Return X of a run and its companion at the first step (2, n_state), and the constants of both."""
+        """Return the initial X of a run and its companion (2, n_state), and their constants."""
         (X, C), (other, others) = (folded.initial_column(known, P) for folded in self._step_executors)
         return np.stack([X, other]), (C, others)
 
     def _propagate_time_span(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
-        """Write the states of a run and its companion after the steps of a leg to ``final`` (2, n_state)."""
+        """Write the states of a run and its companion after a leg to ``final`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
             folded.execute_steps(x, rows, c, end)
 
@@ -356,7 +355,7 @@ class CompiledLoop:
         again: bool = False,
         logged: bool = False,
     ) -> Iterator[tuple[int, Array, tuple[Array, Array] | None]]:
-        """Yield the last step of each leg, the states (2, n_state) there, and states and logs of the run on the way."""
+        """Yield, for each leg, its last step, the final states (2, n_state), and the logged states and logs."""
         for first, rows in self.legs(seed, known, course, again=again):
             if first == 0:
                 X, C = self._initial_columns(rows[0], P)
@@ -376,7 +375,7 @@ class CompiledLoop:
     def _log_time_span(
         self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
     ) -> None:
-        """Log the states of a leg at its columns ``at``, beside what is followed there."""
+        """Log the states of a leg at its columns ``at``, and the reference there."""
         states = parts["plant"][:, at]
         log["states"].append(states)
         log["memory"].append(parts["memory"][:, at])
@@ -388,7 +387,7 @@ class CompiledLoop:
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
     def _end_times(self, parts: dict[str, Array]) -> Array:
-        """Return when runs ended (n,), s."""
+        """Return the end times of runs (n,), s."""
         if not self.events.size:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
@@ -398,7 +397,7 @@ class CompiledLoop:
         return StepExecutor(self.kernel, self.libraries[0]), StepExecutor(self.companion, self.libraries[1])
 
     def _reference_at_end(self, course: ActiveReference, X: Array) -> Array:
-        """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
+        """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
         found = course.reference_at(self._end_times(self.kernel.state.split(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
@@ -409,7 +408,7 @@ class CompiledLoop:
         followed: Array,
         replans: Array | None = None,
     ) -> FinalValues:
-        """Return how runs have ended, from the kernels' states of them and their companions (n, 2, n_state)."""
+        """Return the final values from the kernel states of runs and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T
         parts = self.kernel.state.split(final)
         errors, assessed = integration_errors(self.kernel.state, final, companions, float(self.times[-1]))
@@ -438,7 +437,7 @@ class CompiledLoop:
         )
 
     def _state_errors(self, states: Array, reference: Any) -> Array:
-        """Return the errors of plant states relative to what is followed (n_followed, n); NaN without a reference."""
+        """Return the errors of plant states relative to the reference (n_followed, n); NaN without a reference."""
         follow = np.full(states.shape, np.nan)
         for name in self.followed.names:
             if name in self.states:
@@ -447,7 +446,7 @@ class CompiledLoop:
 
 
 def _make_seed_sequence(seed: Any) -> np.random.SeedSequence:
-    """Return what random numbers are drawn from; a seed that would draw others each time is refused."""
+    """Return the seed sequence of a seed; raise an error for a seed that is not reproducible."""
     if isinstance(seed, np.random.SeedSequence):
         return seed
     try:

@@ -1,7 +1,7 @@
-"""Control steps, many in one call: by CasADi's interpreter, or as machine code where there is a C compiler.
+"""Execution of many control steps per call, by CasADi's interpreter or as machine code if a C compiler exists.
 
-The machine code is CasADi's C of the step in a loop, without fused operations: results have the same bits. A
-step that is not enough (a controller that solves a problem) ends the loop before it.
+The machine code is CasADi's C code of the step in a loop, without fused operations; its results are bitwise identical.
+A step in which the controller has to solve a problem ends the loop before that step.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from gnc_opt.simulation.loop_kernel import Kernel
 
 
 class StepExecutor:
-    """The step of a kernel, folded; ``library`` is `machine_code_step` as machine code, "" for the interpreter."""
+    """Repeated step of a kernel; ``library`` is the path of the compiled `machine_code_step`, or ""."""
 
     def __init__(self, kernel: Kernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library
@@ -41,13 +41,13 @@ class StepExecutor:
             self._propagate_interpreted(X, rows, C, final)
             return
         flown = self._machine_code_function(X, rows, C, final)
-        while flown < len(rows):  # a step that is not easy
+        while flown < len(rows):  # a step for which the easy law is not valid
             self._propagate_interpreted(final.copy(), rows[flown : flown + 1], C, final)
             flown += 1
             flown += self._machine_code_function(final.copy(), rows[flown:], C, final)
 
     def initial_column(self, known: Array, P: Array) -> tuple[Array, Array]:
-        """Return X at the first step (n_state,), and the constants of a run (n_constants,)."""
+        """Return the initial X (n_state,) and the constants (n_constants,) of a run."""
         start, constants = self.kernel.start, self.kernel.constants
         X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
         P = np.ascontiguousarray(P)
@@ -56,7 +56,7 @@ class StepExecutor:
         return X, C
 
     def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """Do the same by the interpreter."""
+        """Execute the steps with CasADi's interpreter; arguments as in `execute_steps`."""
 
         def leg() -> Any:
             return self._leg_function(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
@@ -66,7 +66,7 @@ class StepExecutor:
     def _evaluate_into(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
     ) -> None:
-        """Write what a function makes of contiguous arrays to others: no conversion per run."""
+        """Write the results of a function of contiguous arrays to ``results``, without conversions."""
         if key not in self._buffers:
             legs = self.kernel.legs
             if key not in legs:
@@ -80,7 +80,7 @@ class StepExecutor:
         evaluate()
 
     def propagate_with_log(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
-        """Return the states (n_state, n_steps + 1) of a leg, and the logs (n_log, n_steps) of its steps."""
+        """Return the states (n_state, n_steps + 1) and the logs (n_log, n_steps) of a leg."""
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
@@ -99,12 +99,12 @@ class StepExecutor:
 
     @property
     def machine_code_step(self) -> Any:
-        """What machine code is made of."""
+        """Step function that is compiled to machine code."""
         return self.kernel.easy or self.step
 
     @cached_property
     def step(self) -> Any:
-        """The step without its log, so that what only the log needs is not computed."""
+        """Step without log, so that quantities that only the log contains are not computed."""
         step = self.kernel.step
         symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
         return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])
@@ -126,10 +126,10 @@ FLAGS = (
     "-fPIC",
     "-shared",
 )
-"""A kernel is one long function without loops: higher levels compile many times as long and gain little."""
+"""Compiler flags: a kernel has no loops, and higher levels compile much longer with little gain."""
 
 MIN_EVALUATIONS_TO_COMPILE = 100_000
-"""Evaluations for which the interpreter takes about four times as long as compiling."""
+"""Evaluations above which compilation pays; interpreted they take about 4 times as long as the compilation."""
 
 _LOOP = """
 #include <stdlib.h>
@@ -171,11 +171,11 @@ CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *row
   return failed ? -1 : k;
 }
 """
-"""Steps from the state X on, with one row of known values each, until one is not enough; returns how many were."""
+"""C function: propagates X over n rows of known values, up to an invalid easy step; returns the steps done."""
 
 
 def build_step_library(step: Any) -> str:
-    """Return the path of the library of a step ``(X, w, C) -> X`` or ``(X, enough)``; "" without a compiler or C."""
+    """Return the library path of a step ``(X, w, C) -> X`` or ``(X, valid)``; "" if it cannot be compiled."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -185,13 +185,13 @@ def build_step_library(step: Any) -> str:
     try:
         if not place.exists():
             _compile_library(step, compiler, place)
-    except (OSError, RuntimeError):  # no place to write, no C for an operation: the interpreter does without
+    except (OSError, RuntimeError):  # not writable, or no C code for an operation
         return ""
     return str(place) if place.exists() else ""
 
 
 def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
-    """Return ``(X, rows, C, final)``, which returns the number of steps done; ``None`` without a library."""
+    """Return the library function ``(X, rows, C, final)``, which returns the steps done; ``None`` without library."""
     if not library or not os.path.exists(library):
         return None
     leg = ctypes.CDLL(library).leg
@@ -213,7 +213,7 @@ def _find_cache_folder() -> Path:
 
 
 def _append_leg_source(source: str, step: Any) -> str:
-    """Return the C of a step with that of a leg below it."""
+    """Return the C code of a step, followed by the function of a leg."""
     sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
     loop = _LOOP
     for name, size in sizes.items():
@@ -222,17 +222,17 @@ def _append_leg_source(source: str, step: Any) -> str:
 
 
 def _generate_step_source(step: Any, folder: str) -> str:
-    """Return the C that CasADi writes for a step, with a leg; "" if it has none."""
+    """Return CasADi's C code of a step and of a leg; "" if it cannot be generated."""
     generator = ca.CodeGenerator("kernel.c")
     with redirect_stderr(io.StringIO()) as messages:
         generator.add(step)
         written = Path(generator.generate(f"{folder}{os.sep}"))
-    # CasADi has no C for a solver in it, and warns that this source does not compile
+    # CasADi generates no C code for solvers, and warns that this source does not compile
     return "" if messages.getvalue() else _append_leg_source(written.read_text(encoding="utf-8"), step)
 
 
 def _compile_library(step: Any, compiler: str, place: Path) -> None:
-    """Make the library."""
+    """Compile the library."""
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")
@@ -242,4 +242,4 @@ def _compile_library(step: Any, compiler: str, place: Path) -> None:
         written.write_text(text, encoding="utf-8")
         command = [compiler, *FLAGS, "-o", str(made), str(written), "-lm"]
         if subprocess.run(command, capture_output=True, check=False).returncode == 0:
-            made.replace(place)  # at once: others may be looking for it
+            made.replace(place)  # atomic: other processes may look for it

@@ -1,4 +1,4 @@
-"""Statistics of campaigns: shares and percentiles with confidence intervals that assume no distribution."""
+"""Distribution-free confidence intervals of pass rates and percentiles."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class PassRate:
-    """How many of n runs passed.
+    """Share of n runs that passed, with its confidence interval.
 
     Attributes
     ----------
     low, high : float
-        Interval that holds the true rate with at least ``confidence``.
+        Confidence interval of the true rate, at least at ``confidence``.
     """
 
     passed: int
@@ -35,7 +35,7 @@ class PassRate:
 
     @property
     def rate(self) -> float:
-        """Share of the runs that passed."""
+        """Pass rate of the sample."""
         return self.passed / self.runs
 
     def __str__(self) -> str:
@@ -44,16 +44,16 @@ class PassRate:
 
 @dataclass(frozen=True)
 class Percentile:
-    """A value that a share ``level`` of runs does not exceed.
+    """Percentile of a sample, with its confidence interval.
 
     Attributes
     ----------
     level : float
         In (0, 1).
     value : float
-        Of the sample: one of its members.
+        Sample percentile, a member of the sample.
     low, high : float
-        Interval that holds the true percentile with at least ``confidence``; infinite for small samples.
+        Confidence interval of the true percentile, at least at ``confidence``; infinite for small samples.
     """
 
     level: float
@@ -64,17 +64,17 @@ class Percentile:
 
 
 def estimate_pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> PassRate:
-    """Return a rate with its Clopper-Pearson interval.
+    """Return a pass rate with its Clopper-Pearson interval.
 
     Raises
     ------
     ArgumentError
-        No runs, more passed than runs, or a confidence outside (0, 1).
+        No runs, more passed than total runs, or a confidence outside (0, 1).
     """
     runs = read_integer(runs, "the number of runs", 1)
     passed = read_integer(passed, "the number of runs passed", 0)
     if passed > runs:
-        raise ArgumentError(f"{passed} of {runs} runs cannot have passed: count again.")
+        raise ArgumentError(f"{passed} of {runs} runs cannot have passed: correct the counts.")
     interval = scipy.stats.binomtest(passed, runs).proportion_ci(
         read_probability(confidence, "the confidence"), method="exact"
     )
@@ -82,10 +82,10 @@ def estimate_pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -
 
 
 def estimate_percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) -> Percentile:
-    r"""Return a percentile with an interval between order statistics.
+    r"""Return a percentile with a confidence interval between order statistics.
 
-    Of n sorted values the number below the true percentile is binomial (n, level), whatever the (continuous)
-    distribution, so :math:`P(x_{(l)} \le q < x_{(u)}) = \sum_{k=l}^{u-1} \binom{n}{k} p^k (1-p)^{n-k}`.
+    Of n sorted values the number below the true percentile has the binomial distribution (n, level) for any continuous
+    distribution, so that :math:`P(x_{(l)} \le q < x_{(u)}) = \sum_{k=l}^{u-1} \binom{n}{k} p^k (1-p)^{n-k}`.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def estimate_percentile(values: ArrayLike, level: float, confidence: float = CON
 
 
 def share_below_maximum(runs: int, confidence: float = CONFIDENCE) -> float:
-    r"""Return the share of all possible runs that do not exceed the largest of n, with that confidence.
+    r"""Return the share of all possible runs below the largest of n runs, at the given confidence.
 
     :math:`\alpha^{1/n}`, :math:`\alpha = 1 - \text{confidence}`; n = 59 gives 95 % (Wilks).
     """

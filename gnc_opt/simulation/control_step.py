@@ -1,4 +1,4 @@
-"""ControlStep: the symbols and the pieces of one control step of a closed loop, which `loop_kernel` puts together."""
+"""ControlStep: symbols and expressions of one control step of a closed loop, assembled by `loop_kernel`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gnc_opt.tolerances import SAME_TIME
 
 
 class ControlStep:
-    """Makes the symbols, then the pieces of a step in order; ``substeps`` are integration steps per minor step."""
+    """Symbols and expressions of a control step; ``substeps`` are integration steps per minor step."""
 
     def __init__(self, wiring: Wiring, substeps: int) -> None:
         self.wiring, self.substeps = wiring, substeps
@@ -103,7 +103,7 @@ class ControlStep:
     def apply_sensors(
         self, x: Any, t: Any, memory: dict[str, Any] | None, w: dict[str, Any]
     ) -> tuple[Any, dict[str, Any]]:
-        """Return the measured state and the sensors' memories; without memories they begin."""
+        """Return the measured state and the sensors' memories; without given memories the initial ones."""
         by_name = self.split_state(x)
         signals = {
             n: by_name[n] if n in by_name else self._output_expression(n, t, x) for n in self.measured.names
@@ -119,7 +119,7 @@ class ControlStep:
         return stack_signals(signals, self.measured.names), after
 
     def _output_expression(self, name: str, t: Any, x: Any) -> Any:
-        """Return an output of the plant; it depends on no control."""
+        """Return an output of the plant that does not depend on controls."""
         plant = self.wiring.plant
         time, xs, _, ps = plant.arguments()
         expression = plant.output_expression(name)
@@ -128,7 +128,7 @@ class ControlStep:
     def apply_actuators(
         self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
     ) -> tuple[list[Wave], Any]:
-        """Return what is applied to the plant's controls and which commands are saturated; updates ``memory``."""
+        """Return the applied controls and the saturation flags of the commands; updates ``memory``."""
         commands, controls = self.wiring.controller.commands, self.wiring.plant.controls
         waves = {n: Wave(u[commands.slice(n)]) for n in commands.names}
         origin = {n: {n} for n in commands.names}
@@ -147,7 +147,7 @@ class ControlStep:
         return [waves.get(n, nothing[n]) for n in controls.names], stack_signals(saturated, commands.names)
 
     def initial_actuator_memories(self, tick: Tick, r: Any) -> dict[str, Any]:
-        """Return the memories with which the actuators begin; the feedforward passes them where one begins in trim."""
+        """Return the initial memories of the actuators; the feedforward passes through them if one starts at trim."""
         wiring, memory = self.wiring, {}
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
@@ -163,12 +163,12 @@ class ControlStep:
         return memory
 
     def initial_event_record(self, t: Any, x: Any) -> dict[str, Any]:
-        """Return what is kept of events as a run begins: rows that are not below zero can cross it."""
+        """Return the initial record of events; rows that are not negative are armed."""
         y = self.wiring.events.rows(t, x, ca.SX.zeros(x.shape[0]), self.plant_p)[0]
         return {"armed": y >= 0, "first": ca.SX.nan(len(self.wiring.events))}
 
     def _plant_rate_function(self, pushes: dict[str, Any]) -> Any:
-        """Return f(t, x, u) of the plant under applied controls and disturbances."""
+        """Return f(t, x, u) of the plant with applied controls and disturbances."""
         plant, links = self.wiring.plant, self.wiring.disturbances
 
         def plant_rate(t: Any, x: Any, u: Any) -> Any:
@@ -195,7 +195,7 @@ class ControlStep:
         span: tuple[Any, Any] | None = None,
         watches: Sequence[Callable[[Taken, Callable[[Any], Any]], None]] = (),
     ) -> Any:
-        """Integrate the plant over a minor step that begins at t, or over a ``span`` of it (s)."""
+        """Return the state after a minor step that starts at t, or after a ``span`` (s) within it."""
         f, n, wave = self._plant_rate_function(state), self.substeps, concatenate_waves(waves)
         begin, end = span or (ca.SX(0), ca.SX(self.h))
         length = end - begin
@@ -219,7 +219,7 @@ class ControlStep:
         return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, self.split_state(state["plant"]))
 
     def update_disturbances(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
-        """Return the state with the memories of the disturbances during this control step."""
+        """Return the state with the disturbances' memories for this control step."""
         new = dict(state)
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
@@ -228,7 +228,7 @@ class ControlStep:
         return new
 
     def accumulate_totals(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
-        """Sum up what was applied for a time (s)."""
+        """Add effort, energy and saturation of the applied controls over a time (s)."""
         new["effort"] += time * ca.fabs(applied)
         new["energy"] += time * applied**2
         new["saturation"] += time * saturated
@@ -241,7 +241,7 @@ class ControlStep:
         told: dict[str, Any],
         z: Any,
     ) -> Any:
-        """Complete the state after a control step, and return its log."""
+        """Return the completed state after a control step, and its log."""
         y, u, mean = told["measured"], told["commands"], told["applied"]
         new |= {
             "memory": z,
@@ -268,7 +268,7 @@ class ControlStep:
     def _record_first_faults(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any
     ) -> None:
-        """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""
+        """Record the first non-finite quantity, the first diverged state and the first alarm, with their times."""
         wiring = self.wiring
         fault = ca.SX(0)
         for i in reversed(range(seen.shape[0])):
@@ -289,13 +289,13 @@ class ControlStep:
 
 
 def watched_measurements(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
-    """Return the measurement, unless the controller or its estimator does without lost samples: then nothing."""
+    """Return the measurement, or nothing if the controller or its estimator handles lost samples."""
     controller = wiring.controller
     return (measured,) if controller.unbridged is None and controller.estimated is None else ()
 
 
 def list_watched_labels(wiring: Wiring) -> list[str]:
-    """Return what the codes of the first non-finite quantity mean, code 1 first."""
+    """Return the labels of the codes of non-finite quantities, starting at code 1."""
     groups = (
         *watched_measurements(wiring, ("measured", wiring.controller.states)),
         ("command", wiring.controller.commands),
@@ -308,7 +308,7 @@ def list_watched_labels(wiring: Wiring) -> list[str]:
 
 
 def list_alarm_labels(wiring: Wiring) -> list[str]:
-    """Return the controller's alarms by code, code 1 first."""
+    """Return the labels of the alarm codes, starting at code 1."""
     memory = wiring.controller.memory
     return [label for name in wiring.controller.alarms for label in memory[name].labels]
 
@@ -316,7 +316,7 @@ def list_alarm_labels(wiring: Wiring) -> list[str]:
 def _mark_saturation(
     saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]
 ) -> None:
-    """Note where a limit acts: at the same component, or at every component that led to it."""
+    """Mark saturated components: the same component, or all input components of the block."""
     if step.saturated is None:
         return
     at = 0

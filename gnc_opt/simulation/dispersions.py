@@ -1,8 +1,7 @@
-"""Dispersions: how a parameter or an initial state differs from its nominal value from run to run.
+"""Dispersions: random variation of parameters and initial states between runs.
 
-All but `Choice` are deviations from the nominal value; ``relative=True`` makes them shares of it. A vector gets
-independent deviations for its components, except from those with a random direction (`RandomDirection`,
-`UniformInBall`, `RandomRotation`).
+All classes except `Choice` are deviations from the nominal value, or shares of it with ``relative=True``. Components of
+a vector are independent, except with a random direction (`RandomDirection`, `UniformInBall`, `RandomRotation`).
 """
 
 from __future__ import annotations
@@ -24,41 +23,41 @@ from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
 
 _UNIT = 1e-6
-"""A quaternion whose squared length differs from 1 by less is one that was typed in with six digits."""
+"""Largest deviation of a quaternion's squared norm from 1; accepts inputs with six digits."""
 
 
 @dataclass(frozen=True)
 class Dispersion:
-    """Base of dispersions."""
+    """Base class of dispersions."""
 
     def check(self, name: str, nominal: Array) -> None:
-        """Raise `ArgumentError` if it cannot be applied to the nominal value (size,) of that name."""
+        """Raise `ArgumentError` if the dispersion is invalid for this nominal value (size,)."""
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         """Return a dispersed value (size,)."""
         raise NotImplementedError
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
-        """Return the mean (size,) and the covariance (size, size) of the deviation from the nominal value."""
+        """Return mean (size,) and covariance (size, size) of the deviation from the nominal value."""
         raise ArgumentError(
-            f"{type(self).__name__}() does not tell its mean and covariance: give it a method moments(nominal)."
+            f"{type(self).__name__}() does not define its mean and covariance: give it a method moments(nominal)."
         )
 
 
 @dataclass(frozen=True)
 class Normal(Dispersion):
-    """A normal deviation.
+    """Normally distributed deviation.
 
     Parameters
     ----------
     std : float or one per component
         Standard deviation (1 sigma), >= 0.
     mean : float or one per component
-        Of the deviation.
+        Mean of the deviation.
     relative : bool
-        Whether both are shares of the nominal value: 0.01 is 1 %.
+        Whether mean and standard deviation are shares of the nominal value (0.01 is 1 %).
     truncate : float, optional
-        Keep the deviation within so many standard deviations of its mean; > 0. (The variance shrinks.)
+        Largest deviation from the mean in standard deviations, > 0; the variance decreases.
 
     Examples
     --------
@@ -87,7 +86,7 @@ class Normal(Dispersion):
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         if self.truncate is None:
             z = generator.standard_normal(nominal.size)
-        else:  # by the inverse of the distribution: one number each, and never a rejection
+        else:  # inverse transform: one number per component, no rejection
             tail = scipy.special.ndtr(-self.truncate)
             z = scipy.special.ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
         return _add_deviation(nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative)
@@ -104,13 +103,13 @@ class Normal(Dispersion):
 
 @dataclass(frozen=True)
 class Uniform(Dispersion):
-    """A deviation anywhere between ``low`` and ``high``, floats or one per component; ``relative`` as in `Normal`.
+    """Uniformly distributed deviation between ``low`` and ``high``; ``relative`` as in `Normal`.
 
     Parameters
     ----------
     low, high : float or one per component
     relative : bool
-        Whether both are shares of the nominal value.
+        Whether the limits are shares of the nominal value.
 
     Examples
     --------
@@ -126,7 +125,7 @@ class Uniform(Dispersion):
             _require_finite(self.low, "low of Uniform()") > _require_finite(self.high, "high of Uniform()")
         ):
             raise ArgumentError(
-                f"Uniform() is to range from {shown(self.low)} to {shown(self.high)}: give the lower end first."
+                f"Uniform() has the range {shown(self.low)} to {shown(self.high)}: give the lower end first."
             )
 
     def check(self, name: str, nominal: Array) -> None:
@@ -147,12 +146,12 @@ class Uniform(Dispersion):
 
 @dataclass(frozen=True)
 class Choice(Dispersion):
-    """One of the given values (not deviations) instead of the nominal one, all equally probable.
+    """One of the given values (not deviations), with equal probability.
 
     Parameters
     ----------
     values : sequence of float or array
-        Of the size of what is dispersed.
+        Values of the size of the dispersed quantity.
 
     Examples
     --------
@@ -181,17 +180,17 @@ class Choice(Dispersion):
 
 
 Magnitude: TypeAlias = float | Normal | Uniform
-"""Always the same, or drawn as a deviation from zero."""
+"""Constant, or drawn as a deviation from zero."""
 
 
 @dataclass(frozen=True)
 class RandomDirection(Dispersion):
-    """A deviation in a random direction, all equally probable.
+    """Deviation with a uniformly distributed random direction.
 
     Parameters
     ----------
     radius : float, Normal or Uniform
-        Length of the deviation, in the unit of the vector: one number for always the same, else it is drawn.
+        Length of the deviation, in the unit of the vector: constant or drawn.
 
     Examples
     --------
@@ -214,7 +213,7 @@ class RandomDirection(Dispersion):
 
 @dataclass(frozen=True)
 class UniformInBall(Dispersion):
-    """A deviation to any point within ``radius`` (unit of the vector), all points equally probable.
+    """Deviation with uniform distribution in a ball of ``radius`` (unit of the vector).
 
     Parameters
     ----------
@@ -242,14 +241,14 @@ class UniformInBall(Dispersion):
 
 @dataclass(frozen=True)
 class RandomRotation(Dispersion):
-    """An attitude turned about a random axis, all equally probable.
+    """Rotation of an attitude about a uniformly distributed random axis.
 
-    The attitude is a unit quaternion, scalar part first, or modified Rodrigues parameters: four components or three.
+    The attitude is a unit quaternion (scalar first) or modified Rodrigues parameters: four or three components.
 
     Parameters
     ----------
     angle : float, Normal or Uniform
-        rad; one number for always the same, else it is drawn.
+        Rotation angle, rad: constant or drawn.
 
     Examples
     --------
@@ -275,11 +274,11 @@ class RandomRotation(Dispersion):
         turn = np.concatenate([[np.cos(half)], np.sin(half) * _draw_direction(generator, 3)])
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
         turned = np.asarray(quaternion_product(attitude, turn), dtype=float)
-        # of the two sets of parameters this is the one of the nominal attitude
+        # of the two parameter sets, the one of the nominal attitude
         return turned if nominal.size == 4 else turned[1:] / (1 + turned[0])
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
-        """To first order in the angle."""
+        """Return mean and covariance to first order in the angle."""
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
         axes = np.hstack([np.zeros((3, 1)), 0.5 * np.eye(3)])  # half a radian about each axis
         change = np.stack(
@@ -291,11 +290,11 @@ class RandomRotation(Dispersion):
 
 
 Dispersions: TypeAlias = Mapping[str, Dispersion]
-"""By dotted name, see `ClosedLoop.layout`."""
+"""Dispersions by dotted name, see `ClosedLoop.layout`."""
 
 
 def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) -> None:
-    """Refuse what is no dispersion, names that the layout does not have, and wrong sizes."""
+    """Raise an error for values that are not dispersions, for unknown names and for wrong sizes."""
     expect(
         dispersions,
         Mapping,
@@ -312,9 +311,9 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
 
 
 def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
-    """Return the column P (n_parameters,) of one run.
+    """Return the parameter column P (n_parameters,) of one run.
 
-    The random numbers of a name depend on the seed, the run and the name alone.
+    The random numbers of a parameter depend only on the seed, the index of the run and the name.
     """
     P = nominal.copy()
     for name, dispersion in dispersions.items():
@@ -337,7 +336,9 @@ def _check_size(value: ArrayLike, nominal: Array, what: str) -> None:
 
 def _check_relative(relative: bool, name: str, nominal: Array) -> None:
     if relative and not np.any(nominal):
-        raise ArgumentError(f"'{name}' is nominally zero, and so is every share of it: drop relative=True.")
+        raise ArgumentError(
+            f"'{name}' has the nominal value 0, and every share of it is 0: drop relative=True."
+        )
 
 
 def _add_deviation(nominal: Array, deviation: Array, relative: bool) -> Array:
@@ -358,7 +359,7 @@ def _draw_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
 
 
 def _magnitude_mean_square(value: Magnitude) -> float:
-    """Return the mean of a magnitude's square."""
+    """Return the mean square of a magnitude."""
     if not isinstance(value, Dispersion):
         return float(value) ** 2
     mean, variance = value.moments(np.zeros(1))

@@ -1,6 +1,6 @@
-"""Disturbances: what acts on the plant besides its controls.
+"""Disturbances of the plant, additional to its controls.
 
-``on`` names a state (added to its rate) or a control (added to what the actuators apply).
+``on`` names a state (the disturbance is added to its rate) or a control (added to the applied control).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, read_blo
 
 @dataclass(frozen=True)
 class Disturbance(Block):
-    """Base of disturbances: a continuous function of time and state, with a memory that changes at control steps.
+    """Base class of disturbances: continuous functions of time and state; their memory changes at control steps.
 
     Examples
     --------
-    Drag that grows with the square of the speed:
+    Drag proportional to the square of the speed:
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Disturbance(Block):
             raise ArgumentError(f"disturbance '{self.name}' acts on nothing: give on= a state or a control.")
 
     def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
-        """Return the memory during this control step, SX; tick, state, p and noise as in `step`."""
+        """Return the memory for this control step, SX; arguments as in `step`."""
         return state
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
@@ -53,12 +53,12 @@ class Disturbance(Block):
 
 @dataclass(frozen=True)
 class ConstantDisturbance(Disturbance):
-    """The same ``level`` all the time.
+    """Constant disturbance ``level``.
 
     Parameters
     ----------
     level : float or one per component
-        Unit of what it acts on.
+        Value, in the unit of the control or of the state's rate.
 
     Examples
     --------
@@ -76,12 +76,12 @@ class ConstantDisturbance(Disturbance):
 
 @dataclass(frozen=True)
 class SinusoidalDisturbance(Disturbance):
-    """``amplitude * sin(frequency * t + phase)``, frequency in rad/s, phase in rad.
+    """Sinusoidal disturbance ``amplitude * sin(frequency * t + phase)``.
 
     Parameters
     ----------
     amplitude : float or one per component
-        Unit of what it acts on.
+        Unit of the control or of the state's rate.
     frequency : float
         rad/s.
     phase : float or one per component
@@ -109,7 +109,7 @@ class SinusoidalDisturbance(Disturbance):
 
 @dataclass(frozen=True)
 class PiecewiseConstantNoise(Disturbance):
-    """Normal random values with standard deviation ``sigma``, each held for ``period`` (s).
+    """Normal random values with standard deviation ``sigma``, each constant over ``period`` (s).
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class PiecewiseConstantNoise(Disturbance):
 
 @dataclass(frozen=True)
 class ExpressionDisturbance(Disturbance):
-    """Any function ``function(t, x, p)`` of time (s), the plant's states and the block's parameters, by name.
+    """User-defined disturbance ``function(t, x, p)`` of time (s), states and parameters of the block, by name.
 
     Parameters
     ----------

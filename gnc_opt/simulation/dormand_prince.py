@@ -1,7 +1,7 @@
 r"""Fixed-step integration by the Runge-Kutta pair of Dormand and Prince, as symbolic expressions.
 
-The fifth-order solution is propagated. Within a step the solution is a polynomial of degree four through both
-ends and their rates, of fourth order. The stability function, by which a step multiplies a mode
+The fifth-order solution is propagated. The dense output is a polynomial of degree four through the values and rates at
+both ends of a step; it has order four. The stability function, by which a step multiplies a mode
 :math:`e^{\lambda t}`, :math:`z = \lambda h`, is
 
 .. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} .
@@ -31,17 +31,17 @@ STAGES: tuple[tuple[float, ...], ...] = (
     (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
-"""The last row is the fifth-order solution: the last stage is the first one of the next step."""
+"""Butcher tableau; the last row is the fifth-order solution (first same as last)."""
 
 DENSE_WEIGHTS = (
     -12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
     701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
 )  # fmt: skip
-"""Of the bubble nu^2 (1 - nu)^2 within a step."""
+"""Weights of the polynomial nu^2 (1 - nu)^2 in the dense output."""
 
 
 class Taken(NamedTuple):
-    """An integration step: its number, length (s), beginning (s), states at both ends, and rates at its stages."""
+    """Integration step: index, length (s), start (s), states at both ends, and rates at its stages."""
 
     number: int
     length: Any
@@ -92,7 +92,7 @@ def integrate_dormand_prince(
 
 @cache
 def _build_stage_function(row: tuple[float, ...], n: int) -> Any:
-    """Return where a stage begins, from x (n,), h and the rates before it: CasADi expands a call faster than Python."""
+    """Return the function of a stage's argument from x (n,), h and previous rates; CasADi inlines it fast."""
     x, h, *k = _stage_symbols(n, len(row))
     return ca.Function("stage", [x, h, *k], [x + h * _sum_weighted(row, k)])
 

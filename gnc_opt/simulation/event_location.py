@@ -1,14 +1,13 @@
 r"""Location of events within a minor step, and integration through them.
 
-A row (see `Events`) is *armed* if it has been at zero or above since its event last happened. An armed row
-may cross in an integration step (`Watch`) if it ends below zero, or sinks to it in between by the cubic
-through values and slopes or by the tangents of both ends. Then the minor step is repeated to the crossing, found by
-Newton's method inside a bracket (`event_passage_function`); then the resets; then on from there.
+A row (see `Events`) is *armed* if it has been >= 0 since the last occurrence of its event. An armed row is a candidate
+in an integration step (`Watch`) if it ends below zero, or if the cubic through its values and slopes, or the tangents
+at both ends, become negative. The minor step is then repeated up to the crossing, which Newton's method locates inside
+a bracket (`event_passage_function`); the resets are applied, and the integration continues.
 
-Events within `SAME_TIME` of the minor step are simultaneous: conditions are evaluated before all resets,
-which follow in the order of declaration until one ends the run. The run also ends if a row rises after its
-reset but falls through zero within that time (Zeno), or if a reset leaves its row at zero and the plant
-drives it through.
+Events within `SAME_TIME` of the minor step are simultaneous: all conditions are evaluated before the resets, which are
+applied in the order of declaration until one ends the run. The run also ends if a row rises after its reset but crosses
+zero again within that time (Zeno), or if a reset leaves its row at zero and the plant drives it through zero.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from gnc_opt.simulation.signals import Places
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 RATE_SHARE_OF_STEP = 1e-4
-"""Of a minor step: over which rates are taken as differences."""
+"""Interval of rate differences, as a share of the minor step."""
 
 
 class Watch:
-    """What the rows do while the plant is integrated; SX."""
+    """Search for zero crossings of the event rows during the integration; SX."""
 
     def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
         self.events, self.armed, self.parameters = events, armed, parameters
@@ -39,7 +38,7 @@ class Watch:
         self._now, self._heeded = ca.SX(begin), begin + moment
 
     def __call__(self, taken: Taken, _: Any = None) -> None:
-        """Look at an integration step."""
+        """Update the crossing flags after an integration step."""
         length, time, x = taken.length, taken.time + taken.length, taken.after
         y0, d0 = self.events.rows(taken.time, taken.x, taken.stages[0], self.parameters)
         y1, d1 = self.events.rows(time, x, taken.stages[-1], self.parameters)
@@ -48,7 +47,7 @@ class Watch:
         c, d = 3 * rise - 2 * a - b, a + b - 2 * rise
         lowest = -a / (c + ca.sqrt(ca.fmax(c**2 - 3 * d * a, 0)))
         near = y0 + lowest * (a + lowest * (c + lowest * d)) <= 0.05 * ca.fmax(y0, y1)
-        # a fast row is no cubic; if it is convex, it stays above both tangents
+        # fast rows are not cubic; a convex row stays above both tangents
         corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
         sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
         later = self._now + length > self._heeded
@@ -68,7 +67,7 @@ class Watch:
 
 
 def event_note_layout(n_states: int) -> tuple[tuple[str, int], ...]:
-    """Return what is noted of a control step's events: how many, which, when, and the states on both sides."""
+    """Return the layout of a control step's event notes: count, codes, times, and states before and after."""
     return (
         ("number", 1),
         ("codes", EVENTS_PER_STEP_MAX),
@@ -79,13 +78,13 @@ def event_note_layout(n_states: int) -> tuple[tuple[str, int], ...]:
 
 
 def event_record_layout(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
-    """Return the layout of the record of events: counts, first times, the end of the run, undefined ones."""
+    """Return the layout of the event record: counts, first times, end of the run, undefined events."""
     count, stop = len(events), (("stop", 1), ("stop time", 1), ("stop rate", n_states))
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
 def event_passage_function(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
-    """Return ``(q, t, p, *context) -> q`` through a minor step with events, and the layout of q."""
+    """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
     way = _Passage(events, leg, h)
     return way.function(), way.places
 
@@ -129,7 +128,7 @@ class _Passage:
         return ca.Function("passage", [q, t, p, *context], [self.places.join(v)])
 
     def _leg_to_next_event(self) -> Any:
-        """A leg to the next event or to the end, unless all is done."""
+        """Return the function of a leg to the next event or to the end; inactive when the step is complete."""
         inputs = self._passage_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
@@ -154,12 +153,12 @@ class _Passage:
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
     def _advance_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
-        """Return the quantities at s, with those that the leg until then has added."""
+        """Return the quantities at s, including those of the leg up to s."""
         seen = join_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
     def _propagate_through_event(self) -> Any:
-        """Fly to where a row may have crossed; if one has, through the event."""
+        """Propagate to a candidate crossing, and through its event if the row crosses zero."""
         q, _, first, last, t, p, *context = symbols = self._passage_symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
@@ -181,7 +180,7 @@ class _Passage:
         return ca.Function("meet", symbols, [met])
 
     def _narrow_bracket(self) -> Any:
-        """Look again at the way to where a row may have crossed, as long as none has there, but one may before."""
+        """Search the interval before a candidate again, as long as no row has crossed but one may have before."""
         sizes = (
             ("r", 3),
             ("x", self.leg.size1_in(0)),
@@ -198,7 +197,7 @@ class _Passage:
         return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
     def _locate_and_apply_event(self) -> Any:
-        """Find the instant at which the first of the crossing rows is zero, and do what the events do."""
+        """Locate the first zero of the crossing rows and apply the events."""
         q, _, crossing, first, last, t, p, *context = given = self._passage_symbols(
             ("q", self.places.size),
             ("beyond", self.places.size),
@@ -243,14 +242,14 @@ class _Passage:
         return ca.Function("happen", given, [self.places.join(w)])
 
     def _unsatisfied_resets(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
-        """Yield, of each event with a reset, the code and whether it has left a row of its own that falls through."""
+        """Yield, for each event with a reset, its code and whether its row stays at zero and falls through."""
         for j, event in enumerate(self.events.declared):
             if event.reset:
                 own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
                 yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), event_occurred[j])
 
     def _root_search_step(self) -> Any:
-        """One step of the search, unless it has ended."""
+        """Return one iteration of the root search, inactive after convergence."""
         r, x, armed, s, crossing = symbols = [
             ca.MX.sym(name, size)
             for name, size in (
@@ -266,7 +265,7 @@ class _Passage:
         return ca.Function("improve", inputs, [choice(r[4], *inputs)])
 
     def _build_crossing_function(self) -> Any:
-        """``(y, slope, crossing) -> (y, slope)`` of the lowest of the crossing rows."""
+        """Return ``(y, slope, crossing) -> (y, slope)`` of the lowest crossing row."""
         y, slope, crossing = (ca.SX.sym(name, self.n_rows) for name in ("y", "slope", "crossing"))
         least, its = ca.SX(ca.inf), ca.SX(0)
         for j in range(self.n_rows):
@@ -275,7 +274,7 @@ class _Passage:
         return ca.Function("lowest", [y, slope, crossing], [least, its])
 
     def _newton_or_bisection_step(self) -> Any:
-        """Newton's step where it stays inside the bracket and halves the step before, else bisection."""
+        """Return Newton's step if it stays inside the bracket and halves the previous step, else bisection."""
         r, y, slope = ca.SX.sym("r", 5), ca.SX.sym("y"), ca.SX.sym("slope")
         now, low, high, before, _ = ca.vertsplit(r)
         above = y > 0
@@ -293,7 +292,7 @@ class _Passage:
         )
 
     def _event_effect_function(self) -> Any:
-        """``(q, fired rows, t, p) -> q`` after conditions and resets, with what happened noted."""
+        """Return ``(q, fired rows, t, p) -> q`` after conditions and resets, with the occurrences noted."""
         column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
         v = self.places.split(column)
@@ -322,7 +321,7 @@ class _Passage:
 
 
 def _replace_entry(column: Any, place: int, condition: Any, value: Any) -> Any:
-    """Return the SX column with another entry at a place where the condition holds."""
+    """Return the SX column with the entry at ``place`` replaced if the condition is true."""
     entries = ca.vertsplit(column)
     entries[place] = ca.if_else(condition, value, entries[place])
     return ca.vertcat(*entries)

@@ -1,7 +1,6 @@
-"""Event: what happens to a plant where an expression passes through zero.
+"""Event: state reset or end of a run at a zero crossing of an expression.
 
-A mode of a hybrid plant is a state with the rate 0 that resets change; ``where`` selects the modes of an
-event.
+A mode of a hybrid plant is a state with rate 0 that resets change; ``where`` restricts an event to modes.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from gnc_opt.model.variables import Layout, Variable, as_expression, find_foreig
 
 
 def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
-    """Return an SX expression (size, 1) of time, states and parameters of the plant, optionally of its controls."""
+    """Return an SX expression (size, 1) of the plant's time, states and parameters, optionally of its controls."""
     expression = as_expression(value, what, size, ArgumentError)
     t, x, u, p = plant.arguments()
     foreign = find_foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
@@ -36,30 +35,29 @@ def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, cont
 
 
 EVENTS_PER_STEP_MAX = 20
-"""Events in a control step at most; more are a sequence that time cannot follow (Zeno)."""
+"""Largest number of events in a control step; more are treated as a Zeno sequence."""
 
 _SIGNS = {"falling": (1.0,), "rising": (-1.0,), "either": (1.0, -1.0)}
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """Something that happens where an expression of the plant's states passes through zero.
+    """Zero crossing of an expression of the plant's states, with its effect.
 
     Parameters
     ----------
     name : str
     expression : casadi.SX
-        Of the plant's symbols of time, states and parameters, (1, 1). It should pass through zero with a
-        slope.
+        Function of the plant's symbols of time, states and parameters, (1, 1). Its slope at the zero should not vanish.
     direction : {"falling", "rising", "either"}
-        Of the passage.
+        Direction of the crossing.
     reset : mapping, optional
-        New values of states, ``{v: -0.8 * v}``, by symbol or name, from the values before. Default: the event
-        ends the run; an empty mapping only records it.
+        New state values by symbol or name, ``{v: -0.8 * v}``, as functions of the values before. Default: the event
+        ends the run; an empty mapping only records the event.
     where : casadi.SX, optional
-        Condition on the state at that instant, such as ``stage < 1.5``.
+        Condition on the state at the crossing, such as ``stage < 1.5``.
     failure : bool
-        Whether a run that ends with this event has failed.
+        Whether a run that this event ends has failed.
 
     Raises
     ------
@@ -103,13 +101,13 @@ class Event:
 
     @property
     def ends(self) -> bool:
-        """Whether it ends the run."""
+        """Whether the event ends the run."""
         return self.reset is None
 
 
 @dataclass(frozen=True, eq=False)
 class EventOccurrence:
-    """An event that happened.
+    """Occurrence of an event in a run.
 
     Attributes
     ----------
@@ -117,7 +115,7 @@ class EventOccurrence:
     time : float
         s.
     before, after : array (n_states,)
-        States of the plant on both sides of the reset.
+        States of the plant before and after the reset.
 
     Examples
     --------
@@ -139,13 +137,13 @@ class EventOccurrence:
 def read_event_occurrences(
     told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
 ) -> list[EventOccurrence]:
-    """Return the events in the logs, by columns, of the first steps of a leg."""
+    """Return the event occurrences in the logs of the first steps of a leg."""
     shape = (EVENTS_PER_STEP_MAX, n_states)
     return [
         EventOccurrence(
             names[int(told["codes"][k, step]) - 1],
             float(told["times"][k, step]),
-            told["before"][:, step].reshape(shape)[k].copy(),  # views would keep the logs of the whole leg
+            told["before"][:, step].reshape(shape)[k].copy(),  # views would keep the logs in memory
             told["after"][:, step].reshape(shape)[k].copy(),
         )
         for step in np.flatnonzero(told["number"][0, :steps])
@@ -155,7 +153,7 @@ def read_event_occurrences(
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """The events of a loop as CasADi functions of its plant."""
+    """Events of a loop as CasADi functions of its plant."""
 
     declared: tuple[Event, ...]
     owners: tuple[int, ...]
@@ -166,7 +164,7 @@ class Events:
         return len(self.declared)
 
     def undefined_events(self, t: Any, x: Any, p: Any, y: Any) -> Any:
-        """Return, by the rows y at (t, x), which events (n_events, 1) are undefined (NaN) while they can happen; SX."""
+        """Return which events (n_events, 1) have a row y of NaN at (t, x) while they are active; SX."""
         holds, _ = self.effects(t, x, p)
         flags = []
         for j in range(len(self)):
@@ -181,7 +179,7 @@ class Events:
 
     @classmethod
     def of(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
-        """Read events of a plant; raise `ArgumentError` or `ModelError` for what is none."""
+        """Return the events of a plant; raise `ArgumentError` or `ModelError` for invalid ones."""
         require_distinct([event.name for event in declared], "events of the closed loop")
         if not declared:
             return cls((), (), None, None)
@@ -207,12 +205,12 @@ class Events:
 
 
 def _is_number(value: Any) -> Any:
-    """Return whether it is a number or infinite; "x == x" is true of any symbol."""
+    """Return whether a value is not NaN; "x == x" is simplified to true for symbols."""
     return ca.fabs(value) <= ca.inf
 
 
 def _read_condition(event: Event, plant: Model) -> Any:
-    """Return the expression of an event; refuse one that never passes through zero."""
+    """Return the expression of an event; raise an error if it cannot have a zero crossing."""
     found, what = (
         _read_expression(event, event.expression, "the expression", plant),
         "the expression of event",
@@ -221,12 +219,11 @@ def _read_condition(event: Event, plant: Model) -> Any:
     if not ca.depends_on(found, ca.vertcat(t, x)):
         raise ArgumentError(
             f"{what} '{event.name}' depends neither on a state nor on the time, and never passes through zero: "
-            "write what does, altitude, say."
+            "write a function of a state, for example the altitude."
         )
     if ca.jacobian(found, ca.vertcat(t, x)).is_zero():
         raise ArgumentError(
-            f"{what} '{event.name}' jumps where it should pass through zero: write h - 0.5 with a direction, "
-            "not h < 0.5."
+            f"{what} '{event.name}' is discontinuous at zero: write h - 0.5 with a direction, not h < 0.5."
         )
     return found
 
@@ -236,7 +233,7 @@ def _read_expression(event: Event, value: Any, what: str, plant: Model, size: in
 
 
 def _states_after_event(event: Event, plant: Model) -> Any:
-    """Return the states (n_states, 1) that an event leaves."""
+    """Return the states (n_states, 1) after an event."""
     new = {name: plant.symbol(name) for name in plant.states.names}
     for key, value in (event.reset or {}).items():
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", shown(key))

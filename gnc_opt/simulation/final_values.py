@@ -1,8 +1,7 @@
-r"""Final values of runs, and their error from companion runs with integration steps half as long.
+r"""Final values of runs, and their integration error from companion runs with half the step size.
 
-Both runs get the same parameters, random numbers and plans. With the order p of the steps (5 along smooth
-rates and held inputs, 2 at kinks of a rate), the final states x and :math:`\hat x` of the run and its
-companion obey
+Both runs have the same parameters, random numbers and plans. With the order p of the method (5 for smooth rates and
+constant inputs, 2 at kinks of a rate), the final states x and :math:`\hat x` of the run and its companion satisfy
 
 .. math:: |x - x^*| \le \frac{|x - \hat x|}{1 - 2^{-p}} .
 
@@ -22,30 +21,30 @@ from gnc_opt.simulation.signals import Places
 
 @dataclass(frozen=True)
 class FinalValues:
-    """Final values and figures of merit of n runs.
+    """Final values and performance figures of n runs.
 
     Attributes
     ----------
     states : array (n_states, n)
     errors : array (n_errors, n) or None
-        Relative to the reference at the last time, by the plant's own difference.
+        Errors relative to the reference at the last time, with the plant's difference function.
     memory : array (n_memory, n)
-        Of the controller.
+        Memory of the controller.
     effort, energy : array (n_controls, n)
         Integrals of \\|u\\| and u^2 of the applied controls (unit s, unit^2 s).
     saturation_time : array (n_commands, n)
-        Time in which a limit acted on a command, s.
+        Time during which a limit acted on a command, s.
     variation : array (n_commands, n)
-        Sum of the changes of the commands: chattering.
+        Total variation of the commands, which measures chattering.
     integration_error, state_error : array (n,)
         See `integration_errors`.
     outcomes : tuple of n Outcome
     event_counts, event_times : array (n_events, n)
         Number of occurrences of each event, and the first time (s), NaN without an occurrence.
     replans : array (2, n)
-        Numbers of successful and of failed re-plans.
+        Numbers of successful and of failed re-plannings.
     sums, samples : arrays (3 n_quantities, n), (n_quantities, n_samples, n) or None
-        Maxima, minima, integrals and samples of the quantities.
+        Maxima, minima, integrals and samples of quantities.
 
     Examples
     --------
@@ -73,11 +72,11 @@ class FinalValues:
 
 
 RICHARDSON_FACTOR = 4 / 3
-"""The error over what halving the steps changes, at order 2 and more."""
+"""Ratio of the error to the change by halving the step, for order 2 and higher."""
 
 
 def integration_errors(places: Places, final: Array, companions: Array, end: float) -> tuple[Array, Array]:
-    """Return the errors (n,) of runs, relative to max(1, \\|x\\|): of all, and of the states alone."""
+    """Return the relative errors (n,) of runs, relative to max(1, \\|x\\|): of all entries, and of the states only."""
     one, two = places.split(final), places.split(companions)
     x, other = one["plant"], two["plant"]
     if "stop" not in one:
@@ -90,7 +89,7 @@ def integration_errors(places: Places, final: Array, companions: Array, end: flo
 
 
 def _compute_column_distances(one: Array, two: Array) -> Array:
-    """Return the distance of columns (n,); infinite where only the second is not finite."""
+    """Return the distances between columns (n,); infinite if only the second is not finite."""
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
     return np.asarray(np.where(np.isnan(apart) & np.isfinite(one).all(axis=0), np.inf, apart))

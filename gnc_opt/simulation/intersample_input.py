@@ -1,17 +1,17 @@
-r"""Outputs of actuators within a minor step: held, or decaying exponentials behind a lag.
+r"""Actuator outputs within a minor step: constant, or exponential after a lag.
 
-Behind a lag a component is
+After a lag a component is
 
 .. math:: y(s) = v + c\, e^{-s/\tau},
 
-with s the time since the minor step began. Within an integration step of length :math:`\sigma` the
-exponential is projected on parabolas,
+with s the time since the start of the minor step. Within an integration step of length :math:`\sigma` the exponential
+is projected onto quadratic polynomials,
 
 .. math:: e^{-\sigma \nu / \tau} \approx \sum_{j=0}^{2} (2j + 1) (-1)^j e^{-\xi} i_j(\xi) P_j(2\nu - 1), \qquad
    \xi = \frac{\sigma}{2\tau},
 
-P_j Legendre's polynomials and i_j the modified spherical Bessel functions of the first kind: the first three
-moments are exact for any :math:`\tau`.
+with Legendre polynomials P_j and modified spherical Bessel functions of the first kind i_j. The first three moments are
+exact for any :math:`\tau`.
 
 Source: NIST Digital Library of Mathematical Functions, 10.47.7 (i_j), 10.53.3 (its series), 18.18.19 with an imaginary
 argument (the expansion).
@@ -26,43 +26,43 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 Decay: TypeAlias = Callable[[Any], Any]
-"""``decay(tau)``: exp(-s / tau) at some time s, or what stands for it; SX columns."""
+"""``decay(tau)``: exp(-s / tau) at a time s, or its approximation; SX columns."""
 
 Input: TypeAlias = Callable[[int, float], Any]
-"""``u(k, node)``: the value in the k-th integration step, at ``node`` (0 to 1) of it; SX column."""
+"""``u(k, node)``: value in integration step k at ``node`` (0 to 1); SX column."""
 
 
 @dataclass(frozen=True)
 class Wave:
-    """The output of an actuator within a minor step.
+    """Actuator output within a minor step.
 
     Attributes
     ----------
     mean : SX column
     at : callable, optional
-        ``at(decay)`` returns the value where the exponentials are those of ``decay``; None: held at the mean.
+        ``at(decay)`` returns the value for the exponentials ``decay``; None: constant, equal to the mean.
     """
 
     mean: Any
     at: Callable[[Decay], Any] | None = None
 
     def evaluate_wave(self, decay: Decay) -> Any:
-        """Return the value where the exponentials are those of ``decay``."""
+        """Return the value for the exponentials ``decay``."""
         return self.mean if self.at is None else self.at(decay)
 
     def apply_memoryless(self, function: Callable[[Any], Any]) -> Wave:
-        """Return what a block without memory makes of it at every time."""
+        """Return the wave after a memoryless block."""
         at = self.at
         return Wave(function(self.mean), None if at is None else lambda decay: function(at(decay)))
 
     def sample_for_integration(self, begin: Any, sigma: Any) -> Input:
-        """Return its values in integration steps of length ``sigma`` from ``begin`` on (s)."""
+        """Return the input for integration steps of length ``sigma`` from ``begin`` (s)."""
         projected = _ProjectedDecay(begin, sigma)
         return lambda k, node: self.evaluate_wave(lambda tau: projected(tau, k, node))
 
 
 def concatenate_waves(waves: Sequence[Wave]) -> Wave:
-    """Return several waves as one column."""
+    """Return several waves stacked into one column."""
     mean = ca.vertcat(*[wave.mean for wave in waves])
     if all(wave.at is None for wave in waves):
         return Wave(mean)
@@ -70,7 +70,7 @@ def concatenate_waves(waves: Sequence[Wave]) -> Wave:
 
 
 class _ProjectedDecay:
-    """exp(-s / tau) as parabolas in integration steps of length ``sigma`` from ``begin`` on (s)."""
+    """Quadratic approximation of exp(-s / tau) in integration steps of length ``sigma`` from ``begin`` (s)."""
 
     def __init__(self, begin: Any, sigma: Any) -> None:
         self.begin, self.sigma = begin, sigma
@@ -87,9 +87,9 @@ class _ProjectedDecay:
 
 def project_exponential(xi: Any) -> list[Any]:
     """Return the coefficients of P_0 to P_2 for exp(-2 xi nu), nu from 0 to 1; SX column, xi >= 0."""
-    small, square = xi < 0.5, xi**2  # closed forms lose digits there; the series keeps 1e-13
+    small, square = xi < 0.5, xi**2  # cancellation; the series has an error of 1e-13
     decayed = ca.exp(-xi)
-    sinh, cosh = 0.5 * (1 - decayed**2), 0.5 * (1 + decayed**2)  # times exp(-xi)
+    sinh, cosh = 0.5 * (1 - decayed**2), 0.5 * (1 + decayed**2)  # scaled by exp(-xi)
     bessel = [sinh / xi, (xi * cosh - sinh) / square]
     bessel.append(bessel[0] - 3 / xi * bessel[1])
     found, power, odd = [], ca.SX.ones(xi.shape[0]), 1.0

@@ -1,4 +1,4 @@
-"""Wiring: a plant and its controller with every block in its place, before anything is compiled."""
+"""Assembly of a closed loop: connections of plant, controller and blocks, with consistency checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gnc_opt.simulation.signals import Kinds, Link, link_blocks, list_sizes_and_
 
 
 def check_measured_signals(plant: Model, controller: Controller) -> None:
-    """Refuse a plant without the states and outputs that the controller measures, and without those it follows."""
+    """Raise an error if the plant lacks a state or output that the controller measures or follows."""
     for variable in controller.states.variables:
         _check_variable(variable, plant, controller, "measures")
         if variable.name in plant.outputs and any(
@@ -35,7 +35,7 @@ def check_measured_signals(plant: Model, controller: Controller) -> None:
                 "depends on a control: measure one of states alone."
             )
     for variable in controller.followed.variables if controller.estimated is not None else ():
-        if variable.name in plant.states:  # the plant may know nothing of what is estimated
+        if variable.name in plant.states:  # estimated states need not exist in the plant
             _check_variable(variable, plant, controller, "estimates")
 
 
@@ -59,7 +59,7 @@ def _check_variable(variable: Variable, plant: Model, controller: Controller, ve
 
 
 def _check_same_unit(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:
-    """Raise an error for two declared units that differ in writing; an undeclared unit is accepted."""
+    """Raise an error for two different declared units; an undeclared unit is accepted."""
     one, other = ("".join(c for c in text if c not in " *·") for text in (unit, expected))
     if one and other and one != other:
         raise ArgumentError(
@@ -69,7 +69,7 @@ def _check_same_unit(what: str, plant: Model, unit: str, expected: str, controll
 
 
 def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) -> None:
-    """Refuse signals that leave the actuators and are no controls of the plant."""
+    """Raise an error for actuator outputs that are not controls of the plant."""
     for name, (size, unit) in applied.items():
         if name not in plant.controls:
             raise ArgumentError(
@@ -86,16 +86,16 @@ def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) 
 
 @dataclass(frozen=True, eq=False)
 class Wiring:
-    """What a closed loop consists of; see `ClosedLoop`.
+    """Components of a closed loop and their connections; see `ClosedLoop`.
 
     Attributes
     ----------
     dt : float
         Control step, s.
     minor_steps : int
-        Parts of a control step.
+        Number of minor steps per control step.
     divergence_limits : array (n_states,)
-        Size of the plant's states beyond which a run has diverged.
+        Magnitudes of the plant's states above which a run has diverged.
     """
 
     plant: Model
@@ -116,17 +116,17 @@ class Wiring:
 
     @property
     def link_step_lengths(self) -> list[tuple[Link, float]]:
-        """All links with the length (s) of their steps."""
+        """All links with the lengths (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
 
     @property
     def starts_at_trim(self) -> bool:
-        """Whether an actuator begins with the feedforward."""
+        """Whether the initial output of an actuator is the feedforward."""
         return any(link.block.starts_at_trim for link in self.actuators)
 
     def feedforward(self, r: Any) -> dict[str, Any]:
-        """Return the feedforward (SX) of every command by name, from a row r of the schedule."""
+        """Return the feedforward (SX) of every command by name, from a schedule row r."""
         signals = self.controller.signals
         return {n: r[signals.slice(f"{n}_ff")] for n in self.controller.commands.names}
 
@@ -134,19 +134,19 @@ class Wiring:
 
     @cached_property
     def layout(self) -> Layout:
-        """Names, sizes and units of everything that can differ between runs."""
+        """Names, sizes and units of all parameters that can differ between runs."""
         return Layout(
             "parameter", tuple(variable for variable, _ in self._parameter_entries), "the closed loop"
         )
 
     @cached_property
     def defaults(self) -> Array:
-        """Values of `layout`, shape (n,); initial states are not-a-number."""
+        """Default values of `layout`, shape (n,); NaN for initial states."""
         return np.concatenate([value for _, value in self._parameter_entries])
 
     @cached_property
     def ranges(self) -> tuple[Array, Array]:
-        """Least and largest permitted values of `layout`, each of shape (n,)."""
+        """Smallest and largest permitted values of `layout`, each of shape (n,)."""
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
         for link, step in self.link_step_lengths:
             for name, (least, largest) in link.block.limits(step, self.dt).items():
@@ -173,7 +173,7 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Blocks:
-    """The blocks of a loop, in the order in which the signal passes them, its events and quantities."""
+    """Blocks of a loop in the order of the signal flow, with events and quantities."""
 
     actuators: tuple[Block, ...]
     sensors: tuple[Block, ...]
@@ -190,7 +190,7 @@ def wire_loop(
     minor_steps: int,
     divergence_limits: Array,
 ) -> Wiring:
-    """Put the blocks in their places; raise `ArgumentError` or `UnknownNameError` if something does not fit."""
+    """Return the connected loop; raise `ArgumentError` or `UnknownNameError` for inconsistent parts."""
     check_measured_signals(plant, controller)
     for block in (*blocks.actuators, *blocks.sensors):
         if isinstance(block, Disturbance):
@@ -227,7 +227,7 @@ def wire_loop(
 
 
 def _check_sensor_functions(wiring: Wiring) -> None:
-    """Take every sensor through a step, so that functions of users which do not fit are refused here."""
+    """Evaluate every sensor once, so that invalid user functions raise an error here."""
     states, dt = wiring.plant.states, wiring.dt
     tick = Tick(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
     for link in wiring.sensors:
@@ -245,7 +245,7 @@ def _check_trim(wiring: Wiring) -> None:
     for name in wiring.controller.commands.names if begun else ():
         if f"{name}_ff" not in wiring.controller.signals:
             raise ArgumentError(
-                f"'{begun[0]}' is to begin in trim, but '{wiring.controller.name}' has no feedforward of '{name}': "
+                f"'{begun[0]}' is to start at trim, but '{wiring.controller.name}' has no feedforward of '{name}': "
                 "give initial= as a number."
             )
 

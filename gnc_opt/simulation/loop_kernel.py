@@ -1,9 +1,9 @@
-r"""Kernel: one control step of the closed loop as a CasADi function.
+r"""Kernel: CasADi function of one control step of the closed loop.
 
-The sensors sample the plant and the controller computes the command, which is held; in each of m minor steps
-the actuators advance and the plant is integrated. Column X (`Places`) is the state, P what can be dispersed
-(`ClosedLoop.layout`), w what is known or drawn beforehand: time, schedule, random numbers. A control step in
-which an event may happen is repeated through its events (`gnc_opt.simulation.event_location`).
+The sensors sample the plant and the controller computes the command (zero-order hold). In each of m minor steps the
+actuators are updated and the plant is integrated. Column X (`Places`) is the state, P the parameters of the run
+(`ClosedLoop.layout`), w the known or drawn inputs: time, schedule, random numbers. A control step in which an event may
+occur is repeated with event location (`gnc_opt.simulation.event_location`).
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from gnc_opt.simulation.signals import Places, stack_signals
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:
-    """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``, the minor steps through their events."""
+    """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``: the minor steps with event location."""
     return _EventfulStep(step).function(act)
 
 
 def hold_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
-    """Return the step that is inactive after an event has ended the run, with the second output ``log``."""
+    """Return the step, inactive after an event has ended the run, with ``log`` as second output."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, log])
     either = ca.Function.if_else("either", rest, step)
@@ -42,7 +42,7 @@ class _EventfulStep:
         self.state, self.known = step.state, step.known
 
     def function(self, act: Any) -> Any:
-        """Return ``act``, taken again through events if it has found any."""
+        """Return ``act``, repeated with event location if it contains an event."""
         sizes = [act.size1_in(i) for i in range(act.n_in())]
         x, w, c, y, u, z = inputs = [ca.MX.sym(f"i{i}", size) for i, size in enumerate(sizes)]
         after, log, found = act(*inputs)
@@ -70,12 +70,12 @@ class _EventfulStep:
 
     @property
     def notes(self) -> Places:
-        """What a control step with events adds up beside the state."""
+        """Layout of the event notes of a control step, stored next to the state."""
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
         return Places((*sums, *event_note_layout(self.wiring.plant.states.size)))
 
     def _minor_step_functions(self, i: int) -> tuple[Any, Any]:
-        """``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and the one that does nothing."""
+        """Return ``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and its inactive version."""
         wiring, h = self.wiring, self.h
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
@@ -114,7 +114,7 @@ class _EventfulStep:
         return minor, ca.Function("skip", inputs, [column_, notes_])
 
     def _closing_function(self) -> Any:
-        """``(X before, X, notes, w, y, u, z) -> (X_next, log)`` after the last minor step."""
+        """Return ``(X before, X, notes, w, y, u, z) -> (X_next, log)``, evaluated after the last minor step."""
         before, column, known = (
             ca.SX.sym(name, size)
             for name, size in (("before", self.state.size), ("X", self.state.size), ("w", self.known.size))
@@ -136,16 +136,16 @@ class _EventfulStep:
 
 @dataclass(frozen=True)
 class Kernel:
-    """The functions of a loop and the layout of their columns X, w and log.
+    """Functions of a loop, and the layouts of its columns X, w and log.
 
     Attributes
     ----------
     constants : casadi.Function
-        ``P -> C``: P, and what follows from P alone.
+        ``P -> C``: parameters and the values derived from them.
     start, step, measure : casadi.Function
         ``(w, P) -> X``; ``(X, w, C) -> (X_next, log)``; ``(X, w, C) -> y``, the controller's input.
     easy : casadi.Function or None
-        ``(X, w, C) -> (X_next, enough)`` of controllers that solve a problem where enough is not 1.
+        ``(X, w, C) -> (X_next, valid)`` with the easy law of a controller; the full law is needed if valid is not 1.
     """
 
     constants: Any
@@ -165,20 +165,20 @@ class Kernel:
 
     @cached_property
     def legs(self) -> dict[Any, Any]:
-        """Functions of many steps, kept for all flights of the loop: one with its log takes 0.2 s to make."""
+        """Functions of many steps, shared by all compiled loops; with log they take 0.2 s to build."""
         return {}
 
 
 def build_kernel(wiring: Wiring, substeps: int) -> Kernel:
-    """Return the kernel with the plant integrated in ``substeps`` per minor step."""
+    """Return the kernel with ``substeps`` integration steps per minor step."""
     return _Builder(wiring, substeps).kernel()
 
 
 class _Builder(ControlStep):
-    """Puts the pieces together."""
+    """Assembly of the kernel functions."""
 
     def kernel(self) -> Kernel:
-        """Return the finished functions."""
+        """Return the kernel."""
         constants, act = self._act_functions()
         step, easy = self._step_function(constants, act), self._fast_step_function(constants, act)
         measure = self._measure_function(constants)
@@ -223,7 +223,7 @@ class _Builder(ControlStep):
         return hold_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
     def _step_expressions(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
-        """Return X, w, C as symbols, and of a step by a law the next X, the log, and whether an easy law is enough."""
+        """Return the symbols X, w, C, and X_next, log and the validity of an easy law for one step."""
         kind = ca.MX if self.wiring.events else _symbol_kind(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
@@ -245,7 +245,7 @@ class _Builder(ControlStep):
         return ca.Function("sense", [x, column, self.P], [y, self.state.join(state | sensors)])
 
     def _act_functions(self) -> tuple[Any, Any]:
-        """The constants, and the minor steps with the book-keeping: ``(X, w, C, y, u, z_next) -> (X_next, log)``."""
+        """Return the constants, and the minor steps with totals: ``(X, w, C, y, u, z_next) -> (X_next, log)``."""
         wiring = self.wiring
         column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
@@ -270,7 +270,7 @@ class _Builder(ControlStep):
             mean += applied / wiring.minor_steps
             self.accumulate_totals(new, applied, saturated, self.h)
         log = self.complete_step(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z)
-        # what follows from P alone is computed once per run
+        # values derived from P only are computed once per run
         results = [self.state.join(new), log, found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)
         constants, names = ca.vertcat(self.P, *values), ca.vertcat(self.P, *symbols)

@@ -1,4 +1,4 @@
-"""monte_carlo: many runs of a closed loop whose parameters, initial states and noise are drawn at random."""
+"""Monte Carlo simulation of a closed loop with random parameters, initial states and noise."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ MeasureFunction = Callable[[Campaign], ArrayLike]
 
 @dataclass(frozen=True)
 class Criteria:
-    """Target, limits and measures of one's own; see `monte_carlo`."""
+    """Target, limits and user-defined measures; see `monte_carlo`."""
 
     target: Mapping[str, ArrayLike] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
     measures: Mapping[str, MeasureFunction] = field(default_factory=dict)
 
     def goal(self, flight: CompiledLoop) -> Array:
-        """Return what states are compared with at the end (n_states,); not-a-number where there is nothing."""
+        """Return the target final states (n_states,); NaN without a target."""
         goal = np.full(flight.states.size, np.nan)
         if flight.reference is not None:
             for name in flight.followed.names:
@@ -63,19 +63,19 @@ class Criteria:
         return goal
 
     def check(self, empty: Campaign) -> None:
-        """Refuse limits of measures that a campaign (without runs) does not have, and what is no limit or measure."""
+        """Raise an error for limits of unknown measures, and for invalid limits or measures."""
         for name, value in self.limits.items():
             if name not in self.measures:
                 empty.measure(name)
             _read_limit(name, value)
         for name, function in self.measures.items():
             if name in empty.measures:
-                raise ArgumentError(f"the campaign has a measure '{name}' already: give yours another name.")
+                raise ArgumentError(f"the campaign has a measure '{name}' already: choose another name.")
             if not callable(function):
                 raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
 
     def apply_to_campaign(self, campaign: Campaign) -> Campaign:
-        """Return a campaign with the limits and the measures of one's own."""
+        """Return the campaign with limits and user-defined measures added."""
         campaign = replace(
             campaign, limits={name: _read_limit(name, value) for name, value in self.limits.items()}
         )
@@ -89,7 +89,7 @@ class Criteria:
 
 
 def read_criteria(target: Any, measures: Any, limits: Any = None) -> Criteria:
-    """Return the criteria of optional mappings; what is none is refused."""
+    """Return the criteria from optional mappings; raise an error for invalid ones."""
     return Criteria(
         read_mapping(target, "the target of runs", 'write {"q": 0.0}'),
         read_mapping(limits, "the limits of runs", 'write {"q": 0.05}'),
@@ -106,7 +106,7 @@ def _evaluate_user_measure(name: str, function: MeasureFunction, campaign: Campa
         values = np.asarray(function(campaign), dtype=float)
     except (TypeError, ValueError) as error:
         raise ArgumentError(
-            f"the measure '{name}' gives no numbers ({format_error(error)}): return one per run, ({len(campaign)},)."
+            f"the measure '{name}' returns no numbers ({format_error(error)}): return one per run, ({len(campaign)},)."
         ) from error
     if values.shape != (len(campaign),):
         raise ArgumentError(
@@ -133,7 +133,7 @@ def monte_carlo(
     checkpoint: str | Path | None = None,
     progress: bool = False,
 ) -> Campaign:
-    """Return n runs of a closed loop with dispersed parameters and initial states, and fresh random numbers.
+    """Return n runs of a closed loop with random parameters, initial states and noise.
 
     Parameters
     ----------
@@ -143,13 +143,13 @@ def monte_carlo(
     x0 : array (n_states,) or mapping by name
         Nominal initial state.
     t0, tf : float
-        First and last time, s.
+        Start and end time, s.
     seed : int
-        Run i has the random numbers of ``SeedSequence([seed, i])``: the same bits on any executor, and alone.
+        Run i uses the random numbers of ``SeedSequence([seed, i])`` and is bitwise identical on every executor.
     dispersions : mapping
-        By dotted name of ``loop.layout``, e.g. ``{"plant.m": Normal(0.01, relative=True)}``.
+        Dispersions by dotted name of ``loop.layout``, e.g. ``{"plant.m": Normal(0.01, relative=True)}``.
     parameters : mapping
-        Nominal changes of parameters by dotted name.
+        Changed nominal parameters by dotted name.
     target : mapping
         Final states for comparison, by name; default: the reference at the end.
     limits : mapping
@@ -159,16 +159,16 @@ def monte_carlo(
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. A Dask cluster: ``client.get_executor()``.
     checkpoint : path, optional
-        A folder that stores every batch of runs; a repeated call simulates only the missing runs.
+        Folder that stores every batch of runs; a repeated call simulates only the missing runs.
     progress : bool
-        Show how many runs have ended and how many of them failed.
+        Display the numbers of completed and of failed runs.
 
     Raises
     ------
     ArgumentError, UnknownNameError
-        Something does not fit; the message names it.
+        Inconsistent arguments; the message names the cause.
     GncOptError
-        The campaign cannot be sent to the executor, no run could be flown, or the checkpoint is of another campaign.
+        The campaign cannot be pickled, no run could be simulated, or the checkpoint belongs to another campaign.
 
     Examples
     --------
@@ -227,15 +227,15 @@ def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callabl
 
 
 def _share_task(mission: CampaignTask, executor: Executor | Literal["serial"] | None) -> Shared[CampaignTask]:
-    remedy = 'define dispersions of your own at the top of a module, or use executor="serial"'
+    remedy = 'define custom dispersions at the top level of a module, or use executor="serial"'
     shared = Shared.picklable(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):
-        shared.pack_parcel()  # refused also where processes inherit it: a campaign that flies here flies on any machine
+        shared.pack_parcel()  # also checked for inherited memory, so that the campaign runs on any executor
     return shared
 
 
 def _count_failures(parts: Sequence[Flown]) -> tuple[int, int]:
-    """Return how many runs these are and how many of them failed."""
+    """Return the numbers of runs and of failed runs."""
     runs = sum(len(part.batch) for part in parts)
     endings = [part.ending for part in parts if part.ending is not None]
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)
@@ -247,14 +247,14 @@ def _require_one_completed_run(flown: Sequence[Flown]) -> None:
     remedy = "simulate() one of them to see why"
     if all(part.died for part in flown):
         remedy = (
-            "call monte_carlo() below 'if __name__ == \"__main__\":' of the script, without which new processes begin "
+            "call monte_carlo() below 'if __name__ == \"__main__\":' of the script, or else new processes start "
             f'the campaign again; or {remedy}, or use executor="serial"'
         )
-    raise GncOptError(f"not one run could be flown ({flown[0].mishap}): {remedy}.")
+    raise GncOptError(f"no run could be simulated ({flown[0].mishap}): {remedy}.")
 
 
 def _restore_parameters(flown: Sequence[Flown], mission: CampaignTask) -> list[Flown]:
-    """Return the batches with the parameters of those that never came back drawn again."""
+    """Return the batches, with the parameters of lost batches drawn again."""
     found = []
     for part in flown:
         P = part.parameters

@@ -1,8 +1,8 @@
-"""Quantities along a run: extremes, integrals and samples of expressions, accumulated while the plant is integrated.
+"""Quantities of a run: extremes, integrals and samples of expressions, accumulated during the integration.
 
-Every integration step is evaluated at evenly spaced nodes on its dense output. Peaks between nodes follow
-from the parabola through three of them if the curvature hardly changes; near kinks the largest node counts.
-The integral is Boole's rule.
+Every integration step is evaluated at equidistant nodes of its dense output. Peaks between nodes are interpolated by a
+parabola through three nodes if the curvature is nearly constant; otherwise, for example near kinks, the largest node is
+used. The integral is evaluated by Boole's rule.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from gnc_opt.simulation.dormand_prince import Taken
 from gnc_opt.simulation.events import plant_expression
 
 SAMPLES = 101
-"""Sampling times of quantities over a run at most, evenly spaced in control steps, ends included."""
+"""Largest number of sampling times over a run, evenly spaced control steps including both ends."""
 
 KEPT = ("max", "min", "integral")
-"""Numbers of a quantity that are kept of each run, as measures are called."""
+"""Scalar results of a quantity per run, as named by the measures."""
 
 BOOLE_WEIGHTS = tuple(w / 90 for w in (7, 32, 12, 32, 7))
-"""Of five evenly spaced nodes, by the span between the first and the last."""
+"""Weights of Boole's rule for five equidistant nodes, relative to the interval."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A number that is followed over a run: a distance, a tilt, fuel.
+    """Expression that is monitored over a run, such as a distance, a tilt or the fuel mass.
 
     Campaigns have the measures ``max(name)``, ``min(name)``, ``integral(name)`` and `Campaign.envelope`.
-    Peaks shorter than a third of an integration step may be missed: raise ``minor_steps``.
+    Peaks shorter than a third of an integration step may be missed; raise ``minor_steps`` to resolve them.
 
     Parameters
     ----------
     name : str
     expression : casadi.SX
-        Of the plant's symbols of time, states, parameters and (applied) controls, (1, 1).
+        Function of the plant's symbols of time, states, parameters and (applied) controls, (1, 1).
     unit : str
 
     Examples
@@ -60,7 +60,7 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class Quantities:
-    """The quantities of a loop."""
+    """Quantities of a loop, as a CasADi function."""
 
     layout: Layout
     rows: Any
@@ -70,7 +70,7 @@ class Quantities:
 
     @classmethod
     def of(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
-        """Return declared quantities of a plant; raise `ArgumentError` for what is none."""
+        """Return the declared quantities of a plant; raise `ArgumentError` for invalid ones."""
         require_distinct([quantity.name for quantity in declared], "quantities of the closed loop")
         rows = [
             plant_expression(q.expression, f"the expression of quantity '{q.name}'", plant, controls=True)
@@ -82,13 +82,13 @@ class Quantities:
 
 
 def make_empty_record(count: int) -> Any:
-    """Return the record of ``count`` quantities over no time, (5 count,): see `join_records`."""
+    """Return the empty record (5 count,) of ``count`` quantities: see `join_records`."""
     values = (-ca.inf, ca.inf, 0.0, ca.inf, ca.inf)
     return ca.DM(np.repeat([float(v) for v in values], count))
 
 
 def join_records(one: Any, other: Any) -> Any:
-    """Return the record of two consecutive spans: largest, least, integral, first and last values; SX or MX."""
+    """Return the record of two consecutive intervals: maximum, minimum, integral, first and last values; SX or MX."""
     a, b = _split_record(one), _split_record(other)
     first = ca.if_else(ca.fabs(a[3]) < ca.inf, a[3], b[3])
     last = ca.if_else(ca.fabs(b[4]) < ca.inf, b[4], a[4])
@@ -101,14 +101,14 @@ def _split_record(record: Any) -> tuple[Any, ...]:
 
 
 class Extremes:
-    """The ``record`` (5 n_quantities,) of quantities while the plant is integrated, see `join_records`; SX."""
+    """Accumulated ``record`` (5 n_quantities,) of quantities during the integration, see `join_records`; SX."""
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
         self.record = ca.SX(make_empty_record(len(quantities)))
 
     def __call__(self, taken: Taken, applied: Callable[[float], Any]) -> None:
-        """Take in an integration step."""
+        """Add an integration step to the record."""
         if not len(self.quantities):
             return
         nodes = np.linspace(0, 1, 4 * self.panels + 1).tolist()
@@ -130,7 +130,7 @@ class Extremes:
 
 
 def _interpolate_maximum(y: Sequence[Any]) -> Any:
-    """Return the largest values of smooth curves through values at the nodes."""
+    """Return the maxima of smooth curves through the values at the nodes."""
     highest = y[0]
     for each in y[1:]:
         highest = ca.fmax(highest, each)
@@ -146,5 +146,5 @@ def _interpolate_maximum(y: Sequence[Any]) -> Any:
 
 
 def select_sample_steps(n_steps: int) -> Array:
-    """Return the control steps at whose beginnings quantities are sampled, and the end, (n_samples,)."""
+    """Return the control steps at whose start quantities are sampled, and the end, (n_samples,)."""
     return np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1))).astype(int)

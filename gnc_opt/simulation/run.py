@@ -26,7 +26,7 @@ from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 
 def compute_settling_time(times: Array, distance: Array, band: float) -> float:
-    """Return the time (s) from ``times[0]`` until ``distance`` stays within ``band``, or infinity."""
+    """Return the time (s) from ``times[0]`` after which ``distance`` stays within ``band``, or infinity."""
     band = read_positive(band, "the band of a settling time")
     outside = np.flatnonzero(~(distance <= band))
     if not outside.size:
@@ -37,15 +37,15 @@ def compute_settling_time(times: Array, distance: Array, band: float) -> float:
 
 @dataclass(frozen=True)
 class Logged:
-    """One logged signal.
+    """Logged signal.
 
     Attributes
     ----------
     times : array (n_times,)
-        s; for commands, measurements and applied controls the beginnings of the control steps.
+        Times, s; for commands, measurements and applied controls the starts of the control steps.
     values : array (size, n_times)
     held : bool
-        Held from its time to the next (commands), or linear in between (states).
+        Whether the signal is piecewise constant (commands) or linear (states) between its times.
     """
 
     name: str
@@ -72,38 +72,38 @@ class Logged:
 
 @dataclass(frozen=True)
 class Run(Strict, Printed):
-    """A closed-loop run over N control steps.
+    """Closed-loop run over N control steps.
 
     Attributes
     ----------
     times : array (N + 1,)
-        Beginnings of the control steps and the end, s: the last one may be cut short by an event.
+        Starts of the control steps and end time, s; an event may shorten the last step.
     states : array (n_states, N + 1)
-        Of the plant.
+        States of the plant.
     measured : array (n, N)
-        What the controller saw.
+        Measurements of the controller.
     commands : array (n_commands, N)
-        Held over a step.
+        Commands, constant over a control step.
     applied : array (n_controls, N)
-        Means over the steps of what the actuators applied to the plant, without disturbances.
+        Mean applied controls over the control steps, without disturbances.
     memory : array (n_memory, N + 1)
-        Of the controller.
+        Memory of the controller.
     reference : array (n, N + 1) or None
-        What the controller follows, see `followed`.
+        Reference of the controller, see `followed`.
     errors : array (n_errors, N + 1) or None
-        States relative to the reference, by the plant's own difference; not-a-number for states without one.
+        State errors relative to the reference, with the plant's difference function; NaN for states without reference.
     parameters : array (n_parameters,)
     effort, energy, saturation, variation : array (n_controls,), array (n_commands,)
-        As in `FinalValues`, of the mean applied controls.
+        As in `FinalValues`, from the mean applied controls.
     integration_error : float
-        Estimated error of the integration, relative to max(1, \\|x\\|).
+        Estimated integration error, relative to max(1, \\|x\\|).
     outcome : Outcome
-        The first failure and its time, or ok.
+        First failure and its time, or ok.
     seed : str
     layouts : dict
         Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter, event.
     events, replans : tuples of EventOccurrence, Replan
-        In the order of time.
+        In order of time.
 
     Examples
     --------
@@ -156,7 +156,7 @@ class Run(Strict, Printed):
 
     @property
     def followed(self) -> Layout:
-        """Names, sizes and units of the states that the reference is of."""
+        """Layout of the states of the reference."""
         return self.layouts.get("followed", self.layouts["measured"])  # files before estimators
 
     # --- signals ------------------------------------------------------------------------------------------
@@ -166,7 +166,7 @@ class Run(Strict, Printed):
         return self._logged_signal("state", name, self.states, False)
 
     def measurement(self, name: str) -> Logged:
-        """Return what the controller saw of a state."""
+        """Return the controller's measurement of a state."""
         return self._logged_signal("measured", name, self.measured, True)
 
     def command(self, name: str) -> Logged:
@@ -174,7 +174,7 @@ class Run(Strict, Printed):
         return self._logged_signal("command", name, self.commands, True)
 
     def control(self, name: str) -> Logged:
-        """Return what was applied to a control of the plant, mean over each control step."""
+        """Return an applied control of the plant, as the mean over each control step."""
         return self._logged_signal("applied", name, self.applied, True)
 
     def controller_state(self, name: str) -> Logged:
@@ -200,7 +200,7 @@ class Run(Strict, Printed):
     def _require_errors(self) -> Array:
         if self.errors is None:
             raise ArgumentError(
-                "the controller of this run follows no reference: give target= a value to measure the error from."
+                "the controller of this run has no reference: give target=, the value that the error is relative to."
             )
         return self.errors
 
@@ -214,14 +214,14 @@ class Run(Strict, Printed):
         return signal - as_vector(target, signal.shape[0], what, ArgumentError)[:, None]
 
     def miss(self, name: str, target: ArrayLike | None = None) -> float:
-        """Return the Euclidean norm of a state's error at the end (unit of the state).
+        """Return the Euclidean norm of a state's final error (unit of the state).
 
-        ``target`` is the value to compare with, (size,); default the reference at the end.
+        ``target`` is the desired value, (size,); default: the reference at the end.
         """
         return float(np.linalg.norm(self._state_deviation(name, target)[:, -1]))
 
     def attitude_error(self, name: str, at: float | None = None) -> float:
-        """Return the angle (rad, 0 to pi) between an attitude and its reference at the end or ``at`` (s)."""
+        """Return the angle (rad, 0 to pi) between an attitude and its reference, at the end or at time ``at`` (s)."""
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
         self._require_errors()
         assert self.reference is not None
@@ -229,7 +229,7 @@ class Run(Strict, Printed):
         return float(attitude_angle(self.state(name).values[:, index], self.reference[place, index]))
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
-        """Return the time (s) until the norm of a state's error stays within the band, or infinity."""
+        """Return the time (s) after which the norm of a state's error stays within the band, or infinity."""
         return compute_settling_time(
             self.times, np.linalg.norm(self._state_deviation(name, target), axis=0), band
         )
@@ -243,33 +243,33 @@ class Run(Strict, Printed):
         return self.energy[self.layouts["applied"].slice(name)]
 
     def delta_v(self, name: str, mass: float) -> float:
-        """Return the sum over the axes of the integral of \\|F\\| of an applied force, over the mass (kg): m/s."""
+        """Return the sum over axes of the integral of \\|F\\| of an applied force, divided by the mass (kg), in m/s."""
         return float(np.sum(self.control_effort(name)) / mass)
 
     def saturation_time(self, name: str) -> Array:
-        """Return for how long (s) a limit acted on a command, (size,)."""
+        """Return the time (s) during which a limit acted on a command, (size,)."""
         return self.saturation[self.layouts["command"].slice(name)]
 
     def total_variation(self, name: str) -> Array:
-        """Return the total variation of a command, (size,): the sum of its changes (unit of the command)."""
+        """Return the total variation of a command, (size,), in the unit of the command."""
         return self.variation[self.layouts["command"].slice(name)]
 
     # --- tables -------------------------------------------------------------------------------------------
 
     def to_pandas(self) -> Any:
-        """Return all that was logged as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
+        """Return all logged signals as a DataFrame, one column per component; ``attrs["units"]`` has the units.
 
-        States have their names, the rest a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
-        ``error.q``, ``reference.q``. Values of a control step stand at its beginning.
+        States have their names, other signals a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
+        ``error.q``, ``reference.q``. Values of a control step are listed at its start.
         """
         return self._records().to_pandas()
 
     def to_xarray(self) -> Any:
-        """Return the same as a Dataset, each variable with its unit; vectors have a dimension for their components."""
+        """Return a Dataset with units; vector variables have a dimension for their components."""
         return self._records().to_xarray()
 
     def export(self, path: str | Path) -> Path:
-        """Write the same to a file for other programs, ``.csv``, ``.json`` or ``.mat``, and return its path."""
+        """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
         return self._records().write(path)
 
     def _records(self) -> Records:
@@ -293,12 +293,12 @@ class Run(Strict, Printed):
     # --- files --------------------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> Path:
-        """Write the run to a file (``.npz`` is appended if it has no suffix); every bit is kept."""
+        """Write the run to a file (default suffix ``.npz``), without loss of precision."""
         return RUN_FILES.write(path, self)
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
-        """Return a run that `save` wrote; raise `FileNotFoundError`, or `GncOptError` if the file holds no run."""
+        """Return a run from a file of `save`; raise `FileNotFoundError`, or `GncOptError` for files without a run."""
         run, _ = RUN_FILES.read(path)
         assert isinstance(run, Run)
         return run
@@ -324,7 +324,7 @@ def _format_replans(replans: Sequence[Replan]) -> str:
 
 
 def _format_norms(layout: Layout, values: Array, suffix: str | None = "") -> str:
-    """Return the norm of every variable with its unit and a suffix; ``None`` stands for values in s."""
+    """Return the norm of every variable with unit and suffix; with ``None`` the values are in s."""
     parts = []
     for variable in layout.variables:
         size = np.linalg.norm(values[layout.slice(variable.name)])

@@ -1,4 +1,4 @@
-"""Outcome: the status of a run and the time of its first fault, from the final state of its kernel."""
+"""Outcome of a run: its status and the time of the first fault, from the final state of its kernel."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.renamed import StatusWord
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX
 
-_LOST = ": no digit is right"
-"""Printed for errors of more than the size of the states."""
+_LOST = ": no significant digits"
+"""Printed for errors larger than the states."""
 _ZENO = (
-    f"more than {EVENTS_PER_STEP_MAX - 1} events in a control step (Zeno: let what they follow come to rest by "
-    "another event)"
+    f"more than {EVENTS_PER_STEP_MAX - 1} events in a control step (Zeno: end the sequence by another event)"
 )
 
 _UNKEPT = (
@@ -28,18 +27,18 @@ _UNKEPT = (
 
 @dataclass(frozen=True, eq=False)
 class OutcomeClassifier:
-    """Conditions that a run must satisfy.
+    """Conditions that a run must satisfy, and the classification of its outcome.
 
     Attributes
     ----------
     watched, alarms : tuple of str
-        Quantities that must stay finite, and entries of the memory that must stay 0.
+        Quantities that must stay finite, and memory entries that must stay 0.
     divergence_limits : array (n_states,)
-        Size of the states beyond which a run has diverged.
+        Magnitudes of states above which a run has diverged.
     events, failures : tuple of str
-        Events by the codes that end a run, and those that are failures.
+        Events by the codes that end a run, and the failures among them.
     accuracy : float
-        Asked of the integration, relative.
+        Required relative accuracy of the integration.
     """
 
     watched: tuple[str, ...]
@@ -51,7 +50,7 @@ class OutcomeClassifier:
     accuracy: float
 
     def classify(self, parts: dict[str, Any], i: int, error: float) -> Outcome:
-        """Return what became of the i-th run, from the kernels' states by name (., n) and its estimated error."""
+        """Return the outcome of run i from the kernel states by name (., n) and the estimated error."""
         watched, diverged, alarm = (int(parts[name][0, i]) for name in ("fault", "divergence", "alarm"))
         if watched:
             return Outcome(RunStatus.NOT_FINITE, self.watched[watched - 1], float(parts["fault time"][0, i]))
@@ -72,7 +71,7 @@ class OutcomeClassifier:
         return Outcome(RunStatus.OK, name, time)
 
     def _terminal_event(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
-        """Return the event that ended a run, and when."""
+        """Return the event that ended a run, and its time."""
         code = int(parts["stop"][0, i]) if self.events else 0
         names = (*self.events, _ZENO, *(_UNKEPT.format(event) for event in self.events))
         return (names[code - 1], float(parts["stop time"][0, i])) if code else ("", np.nan)
@@ -83,7 +82,7 @@ class RunStatus(StatusWord):
 
     Members
     -------
-    OK : everything stayed finite, no alarm, the integration within the required accuracy.
+    OK : all signals finite, no alarm, integration within the required accuracy.
     INTEGRATION_ERROR : the error estimate of the integration exceeds the required accuracy.
     CONTROLLER_ALARM : the controller could not meet its guarantees.
     DIVERGED : a state left its plausible size, see ``divergence_limits`` of `ClosedLoop`.
@@ -105,15 +104,15 @@ class RunStatus(StatusWord):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Status of a run with its cause.
+    """Status of a run and its cause.
 
     Attributes
     ----------
     status : RunStatus
     what : str
-        The cause, e.g. ``"measured 'omega[1]'"`` or the name of the alarm or of the event that ended the run.
+        Cause, e.g. ``"measured 'omega[1]'"``, or the name of the alarm or of the event that ended the run.
     time : float
-        Beginning of the control step, or instant of the event, s; NaN if it has no time.
+        Start of the control step, or time of the event, s; NaN without a time.
 
     Examples
     --------
@@ -126,7 +125,7 @@ class Outcome:
     time: float = math.nan
 
     def __eq__(self, other: object) -> bool:
-        """Outcomes without a time are equal, too, though not-a-number is not equal to itself."""
+        """Compare outcomes; two times of NaN are equal."""
         return isinstance(other, Outcome) and self._comparison_key == other._comparison_key
 
     def __hash__(self) -> int:
@@ -141,7 +140,7 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
-        """Whether all is well."""
+        """Whether the status is OK."""
         return self.status is RunStatus.OK
 
     def __str__(self) -> str:

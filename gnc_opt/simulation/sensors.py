@@ -1,4 +1,4 @@
-"""Sensors: what the controller gets to see of the state of the plant, once per control step."""
+"""Sensor models, evaluated once per control step."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from gnc_opt.tolerances import SAME_TIME
 
 @dataclass(frozen=True)
 class Noise(Block):
-    """White noise: every sample is off by ``sigma`` (1 sigma, units of the state) times a standard normal number.
+    """White noise: ``sigma`` (1 sigma, unit of the state) times a standard normal number is added to every sample.
 
     Parameters
     ----------
     sigma : float or one per component
     retraction : callable, optional
-        ``retraction(x, e)`` of SX columns returns the state x moved by the error e (attitudes).
+        ``retraction(x, e)`` of SX columns returns the state x perturbed by the error e (attitudes).
 
     Examples
     --------
@@ -66,12 +66,12 @@ class Noise(Block):
 
 @dataclass(frozen=True)
 class Bias(Block):
-    """A constant error ``bias`` (units of the state), added, or by a ``retraction`` as in `Noise`.
+    """Constant error ``bias`` (unit of the state), added, or applied by a ``retraction`` as in `Noise`.
 
     Parameters
     ----------
     bias : float or one per component
-        Units of the state.
+        Unit of the state.
     retraction : callable, optional
         As in `Noise`.
 
@@ -100,7 +100,7 @@ class Bias(Block):
 
 @dataclass(frozen=True)
 class RandomWalk(Block):
-    """A drifting error that starts at 0 and grows by ``sigma`` per square root of a second (unit/s^0.5).
+    """Random walk: an error that starts at 0, with standard deviation ``sigma`` (unit/s^0.5) times the root of time.
 
     Parameters
     ----------
@@ -132,14 +132,14 @@ class RandomWalk(Block):
 
 @dataclass(frozen=True)
 class SensorOutage(Block):
-    """The sensor fails: not-a-number from ``begin`` until before ``end`` (s), always or only ``where`` something holds.
+    """Sensor outage: samples are NaN from ``begin`` until before ``end`` (s), if ``where`` > 0 or is not given.
 
     Parameters
     ----------
     begin, end : float
-        s; without them, from the start and for good.
+        Interval of the outage, s; default: the whole run.
     where : callable, optional
-        ``where(t, x)`` of SX returns an SX (1, 1); the sensor fails where it is above zero or NaN.
+        ``where(t, x)`` of SX returns an SX (1, 1); the sensor fails if it is above zero or NaN.
 
     Examples
     --------
@@ -171,7 +171,7 @@ class SensorOutage(Block):
 
 
 def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: int, what: str) -> None:
-    """Refuse errors of so many components that the retraction does not take."""
+    """Raise an error if the retraction does not accept errors of this size."""
     arguments = ca.SX.sym("x", size), ca.SX.sym("e", count)
     remedy = (
         f"take a state and an error, of {count} component{'s' * (count > 1)} as given, and return a state"

@@ -1,4 +1,4 @@
-"""Signals: named columns that a chain of blocks acts on, and the places of their parameters and memories."""
+"""Named signals in a chain of blocks, and the layout of their columns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gnc_opt.simulation.intersample_input import Wave
 
 @dataclass(frozen=True)
 class Places:
-    """Names and sizes of consecutive parts of a column; ``split`` takes it apart, ``join`` puts it together."""
+    """Layout of a column: names and sizes of its consecutive parts."""
 
     parts: tuple[tuple[str, int], ...]
 
@@ -28,7 +28,7 @@ class Places:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where each part is."""
+        """Slice of each part."""
         out, at = {}, 0
         for name, n in self.parts:
             out[name], at = slice(at, at + n), at + n
@@ -51,7 +51,7 @@ Kinds = dict[str, tuple[int, str]]
 
 @dataclass(frozen=True)
 class Link:
-    """A block with the names, components and common unit of the signals it takes, and what replaces them."""
+    """Block with the names, size and unit of its input signals, and its output signals."""
 
     block: Block
     on: tuple[str, ...]
@@ -66,12 +66,12 @@ def list_sizes_and_units(layout: Layout) -> Kinds:
 
 
 def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[Link], Kinds]:
-    """Return the links of a chain of blocks and the signals that leave it.
+    """Return the links of a chain of blocks, and the signals after the last block.
 
     Raises
     ------
     UnknownNameError
-        A block acts on a signal that is not there.
+        A block acts on a signal that does not exist.
     """
     links = []
     for block in blocks:
@@ -103,7 +103,7 @@ def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
-    """Return the signals with a link's outputs in the place of its inputs."""
+    """Return the signals with a link's inputs replaced by its outputs."""
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
         rest = {n: s for n, s in signals.items() if n not in link.on}
@@ -115,7 +115,7 @@ def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict
 
 
 def replace_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
-    """Return the waves with a link's outputs in the place of its inputs."""
+    """Return the waves with a link's inputs replaced by its outputs."""
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():

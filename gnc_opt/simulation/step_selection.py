@@ -1,12 +1,12 @@
-r"""Number of integration steps of a loop, from the error of its nominal run and from its modes.
+r"""Number of integration steps of a loop, from the error of the nominal run and from the modes of the plant.
 
-The error of the nominal run is estimated with a companion run with half the step. A run at rest has none,
-therefore the modes of the plant count too. n Runge-Kutta steps in a time h replace :math:`e^{\lambda h}` by
+The error of the nominal run is estimated with a companion run with half the step size. Since a run at an equilibrium
+has no error, the modes of the plant are used too. n Runge-Kutta steps over a time h replace :math:`e^{\lambda h}` by
 :math:`R(\lambda h / n)^n`,
 
 .. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} ,
 
-and a run adds up the errors that every step makes of the mode as it has decayed.
+and the error of a run is the sum of the errors of all steps for the decaying mode.
 
 Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2: the stability function of
 Dormand and Prince's method of order 5.
@@ -28,26 +28,26 @@ from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.run_outcome import RunStatus
 
 MAX_SUBSTEPS = 64
-"""Integration steps per minor step at most; a plant that needs more is too fast for this step."""
+"""Largest number of integration steps per minor step; a plant that needs more is too fast for it."""
 
 _STABLE = 3.0
-"""The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
+"""Stability limit of the Runge-Kutta method for a real mode, in units of the inverse step."""
 
 _MODE_MAX_ERROR = 1e-6
-"""Relative error over the run of a mode that the nominal run does not excite."""
+"""Permitted relative error over the run for a mode that the nominal run does not excite."""
 
 _STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
 
 
 def count_stable_steps(modes: Any, length: float) -> int:
-    """Return how many steps in a length (s) the fastest of modes (1/s, complex) needs to stay stable."""
+    """Return the number of steps in a length (s) for which the fastest mode (1/s, complex) is stable."""
     return max(1, int(np.ceil(np.max(np.abs(modes), initial=0.0) * length / _STABLE)))
 
 
 def count_accurate_steps(modes: Any, length: float, duration: float, asked: float) -> int:
-    """Return the steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex).
+    """Return the number of steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex).
 
-    If that takes too many, the steps for `_MODE_MAX_ERROR`: a run that excites the modes refines them.
+    If that exceeds the limit, the number for `_MODE_MAX_ERROR`; runs that excite the modes then refine it.
     """
     modes = np.asarray(modes, dtype=complex)
     for wanted, n in itertools.product((asked, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
@@ -63,16 +63,16 @@ def count_accurate_steps(modes: Any, length: float, duration: float, asked: floa
 
 @dataclass(frozen=True)
 class StepSelection:
-    """What is asked of the integration of a plant.
+    """Accuracy requirement of the integration, and selection of its number of steps.
 
     Attributes
     ----------
     step : float
         Minor step, s.
     asked : float
-        Largest error over a run, relative to max(1, \\|x\\|) per state.
+        Largest permitted error over a run, relative to max(1, \\|x\\|) per state.
     substeps : int, optional
-        Integration steps per minor step, if they are given.
+        Given number of integration steps per minor step, if any.
     """
 
     plant: Model
@@ -81,12 +81,12 @@ class StepSelection:
     substeps: int | None
 
     def initial_modes(self, t: float, x: Array, p: Array) -> Array:
-        """Return the modes of the plant at the start (n_states,), complex, 1/s; none where a rate is not finite."""
+        """Return the initial modes of the plant (n_states,), complex, 1/s; empty if a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
     def select_steps(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:
-        """Return the flight with as many integration steps as its accuracy needs."""
+        """Return the compiled loop with the number of integration steps that its accuracy requires."""
         if self.substeps is not None:
             return flight_with(self.substeps)
         substeps = count_stable_steps(modes, self.step)
@@ -111,7 +111,7 @@ class StepSelection:
                 if least <= self.asked:
                     return best
                 raise self._too_fast_error(
-                    f"leave an error of {least:.1e} where {self.asked:.1e} is asked for"
+                    f"leave an error of {least:.1e} where {self.asked:.1e} is required"
                 )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
 

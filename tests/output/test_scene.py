@@ -137,7 +137,7 @@ def test_mistakes_are_reported(campaign, solution, tmp_path):
     with pytest.raises(go.ArgumentError, match="runs to show is 0"):
         write_campaign_report(campaign, tmp_path, runs=0)
     saved = campaign.save(tmp_path / "c.npz")
-    with pytest.raises(go.GncOptError, match="came from a file"):
+    with pytest.raises(go.GncOptError, match="has no compiled loop"):
         write_campaign_report(go.Campaign.load(saved), tmp_path / "new", view=View("r"))
     with pytest.raises(go.UnknownNameError, match="nose"):
         write_report(solution, None, tmp_path / "new", view=View("nose"))

@@ -1,7 +1,7 @@
-"""Actuators: what becomes of a command on its way to the plant.
+"""Actuator models between the command and the control of the plant.
 
-A command is held over a minor step. The output of a `Lag` is followed within it, also behind blocks without
-memory; all other blocks act once per minor step, on the mean of their input.
+The command is constant over a minor step. The output of a `Lag` is continuous within it, also after memoryless blocks.
+All other blocks act once per minor step, on the mean of their input.
 """
 
 from gnc_opt.simulation.actuators.dynamic import Delay, Lag, RateLimit, ZeroOrderHold

@@ -1,4 +1,4 @@
-"""Blocks with memory: lags, limited rates, delays and holds."""
+"""Actuator dynamics: lag, rate limit, delay and zero-order hold."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from gnc_opt.simulation.intersample_input import Wave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 MIN_TIME_CONSTANT_S = 1e-12
-"""A time constant below this (s) is none."""
+"""Smallest time constant (s); below it a lag is omitted."""
 
 
 @dataclass(frozen=True)
 class _Following(Block):
-    """An actuator whose output starts at ``initial``; see `Lag`."""
+    """Actuator whose initial output is ``initial``; see `Lag`."""
 
     initial: ArrayLike | None = field(default=None, kw_only=True)
 
     @property
     def starts_at_trim(self) -> bool:
-        """Whether it begins with the feedforward."""
+        """Whether the initial output is the feedforward."""
         return isinstance(self.initial, str) and self.initial == "trim"
 
     def _initial_parameter(self, size: int, unit: str) -> Defaults:
-        """Return the parameter that says where it begins, if a number does."""
+        """Return the parameter of the initial output, if it is a number."""
         if self.initial is None or self.starts_at_trim:
             return {}
         return {
@@ -60,16 +60,16 @@ class _Following(Block):
 
 @dataclass(frozen=True)
 class Lag(_Following):
-    r"""First-order lag :math:`\tau \dot y = u - y`, from ``initial``; ``tau`` in s (0: none).
+    r"""First-order lag :math:`\tau \dot y = u - y` with initial output ``initial`` and time constant ``tau`` (s).
 
-    Exact within the minor step for held inputs; behind another lag it takes the mean over the minor step.
+    The solution is exact for constant inputs. After another lag the input is its mean over the minor step.
 
     Parameters
     ----------
     tau : float or one per component
         s, >= 0.
     initial : float, one per component or "trim"; optional
-        First output, unit of the command; default zero; ``"trim"``: the feedforward.
+        Initial output, unit of the command; default 0; ``"trim"``: the feedforward.
 
     Examples
     --------
@@ -94,9 +94,9 @@ class Lag(_Following):
 
 @dataclass(frozen=True)
 class RateLimit(_Following):
-    """The output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
+    """Rate limit: the output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
 
-    Exact in its mean over each minor step, at which the output is held.
+    The output is constant over a minor step and equals the exact mean.
 
     Parameters
     ----------
@@ -128,17 +128,17 @@ class RateLimit(_Following):
 
 @dataclass(frozen=True)
 class Delay(_Following):
-    """A command or sample arrives ``delay`` (s) later; any delay up to ``maximum`` (default: itself).
+    """Time delay of a command or sample by ``delay`` (s), at most ``maximum`` (default: ``delay``).
 
-    Held at its mean over each minor step (of sensors: interpolated between samples). Before, there is
-    ``initial``, or a sensor's first sample.
+    The output is constant over a minor step and equals the exact mean; samples of sensors are interpolated linearly.
+    Before the delay has passed, the output is ``initial``, or a sensor's first sample.
 
     Parameters
     ----------
     delay : float
         s, >= 0.
     maximum : float, optional
-        Longest delay that a run may have, s; default the delay itself.
+        Largest delay in any run, s; default: the delay itself.
     initial : float, one per component or "trim"; optional
         As in `Lag`.
 
@@ -169,10 +169,10 @@ class Delay(_Following):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        line = ca.vertcat(signal, state)  # newest first
+        line = ca.vertcat(signal, state)  # newest value first
         steps = p["delay"] / tick.h
         whole = ca.floor(steps + SAME_TIME)
-        share = ca.fmax(0.0, steps - whole)  # of the step, in which the older value still acts
+        share = ca.fmax(0.0, steps - whole)  # share of the step in which the older value acts
         newer, older = ca.SX.zeros(size), ca.SX.zeros(size)
         for i in range(line.shape[0] // size):
             newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
@@ -183,7 +183,7 @@ class Delay(_Following):
 
 @dataclass(frozen=True)
 class ZeroOrderHold(Block):
-    """A new command or sample only every ``period`` (s), held in between.
+    """Sample and hold: the command or sample is updated every ``period`` (s) and constant in between.
 
     Parameters
     ----------

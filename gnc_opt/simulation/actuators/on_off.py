@@ -1,4 +1,4 @@
-"""On-off thrusters: pulse width, hysteresis, pulse width and frequency."""
+"""On-off thrusters: pulse-width modulation, Schmitt trigger, pulse-width pulse-frequency modulation."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from gnc_opt.tolerances import TINY
 
 @dataclass(frozen=True)
 class Pwm(Block):
-    """On-off thrusters by pulse width: full ``thrust`` (unit of the command) for a share of every period.
+    """Pulse-width modulation: full ``thrust`` (unit of the command) for a fraction of every period.
 
-    The command at the beginning of a period sets the on-time, ``|u| / thrust`` of the period, rounded to
-    minor steps. The pulse comes first; pulses shorter than ``minimum_on`` (s) are dropped.
+    The command at the start of a period sets the on-time, ``|u| / thrust`` of the period, rounded to minor steps. The
+    pulse is at the start of the period. Pulses shorter than ``minimum_on`` (s) are omitted.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Pwm(Block):
     def check(self, size: int, h: float, dt: float) -> None:
         if self._steps(h, dt) < 2:
             raise ArgumentError(
-                f"the period of '{self.name}' is one minor step of {h:g} s, which leaves nothing to modulate: give "
+                f"the period of '{self.name}' is one minor step of {h:g} s, too short to modulate: give "
                 "the loop more minor_steps."
             )
 
@@ -86,15 +86,15 @@ class Pwm(Block):
 
 
 def _propagate_nan(signal: Any) -> Any:
-    """0 for numbers, not-a-number for others; written so that it is not simplified away."""
+    """Return 0 for numbers and NaN for NaN, in a form that compilers do not simplify."""
     return ca.if_else(ca.fabs(signal) < math.inf, 0.0, math.nan)
 
 
 @dataclass(frozen=True)
 class SchmittTrigger(Block):
-    """On-off thrusters with hysteresis: on above ``on_level``, off below ``off_level``, output +-``thrust``.
+    """Schmitt trigger: on above ``on_level``, off below ``off_level``, output +-``thrust``.
 
-    All in the unit of the command; works once per minor step.
+    All values have the unit of the command; the trigger acts once per minor step.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class SchmittTrigger(Block):
 
 
 def update_schmitt_trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any:
-    """Return the polarity (-1, 0, 1) of a Schmitt trigger after a signal, from the polarity before (SX)."""
+    """Return the new polarity (-1, 0, 1) of a Schmitt trigger, from a signal and the previous polarity (SX)."""
     fresh = ca.if_else(signal > on, 1.0, ca.if_else(signal < -on, -1.0, 0.0))
     holds = ca.logic_and(ca.fabs(signal) >= off, polarity * signal > 0)
     return ca.if_else(holds, polarity, fresh)
@@ -140,7 +140,7 @@ def update_schmitt_trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any
 
 @dataclass(frozen=True)
 class Pwpf(Block):
-    r"""Pulse-width pulse-frequency modulation: a lag and a Schmitt trigger with the output fed back.
+    r"""Pulse-width pulse-frequency modulation: a lag and a Schmitt trigger in a feedback loop.
 
     :math:`\tau \dot y = K (u - F) - y`; the thruster gives :math:`F = \pm` ``thrust`` from ``|y| > on_level`` until
     ``|y| < off_level``. The lag is exact over each minor step; the trigger acts once per minor step.
@@ -152,7 +152,7 @@ class Pwpf(Block):
     tau : float
         s, > 0.
     gain : float
-        K; must be enough to reach ``on_level``.
+        Static gain K; ``on_level`` must be reachable.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Actuators that make something else of a command at once: limits, errors, dead zones, steps."""
+"""Memoryless actuator effects: saturation, scale factor, dead band, quantisation."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from gnc_opt.tolerances import TINY
 
 @dataclass(frozen=True)
 class Saturation(Block):
-    """Limits ``lower <= u <= upper`` (units of the command; one for all components, or one each).
+    """Saturation ``lower <= u <= upper`` (unit of the command; one number for all components, or one each).
 
     Parameters
     ----------
     lower, upper : float or one per component
-        Default: none.
+        Limits; default: none.
 
     Examples
     --------
@@ -60,7 +60,7 @@ class Saturation(Block):
 
 @dataclass(frozen=True)
 class ScaleFactor(Block):
-    """Output ``factor * u + bias`` of an actuator or sensor: calibration errors, a dead thruster (factor 0).
+    """Output ``factor * u + bias`` of an actuator or sensor: calibration errors; factor 0 is a failed actuator.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ class ScaleFactor(Block):
 
 @dataclass(frozen=True)
 class Deadband(Block):
-    """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged.
+    """Dead band: commands smaller than ``width`` (unit of the command) become 0, larger ones are unchanged.
 
-    A least impulse bit over a control step ``dt`` is the width ``impulse / dt``.
+    For a minimum impulse bit over a control step ``dt``, use the width ``impulse / dt``.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Deadband(Block):
 
 @dataclass(frozen=True)
 class Quantisation(Block):
-    """Commands are rounded to multiples of ``step_size`` (units of the command, > 0).
+    """Quantisation: commands are rounded to multiples of ``step_size`` (unit of the command, > 0).
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def test_a_wrong_force_is_reported_with_its_residual(push, unit):
     """(1 - push) (g - sin t) in the unit of the model, and a share that has none."""
     with pytest.warns(
         ProblemWarning,
-        match="does not satisfy the dynamics of 'lift': 'w' moves by .* give consistent functions",
+        match="does not satisfy the dynamics of 'lift': the rate of 'w' differs by .* give consistent functions",
     ) as told:
         wave(1.0, unit, push)
     by, at, share = (

@@ -136,7 +136,7 @@ def test_trim_is_what_arrives_at_the_actuator():
 def test_trim_without_feedforward_is_refused():
     plant = memory_of_impulse()
     with pytest.raises(
-        ArgumentError, match="'lag' is to begin in trim, but 'by hand' has no feedforward of 'a'"
+        ArgumentError, match="'lag' is to start at trim, but 'by hand' has no feedforward of 'a'"
     ):
         ClosedLoop(plant, scheduled(plant, wave), [Lag("lag", 0.1, initial="trim")], dt=DT)
     with pytest.raises(ArgumentError, match="first output of 'lag'"):

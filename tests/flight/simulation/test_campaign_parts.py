@@ -85,7 +85,7 @@ def test_metrics_of_a_run_by_name():
     assert run.control_effort("u").tolist() == [3, 4] and run.control_energy("u").tolist() == [5, 6]
     assert run.delta_v("u", 2.0) == 3.5 and run.total_variation("f").tolist() == [7, 8]
     assert run.saturation_time("g").tolist() == [2.0] and run.attitude_error("a") == 0.0
-    with pytest.raises(ArgumentError, match="follows no reference"):
+    with pytest.raises(ArgumentError, match="has no reference"):
         run_by_hand(errors=None, reference=None).miss("q")
 
 
@@ -170,7 +170,7 @@ def test_measures_and_their_units(name, values, unit):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("angle(q)", r"2 component\(s\)"), ("n", "no reference of 'n'"), ("effort(f)", "no measure"),
+        ("angle(q)", r"2 component\(s\)"), ("n", "no reference for 'n'"), ("effort(f)", "no measure"),
         ("variation(u)", "no measure"), ("effort(u", "no measure"), ("angle(x)", "no measure"), (3, "no measure"),
         ("q)", "no measure"), ("anle(a)", r"did you mean 'angle\(a\)'"), ("error(q)", "no measure"),
     ],

@@ -203,7 +203,7 @@ def test_runs_are_flown_only_within_the_ranges_of_their_parameters():
     assert flight.invalid_parameter_message(P) == ""
     P[6] = -0.5
     assert flight.invalid_parameter_message(P) == "'lag.tau[1]' is -0.5, outside [0, inf]"
-    with pytest.raises(ArgumentError, match=r"cannot be flown: 'lag\.tau\[1\]'"):
+    with pytest.raises(ArgumentError, match=r"cannot be simulated: 'lag\.tau\[1\]'"):
         flight.run(P, 0)
     both = flight.final(np.column_stack([P, flight.nominal]), [0, 1])
     assert [o.status for o in both.outcomes] == [RunStatus.INVALID_PARAMETERS, RunStatus.OK]

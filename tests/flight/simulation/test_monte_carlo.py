@@ -351,7 +351,7 @@ def test_runs_that_kill_their_process_are_counted_and_the_others_flown(serial):
 
 
 def test_a_campaign_without_a_single_run_is_an_error():
-    with pytest.raises(GncOptError, match="not one run"):
+    with pytest.raises(GncOptError, match="no run could be simulated"):
         fly(n=4, executor=None, dispersions={"wind.sigma": Deadly(1.1)})
 
 
@@ -386,7 +386,7 @@ def test_runs_that_raise_are_set_apart(serial, executor):
         ({"limits": {"qq": 1.0}}, "no measure 'qq'"),
         ({"limits": {"effort(b)": 1.0}}, "no measure"),
         ({"limits": {"q": np.nan}}, "limit of 'q'"),
-        ({"target": None}, "follows no reference of 'q'"),
+        ({"target": None}, "has no reference for 'q'"),
         ({"target": {"r": 1.0}}, "no state 'r'"),
         ({"limits": {"angle(plant)": 1.0}}, "no measure"),
         ({"limits": {"effrt(a)": 1.0}}, r"did you mean 'effort\(a\)'"),

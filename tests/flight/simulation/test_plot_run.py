@@ -44,5 +44,5 @@ def test_what_is_not_there_is_refused(run):
         plot_run(run, "states", ["vv"])
     plant = double_integrator()
     free = ClosedLoop(plant, scheduled(plant, lambda t: 0 * t), dt=0.1).simulate([0.0, 0.0], tf=1.0)
-    with pytest.raises(ArgumentError, match="follows no reference"):
+    with pytest.raises(ArgumentError, match="has no reference"):
         plot_run(free, "errors")

@@ -41,7 +41,7 @@ def campaign(**more: Any) -> Any:
 @pytest.mark.parametrize(
     ("expression", "what"),
     [
-        (H < 0.5, "of event 'e' jumps where it should pass through zero"),
+        (H < 0.5, "of event 'e' is discontinuous at zero"),
         (ca.sign(H), "of event 'e' jumps"),
         (ca.SX(1.0), "depends neither on a state nor on the time"),
         (G - 1.0, "depends neither on a state nor on the time"),
@@ -72,7 +72,7 @@ def test_an_event_that_never_passes_through_zero(expression: Any, what: str) -> 
         (lambda: fly(seed=None), "the seed of a run is None"),
         (lambda: campaign(limits=["h"]), "the limits of runs is a list where a Mapping"),
         (lambda: campaign(measures={"h": lambda runs: runs.states[0]}), "has a measure 'h' already"),
-        (lambda: campaign(measures={"x": lambda runs: ["a", "b"]}), "'x' gives no numbers .ValueError"),
+        (lambda: campaign(measures={"x": lambda runs: ["a", "b"]}), "'x' returns no numbers .ValueError"),
         (lambda: campaign(target={"h": math.nan}), "the target of 'h' is .nan.: give finite numbers"),
     ],
 )
