@@ -1,4 +1,4 @@
-"""Statements about a closed loop: covariance, frequency response, sensitivity, filter consistency."""
+"""Closed-loop analysis: linear covariance, frequency response, global sensitivity, filter consistency."""
 
 from typing import Any
 
@@ -29,6 +29,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Report the present name of a former one."""
+    """Raise an error that names the replacement of a renamed name."""
     check_renamed(__name__, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""Deviations: propagation of a closed-loop column's deviation from its nominal value, step by step."""
+"""Propagation of first-order deviations of the closed-loop state along the nominal run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Sources of deviations, by name: covariances and places of their random numbers."""
+    """Sources of deviations by name: covariances of dispersions, and indices of random numbers."""
 
     names: tuple[str, ...]
     spreads: tuple[Array, ...]
@@ -21,14 +21,14 @@ class Sources:
 
     @property
     def source_slices(self) -> list[slice]:
-        """Places of the sources among all parameters."""
+        """Slices of the sources among all dispersed parameters."""
         edges = [0, *np.cumsum([spread.shape[0] for spread in self.spreads])]
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How a column (n,) scatters: derivatives with respect to the dispersed parameters, covariances by block."""
+    """Deviations of a column (n,): derivatives in the dispersed parameters, and covariances by noise block."""
 
     sources: Sources
     by_parameters: Array
@@ -36,12 +36,12 @@ class Scatter:
 
     @classmethod
     def first(cls, sources: Sources, g: Array, h: Array) -> Scatter:
-        """Return the scatter of a column with derivatives g, h by the first numbers and the dispersed parameters."""
+        """Return the deviations of a column with derivatives g, h in the initial noise and the dispersed parameters."""
         quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
         return cls(sources, np.hstack([h, g]), quiet)
 
     def propagate(self, a: Array, g: Array, h: Array, *, first: bool) -> Scatter:
-        """Return the scatter of a times the column, plus g times the numbers of a step, plus h times the parameters."""
+        """Return the deviations of a x + g n + h p, with the noise n of a step and the parameters p."""
         added = np.hstack([h, g if first else np.zeros_like(g)])
         noise = [a @ s @ a.T for s in self.noise]
         if not first:
@@ -49,18 +49,18 @@ class Scatter:
         return Scatter(self.sources, a @ self.by_parameters + added, noise)
 
     def transform(self, matrix: Array) -> Scatter:
-        """Return the scatter of a matrix times the column."""
+        """Return the deviations of a matrix times the column."""
         noise = [matrix @ s @ matrix.T for s in self.noise]
         return Scatter(self.sources, matrix @ self.by_parameters, noise)
 
     @property
     def size(self) -> int:
-        """n."""
+        """Size n of the column."""
         return int(self.by_parameters.shape[0])
 
     @property
     def covariances(self) -> Array:
-        """By source, (n_sources, n, n)."""
+        """Covariances by source, (n_sources, n, n)."""
         parts = [
             self.by_parameters[:, place] @ spread @ self.by_parameters[:, place].T
             for place, spread in zip(self.sources.source_slices, self.sources.spreads, strict=True)

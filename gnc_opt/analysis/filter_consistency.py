@@ -1,13 +1,13 @@
-r"""Consistency of an estimator's errors with its covariances.
+r"""Filter consistency: comparison of estimation errors and innovations with their covariances.
 
-The normalised estimation error squared, :math:`\text{NEES} = e^T P^{-1} e`, of a consistent linear filter is chi-square
-distributed with as many degrees of freedom as e has components, and so is the normalised innovation squared
-(NIS) with those of its measurement m. Behind a gate at :math:`c`
+For a consistent linear filter the normalised estimation error squared, :math:`\text{NEES} = e^T P^{-1} e`, is
+chi-square distributed with as many degrees of freedom as e has components. The same holds for the normalised innovation
+squared (NIS) with m components. After a gate at :math:`c`
 
 .. math:: E = m \frac{F_{m+2}(c)}{F_m(c)}, \qquad E^{(2)} = m (m + 2) \frac{F_{m+4}(c)}{F_m(c)},
 
-:math:`F_k` the distribution function of chi-square with k degrees of freedom; the band of the mean is that of a
-chi-square distribution scaled to this mean and variance. Estimation errors are independent only between runs.
+with the distribution function :math:`F_k` of chi-square with k degrees of freedom. The interval of the mean is that of
+a scaled chi-square distribution with this mean and variance. Estimation errors are independent only between runs.
 
 Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.2.
 """
@@ -34,14 +34,14 @@ Band = tuple[float, float]
 
 @dataclass(frozen=True)
 class InnovationTest(Strict):
-    """The innovations of one measurement.
+    """Consistency test of the innovations of one measurement.
 
     Attributes
     ----------
     average : float
-        Mean NIS of the samples taken, over all runs; NaN if none was.
+        Mean NIS of the accepted samples over all runs; NaN without samples.
     band : tuple of two floats
-        Interval of that mean at the requested confidence if the filter is consistent.
+        Interval of the mean for a consistent filter, at the requested confidence.
     taken, refused : int
 
     Examples
@@ -64,29 +64,29 @@ class InnovationTest(Strict):
 
 @dataclass(frozen=True)
 class Consistency(Strict, Printed):
-    """Errors and innovations of an estimator against its covariances.
+    """Consistency test of an estimator's errors and innovations.
 
-    Attributes
-    ----------
-    nees : array (n_times,) or (m,)
-        Of the predictions of a run, or at the ends of the m runs of a campaign; NaN if a run has no such end.
-    average : float
-    band : tuple of two floats
-        Interval at the requested confidence, of that mean (campaign) or of each value (run).
-    components : int
-        Of the error, the mean to be expected.
-    independent : bool
-        Whether the values of ``nees`` are (campaigns).
-    confidence : float
-    innovations : mapping of str to InnovationTest
-        By measurement.
-
-    Examples
-    --------
-    >>> test = InnovationTest(average=0.9, band=(0.7, 1.3), taken=80, refused=0)
-    >>> result = Consistency(np.array([1.9, 2.2]), 2.05, (0.1, 5.6), 2, True, 0.95, {"q": test})
-    >>> print(result.ok)
-    True
+        Attributes
+        ----------
+        nees : array (n_times,) or (m,)
+            NEES of the predictions of a run, or at the ends of m runs; NaN for runs without such an end.
+        average : float
+        band : tuple of two floats
+            Interval at the requested confidence, of that mean (campaign) or of each value (run).
+        Interval for a consistent filter at the requested confidence, of the mean (campaign) or of each value (run).
+            Of the error, the mean to be expected.
+        Number of error components, the expected mean.
+            Whether the values of ``nees`` are (campaigns).
+        Whether the values of ``nees`` are independent (campaigns).
+        innovations : mapping of str to InnovationTest
+            By measurement.
+    Test of each measurement's innovations.
+        Examples
+        --------
+        >>> test = InnovationTest(average=0.9, band=(0.7, 1.3), taken=80, refused=0)
+        >>> result = Consistency(np.array([1.9, 2.2]), 2.05, (0.1, 5.6), 2, True, 0.95, {"q": test})
+        >>> print(result.ok)
+        True
     """
 
     nees: Array
@@ -99,13 +99,13 @@ class Consistency(Strict, Printed):
 
     @property
     def ok(self) -> bool:
-        """Whether all means are within their bands; of a run, those of the innovations."""
+        """Whether all means are within their intervals; for a run, those of the innovations only."""
         inside = not self.independent or self.band[0] <= self.average <= self.band[1]
         return inside and all(test.ok for test in self.innovations.values())
 
     @property
     def within(self) -> float:
-        """Share of the values of ``nees`` within the band of single values; the confidence is to be expected."""
+        """Share of the values of ``nees`` within the interval of single values; expected: the confidence."""
         low, high = _compute_chi_square_interval(self.components, 1, self.confidence)
         known = self.nees[np.isfinite(self.nees)]
         return float(np.mean((known >= low) & (known <= high))) if known.size else float("nan")
@@ -134,7 +134,7 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     Parameters
     ----------
     flown : Run or Campaign
-        Of a loop with that estimator.
+        Run or campaign of a loop with this estimator.
     estimator : Estimator
     confidence : float
         In (0, 1).
@@ -142,7 +142,7 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     Raises
     ------
     ArgumentError
-        The loop had another estimator, the plant has none of its states, or a state is known exactly.
+        The loop has another estimator, the plant has none of its states, or a state is known exactly.
 
     Examples
     --------
@@ -165,7 +165,7 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     ]
     if missing or layout is None or not flown.memory.size:
         raise ArgumentError(
-            f"the loop remembers no '{missing[0] if missing else 'state'}' like it: it had no '{estimator.name}'."
+            f"the memory of the loop has no '{missing[0] if missing else 'state'}' of estimator '{estimator.name}'."
         )
     memory = np.vstack([flown.memory[layout.slice(name)] for name in estimator.memory.names])
     independent = isinstance(flown, Campaign)
@@ -184,7 +184,7 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
 
 
 def _compute_nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[Array, int]:
-    """Return the NEES of all columns, and of how many components."""
+    """Return the NEES of all columns, and the number of components."""
     there = flown.layouts["state"]
     shared = [name for name in estimator.states.names if name in there]
     if not shared:
@@ -199,7 +199,7 @@ def _compute_nees(flown: Run | Campaign, estimator: Estimator, memory: Array) ->
     errors = np.asarray(estimator.error(truth, estimate).full())[rows]
     P = estimator.covariance(memory)[:, rows][:, :, rows]
     sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-    # what is known better than a state can be computed says nothing of the filter
+    # variances at the rounding level of the states are not tested
     least = np.concatenate([
         np.tile(ROUNDING * np.max(np.abs(truth[estimator.states.slice(name)]), axis=0), (size, 1))
         for name, size in ((name, estimator.errors[name].size) for name in shared)
@@ -208,8 +208,8 @@ def _compute_nees(flown: Run | Campaign, estimator: Estimator, memory: Array) ->
     if np.any(exact):
         label = estimator.errors.labels[rows[int(np.flatnonzero(np.any(exact, axis=0))[0])]]
         raise ArgumentError(
-            f"'{estimator.name}' holds '{label}' for exactly known, to rounding: give sigma0 > 0, and process_noise "
-            "where it decays, to compare errors."
+            f"'{estimator.name}' treats '{label}' as exactly known (variance at rounding level): give sigma0 > 0, and "
+            "process_noise if it decays."
         )
     found = np.full(errors.shape[1], np.nan)
     good = np.all(np.isfinite(errors), axis=0) & np.all(np.isfinite(P), axis=(1, 2))
@@ -237,7 +237,7 @@ def _test_innovations(estimator: Estimator, name: str, ends: Array, confidence: 
 def _compute_chi_square_interval(
     components: int, values: int, confidence: float, gate: float | None = None
 ) -> Band:
-    """Return the interval of the mean of independent chi-square values (behind a gate), equal tails."""
+    """Return the equal-tailed interval of the mean of independent (gated) chi-square values."""
     if values < 1:
         return float("nan"), float("nan")
     mean, freedom = (components, components) if gate is None else _compute_gated_chi_square(components, gate)
@@ -247,7 +247,7 @@ def _compute_chi_square_interval(
 
 
 def _compute_gated_chi_square(components: int, gate: float) -> tuple[float, float]:
-    """Return the mean of a chi-square value that passes a gate, and the degrees of freedom of a scaled one like it."""
+    """Return the mean of a gated chi-square value, and the degrees of freedom of the equivalent scaled chi-square."""
     half, limit = components / 2, float(scipy.stats.chi2.ppf(gate, components)) / 2
     first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))
     mean = components * first

@@ -1,4 +1,4 @@
-r"""Global sensitivity: the shares of dispersions and noise in the variance of a measure.
+r"""Global sensitivity: shares of dispersions and noise in the variance of a measure (Sobol' indices).
 
 *Sobol' indices* divide the variance V of a measure f among the factors, the dispersions and the noise. With rows of
 two independent campaigns A and B, and A with one factor taken from B, :math:`AB_i`,
@@ -6,8 +6,8 @@ two independent campaigns A and B, and A with one factor taken from B, :math:`AB
 .. math::
     S_i = \frac{1}{V} \overline{f_B\,(f_{AB_i} - f_A)}, \qquad T_i = \frac{1}{2 V} \overline{(f_A - f_{AB_i})^2}:
 
-the share of V that goes if factor i is known, and the share that is left if all others are. Intervals are bootstrap
-percentiles.
+the share of V that vanishes if factor i is known, and the share that remains if all other factors are known. Confidence
+intervals are bootstrap percentiles.
 
 Source: A. Saltelli et al., Variance based sensitivity analysis of model output, Computer Physics
 Communications 181 (2010), table 2.
@@ -32,15 +32,15 @@ from gnc_opt.simulation.dispersions import draw_parameters
 from gnc_opt.text_formatting import Printed
 
 NOISE = "noise"
-"""The factor that all random numbers of the control steps are."""
+"""Factor that contains all random numbers of the control steps."""
 
 _RESAMPLED = 1000
-"""Samples of the bootstrap."""
+"""Number of bootstrap samples."""
 
 
 @dataclass(frozen=True)
 class IntervalEstimate:
-    """A number with its interval.
+    """Estimate with its confidence interval.
 
     Attributes
     ----------
@@ -62,18 +62,18 @@ class IntervalEstimate:
 
 @dataclass(frozen=True, eq=False)
 class SobolIndices(Printed):
-    """Shares of the variance of a measure; see `sobol_indices`.
+    """Sobol' indices of a measure; see `sobol_indices`.
 
     Attributes
     ----------
     measure : str
     mean, variance : float
     first, total : mapping of str to Share
-        S and T by factor: dispersions by their names, and "noise".
+        S and T by factor: names of the dispersions, and "noise".
     confidence : float
-        Of each interval.
+        Confidence of each interval.
     rows, lost : int
-        Rows that were used, and those that were left out since a run of theirs failed.
+        Number of rows used, and of rows omitted because of a failed run.
 
     Examples
     --------
@@ -95,12 +95,12 @@ class SobolIndices(Printed):
     def __str__(self) -> str:
         width = max(map(len, self.total))
         lines = [
-            f"what drives '{self.measure}' (mean {self.mean:.4g}, standard deviation {np.sqrt(self.variance):.3g})",
+            f"variance of '{self.measure}' (mean {self.mean:.4g}, standard deviation {np.sqrt(self.variance):.3g})",
             f"  {'':{width}}  first order              total",
         ]
         for name in sorted(self.total, key=lambda n: -self.total[n].value):
             lines.append(f"  {name:{width}}  {self.first[name]!s:23}  {self.total[name]}")
-        without = f", {self.lost} left out: their runs failed" if self.lost else ""
+        without = f", {self.lost} omitted because of failed runs" if self.lost else ""
         lines.append(f"  {self.rows} rows{without}; intervals: {100 * self.confidence:g} %")
         return "\n".join(lines)
 
@@ -114,27 +114,27 @@ def sobol_indices(
     confidence: float = CONFIDENCE,
     executor: Executor | Literal["serial"] | None = None,
 ) -> SobolIndices:
-    """Return the shares of the dispersions and the noise in the variance of a measure.
+    """Return the Sobol' indices of a measure: shares of dispersions and noise in its variance.
 
     Parameters
     ----------
     scenario : Scenario
-        A vector that is dispersed is one factor.
+        A dispersed vector is one factor.
     measure : str
         As in `Campaign.measure`, or one of the scenario's ``measures``.
     n : int
-        Rows; a row takes two runs and one more for each factor.
+        Number of rows; a row takes two runs plus one per factor.
     confidence : float
-        Of each interval, in (0, 1).
+        Confidence of each interval, in (0, 1).
     executor : concurrent.futures.Executor or "serial", optional
         As in `monte_carlo`.
 
     Raises
     ------
     ArgumentError, UnknownNameError
-        Something does not fit, or the measure does not vary; the message names it.
+        Inconsistent arguments, or a measure that does not vary; the message names the cause.
     GncOptError
-        Runs could not be simulated, or nearly every row contains a failed run.
+        The runs could not be simulated, or nearly every row contains a failed run.
 
     Examples
     --------
@@ -153,7 +153,9 @@ def sobol_indices(
     f = np.hstack(run_in_workers(design, _Design.sample_rows, chunks, executor, name))
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
-        raise GncOptError(f"of {count} rows {count - np.sum(usable)} have a failed run: disperse less.")
+        raise GncOptError(
+            f"of {count} rows {count - np.sum(usable)} have a failed run: reduce the dispersions."
+        )
     return _bootstrap_indices(measure, design.factors, f[:, usable], count, level, scenario.seed)
 
 
@@ -162,7 +164,7 @@ def _bootstrap_indices(
 ) -> SobolIndices:
     mean, variance = float(f[:2].mean()), float(f[:2].var())
     if not variance > (np.finfo(float).eps * mean) ** 2:
-        raise ArgumentError(f"'{measure}' does not vary: disperse something that moves it.")
+        raise ArgumentError(f"'{measure}' does not vary: add a dispersion that affects it.")
     first, total = estimate_sobol_indices(f)
     rows = f.shape[1]
     generator = np.random.default_rng([seed, rows])
@@ -197,7 +199,7 @@ def estimate_sobol_indices(f: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """The runs of rows."""
+    """Evaluation of the rows of a Sobol' design."""
 
     scenario: Scenario
     measure: str

@@ -1,11 +1,11 @@
-r"""Linear covariance analysis: how far the errors of a closed loop scatter, from one pass along its nominal run.
+r"""Linear covariance analysis: error covariances of a closed loop from one pass along its nominal run.
 
-With the derivatives of `Linearization`, the deviations due to a dispersion with covariance :math:`\Sigma_j` are
-:math:`\delta X_k = \Phi_{jk}\, \delta P_j` and those due to the noise of a block have the covariance S of
+With the derivatives of `Linearization`, a dispersion with covariance :math:`\Sigma_j` causes the deviations
+:math:`\delta X_k = \Phi_{jk}\, \delta P_j`. The noise of a block causes the covariance S,
 
 .. math:: \Phi_{k+1} = A_k \Phi_k + H_k, \qquad S_{k+1} = A_k S_k A_k^T + G_k G_k^T,
 
-so that each source has its own share of every covariance.
+so that every covariance is a sum over the sources.
 
 Source: D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous
 onboard mission planning, Journal of Guidance, Control, and Dynamics 29 (2006), section III.
@@ -36,7 +36,7 @@ from gnc_opt.tolerances import TINY
 
 
 def format_covariance_table(found: LinearCovariance) -> str:
-    """Return the standard deviations at the end as text: a line per state, with its main sources."""
+    """Return the table of final standard deviations: one line per state, with its main sources."""
     layout = found.layouts["error"]
     width = max([5, *map(len, layout.names)])
     units = max([1, *(len(v.unit) for v in layout.variables)])
@@ -58,30 +58,30 @@ def _format_percent(share: float) -> str:
 
 
 FROZEN_GAINS_MAX_NIS = 1e-2
-"""Sum of the normalised innovations squared of a filter over the nominal run, up to which its gains are frozen."""
+"""Largest sum of normalised innovations squared over the nominal run at which filter gains are kept constant."""
 
 _KINDS = {"command": "commands", "applied": "applied"}
-"""Signals in addition to the errors, and their names in the log."""
+"""Signals other than the errors, with their names in the log."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearCovariance(Strict, Printed):
-    """Covariances along a nominal run, by source; see `linear_covariance`.
+    """Covariances along a nominal run by source; see `linear_covariance`.
 
     A *signal* is the name of a state (its error), ``command(F)`` or ``applied(F)`` (mean over the step).
 
     Attributes
     ----------
     times : array (n_times,)
-        s; commands and applied controls have all but the last.
+        Times, s; commands and applied controls have no value at the last one.
     sources : tuple of str
         Names of dispersions, then of blocks that draw random numbers.
     nominal : array (n_states, n_times)
-        The plant without dispersions and noise.
+        States of the nominal run, without dispersions and noise.
     mean : array (n_errors, n_times)
-        Of the errors; not zero where dispersions are not centred.
+        Mean errors; nonzero for dispersions with nonzero mean.
     parts : mapping
-        Arrays (n_sources, n_times, n, n): covariances by source, of "error", "command" and "applied".
+        Covariances by source (n_sources, n_times, n, n) of "error", "command" and "applied".
     layouts : mapping
         Names, sizes and units: error, command, applied.
     flight : Flight
@@ -122,15 +122,15 @@ class LinearCovariance(Strict, Printed):
         return self.parts[kind][:, :, place, place]
 
     def budget(self, signal: str, at: float | None = None) -> dict[str, float]:
-        """Return which share of a signal's variance each source has, the largest first.
+        """Return the share of each source in a signal's variance, in descending order.
 
-        The variance is the trace of the covariance; shares add up to 1, unless the variance is zero.
+        The variance is the trace of the covariance. The shares add up to 1, unless the variance is zero.
 
         Parameters
         ----------
         signal : str
         at : float, optional
-            Time (s), the logged one nearest to it; default the last.
+            Time (s); the nearest logged one is used. Default: the last.
         """
         parts = self.by_source(signal)
         k = -1 if at is None else int(np.argmin(np.abs(self.times[: parts.shape[1]] - at)))
@@ -163,14 +163,14 @@ def linear_covariance(
     Parameters
     ----------
     scenario : Scenario
-        Whose loop has no events.
+        Its loop must have no events.
     every : int
-        Of so many control steps one is kept; the end always is.
+        Store every n-th control step, and the last one.
 
     Raises
     ------
     ArgumentError, UnknownNameError
-        Something does not fit, the loop has events, or a derivative is not finite; the message says which.
+        Inconsistent arguments, a loop with events, or a derivative that is not finite; the message names the cause.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def linear_covariance(
 
 
 class _Pass:
-    """One sweep along the nominal run, with the propagated quantities."""
+    """Propagation of the deviations along the nominal run."""
 
     def __init__(self, linearization: Linearization, dispersions: Dispersions, every: int) -> None:
         self.linearization, self.flight = linearization, linearization.flight
@@ -212,7 +212,7 @@ class _Pass:
         self.mean: list[Array] = []
 
     def result(self) -> LinearCovariance:
-        """Return what the pass found."""
+        """Return the covariances."""
         X, g, h = self.linearization.start()
         scatter = Scatter.first(self.sources, g, h)
         for k, step in enumerate(self.linearization.steps(X)):
@@ -246,7 +246,7 @@ class _Pass:
 
     @cached_property
     def _error_jacobian(self) -> Any:
-        """Derivatives of the errors relative to the nominal state, there."""
+        """Jacobian of the errors in the state, on the nominal run."""
         x, x_ref = (ca.SX.sym(n, self.flight.states.size) for n in ("x", "x_ref"))
         jacobian = ca.jacobian(self.flight.errors(x, x_ref), x)
         return ca.Function("by_x", [x_ref], [ca.substitute(jacobian, x, x_ref)])
@@ -268,5 +268,5 @@ class _Pass:
 
 
 def _compute_standard_deviations(covariance: Array) -> Array:
-    """Return the standard deviations (size, n_times) in covariances (n_times, size, size)."""
+    """Return the standard deviations (size, n_times) from covariances (n_times, size, size)."""
     return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).T, 0.0))

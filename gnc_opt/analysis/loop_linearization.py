@@ -1,14 +1,14 @@
-r"""Linearization: the derivatives of a closed loop's control steps along its nominal run.
+r"""Linearisation of a closed loop: derivatives of its control steps along the nominal run.
 
-The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.loop_kernel`) holds plant, sensors,
-estimator, controller, actuators. About the nominal run, the one without noise,
+The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.loop_kernel`) contains plant, sensors,
+estimator, controller and actuators. About the nominal run without noise,
 
 .. math::
     \delta X_{k+1} = A_k\, \delta X_k + G_k\, n_k + H_k\, \delta P, \qquad
     \delta y_k = C_k\, \delta X_k + D_k\, n_k + E_k\, \delta P,
 
-n the standard normal numbers of the step, y what is logged. Where innovations are zero on the nominal run, the
-covariance of a filter has no effect to first order and may be *held*.
+with the standard normal numbers n of the step and the logged signals y. If all innovations are zero on the nominal run,
+the covariance of a filter has no first-order effect and may be *held* constant.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from gnc_opt.simulation.loop_assembly import Wiring
 from gnc_opt.simulation.signals import Places
 
 OUTPUTS = ("commands", "applied")
-"""Parts of the log that are differentiated."""
+"""Parts of the log that are linearised."""
 
 _CARRIED = ("plant", "sensor", "actuator", "push", "memory")
-"""First words of the parts of X that are differentiated."""
+"""First words of the parts of X that are linearised."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearStep:
-    """One control step: nominal X_next (n_X,), y (n_y,); derivatives with respect to X, noise, parameters."""
+    """One control step: nominal X_next (n_X,), y (n_y,); derivatives in X, noise and parameters."""
 
     X_next: Array
     y: Array
@@ -51,7 +51,7 @@ class LinearStep:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """A loop differentiated along its nominal run; ``hold``: constant filter covariance. No events."""
+    """Loop without events, linearised along its nominal run; ``hold``: constant filter covariance."""
 
     flight: CompiledLoop
     wiring: Wiring
@@ -65,13 +65,13 @@ class Linearization:
             )
         if self.flight.events.size:
             raise ArgumentError(
-                f"the loop has events ('{self.flight.events.names[0]}'), whose times vary, and a linearization needs "
+                f"the loop has events ('{self.flight.events.names[0]}'), whose times vary, but a linearisation needs "
                 "fixed times: remove the events, or use monte_carlo()."
             )
 
     @cached_property
     def state(self) -> Places:
-        """Names and sizes of the differentiated entries of X."""
+        """Layout of the linearised entries of X."""
         parts = self.flight.kernel.state.parts
         held = {"memory": len(self.fixed_indices)}
         return Places(
@@ -80,13 +80,13 @@ class Linearization:
 
     @property
     def output(self) -> Places:
-        """Names and sizes of the differentiated entries of the log."""
+        """Layout of the linearised entries of the log."""
         sizes = dict(self.flight.kernel.log.parts)
         return Places(tuple((name, sizes[name]) for name in OUTPUTS))
 
     @cached_property
     def noises(self) -> dict[str, slice]:
-        """Places in n of the blocks that draw random numbers, by their names."""
+        """Slices of n for the blocks that draw random numbers, by block name."""
         blocks = {
             f"{kind} {i}": link.block.name
             for kind, links in (
@@ -105,7 +105,7 @@ class Linearization:
         return found
 
     def start(self) -> tuple[Array, Array, Array]:
-        """Return the nominal first column X (n_X,); its derivatives with respect to first noise and parameters."""
+        """Return the nominal initial X (n_X,), and its derivatives in the initial noise and the parameters."""
         kernel, P = self.flight.kernel, self.flight.nominal
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
@@ -127,7 +127,7 @@ class Linearization:
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
 
     def steps(self, X: Array) -> Iterator[LinearStep]:
-        """Yield the control steps of the nominal run that begins with the column X (n_X,)."""
+        """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
         by_P = self._constant_derivatives
@@ -148,13 +148,13 @@ class Linearization:
 
     @cached_property
     def retained_indices(self) -> list[int]:
-        """Indices in X of the differentiated entries."""
+        """Indices in X of the linearised entries."""
         held = set(self.fixed_indices)
         return [int(i) for name, _ in self.state.parts for i in self._state_indices[name] if i not in held]
 
     @cached_property
     def fixed_indices(self) -> list[int]:
-        """Indices in X of the entries kept at their nominal values."""
+        """Indices in X of the entries with fixed nominal values."""
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
             return []
@@ -172,12 +172,12 @@ class Linearization:
 
     @cached_property
     def random_inputs(self) -> list[int]:
-        """Places of the random numbers in w."""
+        """Indices of the random numbers in w."""
         return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
 
     @cached_property
     def _step_derivative_function(self) -> Any:
-        """``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
+        """Return ``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
         places, rest = self.retained_indices, self._fixed_entries
@@ -196,7 +196,7 @@ class Linearization:
 
     @cached_property
     def _constant_derivatives(self) -> Array:
-        """Derivatives of the constants C with respect to the chosen columns of P."""
+        """Derivatives of the constants C in the selected columns of P."""
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
@@ -217,5 +217,5 @@ class Linearization:
             names = [*self.flight.states.labels, *(name for name, size in sizes for _ in range(size))]
             raise ArgumentError(
                 f"the derivative of '{names[bad[0]]}' of the closed loop is not finite at {self.flight.times[k]:g} s "
-                "of the nominal run: choose another nominal run, or fly monte_carlo()."
+                "of the nominal run: choose another nominal run, or use monte_carlo()."
             )

@@ -1,13 +1,13 @@
-r"""Frequency response of a complete closed loop, at instants along its nominal run.
+r"""Frequency response of a closed loop with all its components, at instants of its nominal run.
 
-The loop is cut where the commands leave the controller. With d added to the command u of the linearized step
+The loop is opened at the output of the controller. With d added to the command u of the linearised step
 (`Linearization`) of the closed loop,
 
 .. math:: \delta X^+ = A\, \delta X + B\, d, \qquad u = C\, \delta X,
 
-the open loop is :math:`L(z) = -C (z - A + B C)^{-1} B`, the sensitivity :math:`S = (1 + L)^{-1}`, its complement
-:math:`T = L S`. Sampling, holding, sensors, estimator, delays and lags are included; each instant is frozen.
-Margins are those of `gnc_opt.control.loop_margins`.
+the open loop is :math:`L(z) = -C (z - A + B C)^{-1} B`, the sensitivity :math:`S = (1 + L)^{-1}` and the complementary
+sensitivity :math:`T = L S`. Sampling, hold, sensors, estimator, delays and lags are included; each instant is linear
+time-invariant. The margins are defined in `gnc_opt.control.loop_margins`.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from gnc_opt.tolerances import ROUNDING
 _PROBE = "probe of the command"
 
 _STABLE = 1.0 + 1e-9
-"""Size of a pole up to which a frozen loop counts as stable: integrals of what no control moves stay where they are."""
+"""Largest pole magnitude of a stable loop; uncontrollable integrators have poles at 1."""
 
 _LOOKS = np.array([0.01, 0.1, 0.5])
-"""Frequencies, as shares of the highest, at which a loop is asked whether it is open."""
+"""Frequencies of the test for an open loop, as shares of the Nyquist frequency."""
 
 
 @dataclass(frozen=True)
 class _Probe(Block):
-    """Adds d to the command."""
+    """Block that adds d to the command."""
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {"d": (np.zeros(size), unit)}
@@ -58,14 +58,14 @@ class _Probe(Block):
 
 @dataclass(frozen=True, eq=False)
 class LoopResponse(Strict):
-    """A loop cut at its commands, at some instants; see `loop_response`. Frequencies are in rad/s.
+    """Loop opened at its commands, at instants of a run; see `loop_response`. Frequencies are in rad/s.
 
     Attributes
     ----------
     times : array (n_times,)
         s.
     a, b, c : array
-        (n_times, n, n), (n_times, n, m), (n_times, m, n): the closed loop from d to u.
+        Closed loop from d to u: (n_times, n, n), (n_times, n, m), (n_times, m, n).
     dt : float
         Control step, s.
     commands : Layout
@@ -85,7 +85,7 @@ class LoopResponse(Strict):
     commands: Layout = field(repr=False)
 
     def open_loop(self, omega: ArrayLike, index: int = 0) -> Array:
-        """Return L, (n_omega, m, m) complex, at one of the instants."""
+        """Return L, (n_omega, m, m) complex, at the instant ``index``."""
         closed = self._closed_loop_transfer(omega, index)
         left = np.eye(closed.shape[1]) + closed
         if np.any(np.linalg.norm(left, -2, axis=(1, 2)) <= ROUNDING * np.linalg.norm(closed, 2, axis=(1, 2))):
@@ -98,7 +98,7 @@ class LoopResponse(Strict):
         return np.asarray(np.eye(closed.shape[1]) + closed)
 
     def channel(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
-        """Return the open loop of one command, (n_omega,) complex, the others closed."""
+        """Return the open loop of one command with the others closed, (n_omega,) complex."""
         i = self.commands.labels.index(self._read_command_label(command))
         return np.asarray(1 / self.sensitivity(omega, index)[:, i, i] - 1)
 
@@ -107,34 +107,34 @@ class LoopResponse(Strict):
         return np.asarray(np.linalg.eigvals(self.a[self._read_instant(index)]).astype(complex))
 
     def stable(self, index: int = 0) -> bool:
-        """Whether the frozen loop is."""
+        """Return whether the linearised loop is stable at the instant ``index``."""
         return bool(np.all(np.abs(self.poles(index)) <= _STABLE))
 
     def margins(self, index: int = 0) -> Margins:
-        """Return gain, phase, delay and disk margins at one of the instants.
+        """Return gain, phase, delay and disk margins at the instant ``index``.
 
         Raises
         ------
         ArgumentError
-            The frozen loop is not stable there, or open: all commands are at their limits.
+            The linearised loop is unstable, or open because all commands are at their limits.
         """
         if not self.stable(index):
             z = max(self.poles(index), key=abs)
             raise ArgumentError(
-                f"the loop frozen at {self.times[index]:g} s is not stable (pole {z:.6g}), so it has no margins: "
-                "look at poles()."
+                f"the loop linearised at {self.times[index]:g} s is unstable (pole {z:.6g}) and has no margins: "
+                "see poles()."
             )
         if self._is_loop_open(index):
             raise ArgumentError(
-                f"the loop frozen at {self.times[index]:g} s is open: it feeds back, but its commands move nothing "
-                "(they are at their limits), so it has no margins; choose other instants (at=)."
+                f"the loop linearised at {self.times[index]:g} s is open: its commands have no effect "
+                "(they are at their limits), and it has no margins; choose other instants (at=)."
             )
         a, b, c = self.a[index], self.b[index], self.c[index]
         return stability_margins(a - b @ c, b, -c, self.dt)
 
     @property
     def disk_margins(self) -> Array:
-        """Disk margins over the instants, (n_times,); 0 where the frozen loop is not stable, NaN where it is open."""
+        """Disk margins at all instants, (n_times,); 0 for an unstable loop, NaN for an open one."""
 
         def disk(k: int) -> float:
             if not self.stable(k):
@@ -153,7 +153,7 @@ class LoopResponse(Strict):
         return np.logspace(np.log10(low), np.log10(top), 400)
 
     def _is_loop_open(self, index: int) -> bool:
-        """Whether the law feeds back but its commands do not reach the plant."""
+        """Return whether the law has feedback but its commands do not reach the plant."""
         fed_back = bool(np.any(self.c[index]))
         return fed_back and bool(
             np.all(np.abs(self._closed_loop_transfer(_LOOKS * np.pi / self.dt, index)) < ROUNDING)
@@ -161,11 +161,11 @@ class LoopResponse(Strict):
 
     @one_thread()
     def _closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
-        """Return the way from d to u, (n_omega, m, m)."""
+        """Return the transfer function from d to u, (n_omega, m, m)."""
         w = read_numbers(omega, "the frequencies").reshape(-1)
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
             raise ArgumentError(
-                f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: give such."
+                f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
             )
         k = self._read_instant(index)
         within = input_output_states(self.a[k], self.b[k], self.c[k])
@@ -199,7 +199,7 @@ def _solve_systems(matrices: Array, columns: Array) -> Array:
 def _estimate_pole_error() -> ArgumentError:
     return ArgumentError(
         "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
-        "ask beside it, at 1e-6 rad/s, say."
+        "choose another frequency, for example 1e-6 rad/s."
     )
 
 
@@ -213,16 +213,16 @@ def loop_response(
     parameters: Mapping[str, ArrayLike] | None = None,
     at: Sequence[float] | None = None,
 ) -> LoopResponse:
-    """Return a loop linearized at instants of its nominal run, cut at its commands.
+    """Return the frequency response of a loop, linearised at instants of its nominal run and opened at its commands.
 
     Parameters
     ----------
     loop : ClosedLoop
-        Without events and without sensors that are read every few control steps.
+        Loop without events and without sensors that are sampled every few control steps.
     x0, t0, tf, parameters
-        The nominal run, as in `ClosedLoop.simulate`.
+        Nominal run, as in `ClosedLoop.simulate`.
     at : sequence of float, optional
-        Times, s; the control steps in which they lie are taken. Default the first control step.
+        Times, s; the control steps that contain them are used. Default: the first control step.
 
     Raises
     ------
@@ -239,8 +239,8 @@ def loop_response(
     for sensor in loop.sensors:
         if isinstance(sensor, ZeroOrderHold) and round(sensor.period / loop.dt) > 1:
             raise ArgumentError(
-                f"'{sensor.name}' is read every {sensor.period:g} s: a loop of two rates has no frequency response; "
-                "leave it out, or give the loop its period as dt."
+                f"'{sensor.name}' is sampled every {sensor.period:g} s: a loop of two rates has no frequency response; "
+                "remove it, or use its period as dt of the loop."
             )
     opened = replace(loop, actuators=(_Probe(_PROBE), *loop.actuators))
     flight = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)

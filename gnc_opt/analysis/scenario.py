@@ -1,4 +1,4 @@
-"""Scenario: a loop on one flight with the dispersions of its runs, and measures of runs with chosen parameters."""
+"""Scenario: a closed loop, its initial state, time span and dispersions, and the measures of its runs."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from gnc_opt.simulation.run_outcome import RunStatus
 from gnc_opt.workers import Shared, WorkerPool
 
 _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
-"""How runs end that have not failed."""
+"""Statuses of runs that have not failed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A closed loop on one flight, with the dispersions of its runs and the measures evaluated on them.
+    """Closed loop with initial state, time span, dispersions and measures.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Scenario:
     Raises
     ------
     ArgumentError, UnknownNameError
-        Something does not fit; the message names it.
+        Inconsistent arguments; the message names the cause.
 
     Examples
     --------
@@ -70,32 +70,32 @@ class Scenario:
     def __getstate__(self) -> dict[str, Any]:
         return {
             name: value for name, value in vars(self).items() if name != "loop"
-        }  # the flight is enough to fly
+        }  # the compiled loop suffices
 
     @cached_property
     def flight(self) -> CompiledLoop:
-        """The flight, numeric."""
+        """Compiled loop."""
         return self.loop.compile(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
 
     @cached_property
     def criteria(self) -> Criteria:
-        """The targets of the runs, and user-defined measures."""
+        """Targets of the runs, and user-defined measures."""
         return read_criteria(self.target, self.measures)
 
     def require(self, measure: str) -> None:
-        """Raise an error for a name that is not a measure of the runs."""
+        """Raise an error if the name is not a measure of the runs."""
         if measure not in self.criteria.measures:
             self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)
 
     @property
     def noise_size(self) -> int:
-        """Number of standard normal numbers that a control step draws."""
+        """Number of standard normal random numbers per control step."""
         return int(self.flight.kernel.known.size - 1 - self.flight.schedule.shape[0])
 
     # --- runs ---------------------------------------------------------------------------------------------
 
     def campaign(self, P: Array, seeds: Sequence[Any]) -> Campaign:
-        """Fly runs with these columns P (n_parameters, n) and seeds, and return them as a campaign."""
+        """Simulate runs with parameter columns P (n_parameters, n) and seeds, and return them as a campaign."""
         runs = range(P.shape[1])
         flown = [Flown(runs, P, self.flight.final(P, seeds))] if runs else []
         goal = self.criteria.goal(self.flight)
@@ -103,7 +103,7 @@ class Scenario:
         return self.criteria.apply_to_campaign(campaign) if runs else campaign
 
     def values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
-        """Return a measure of runs, (n,), as `campaign`; infinite for those that fail or have none."""
+        """Return a measure of runs, (n,), arguments as in `campaign`; infinite for failed runs or without a value."""
         campaign = self.campaign(P, seeds)
         flown = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
         values = campaign.measure(measure)
@@ -117,13 +117,13 @@ def run_in_workers(
     executor: Executor | Literal["serial"] | None,
     name: str,
 ) -> list[Any]:
-    """Return what a method of a work unit answers to all tasks, in workers; `GncOptError` if one has no answer."""
+    """Return the results of a method of ``work`` for all tasks; raise `GncOptError` if one has no result."""
     remedy = 'define measures= functions at the top of a module, or use executor="serial"'
     with WorkerPool(Shared.picklable(work, name, remedy), executor, name) as pool:
         done = pool.run(method, tasks, lambda _: None)
     errors = [each.error for each in done if each.answer is None]
     if errors or len(done) < len(tasks):
         raise GncOptError(
-            f"{name} could not fly all its runs: {errors[0] if errors else 'it was interrupted'}."
+            f"{name} could not simulate all its runs: {errors[0] if errors else 'it was interrupted'}."
         )
     return [each.answer for each in done]

@@ -1,4 +1,4 @@
-"""Design of Kalman filters, and output feedback through them."""
+"""Kalman filters, and output feedback of their estimates."""
 
 from gnc_opt.estimation.estimator import Estimator, output_feedback
 from gnc_opt.estimation.filter_design import design_ekf, design_ukf

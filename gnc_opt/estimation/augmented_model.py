@@ -1,8 +1,8 @@
-r"""Augmented model: estimated quantities in addition to the vehicle's states.
+r"""Augmented model of a filter: the vehicle's states, sensor biases and delay lines.
 
 1. *Biases*: constant or drifting errors of sensors, :math:`\dot b = w`.
-2. *Delay lines*: for a sample that arrives d control steps late, what was measured 1, ..., d steps ago, shifted at
-   the end of each step (Simon, Optimal State Estimation, 2006, section 10.5).
+2. *Delay lines*: for samples that are d control steps late, the outputs 1, ..., d steps ago, shifted at the
+   end of each step (Simon, Optimal State Estimation, 2006, section 10.5).
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, call_user_function
 
 _MOST_LATE = 200
-"""Largest number of components of late samples: the filter's work grows with the cube of its states."""
+"""Largest number of delayed components; the cost of the filter grows with the cube of its states."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One measurement, read: what is measured, its space, period and delay (control steps)."""
+    """Measurement with its variable, error space, period and delay (control steps)."""
 
     measurement: Measurement
     variable: Variable
@@ -43,21 +43,21 @@ class Channel:
 
     @property
     def bias(self) -> str:
-        """Name of its bias among the estimated quantities."""
+        """Name of the bias among the estimated states."""
         return f"{self.name}_bias"
 
     def delayed_name(self, steps: int) -> str:
-        """Name of the measurement delayed by so many steps."""
+        """Return the name of the measurement delayed by ``steps`` control steps."""
         return f"{self.name}_{steps}_ago"
 
     @property
     def is_sample_counted(self) -> bool:
-        """Whether not every control step brings a new sample."""
+        """Whether some control steps have no new sample."""
         return self.period > 1 or self.delay > 0
 
 
 class AugmentedModel:
-    """A model with the biases and delays of its sensors for steps of dt (s); ``vehicle``: its own states."""
+    """Model with sensor biases and delay lines for control steps of dt (s); ``vehicle``: the model's own states."""
 
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
         self.model, self.dt = model, dt
@@ -89,7 +89,7 @@ class AugmentedModel:
         self._jacobian = ca.Function("A", [t, own, u], [slope])
 
     def flow(self, h: float) -> Any:
-        """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, u held."""
+        """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, for constant u."""
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
 
@@ -105,7 +105,7 @@ class AugmentedModel:
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
     def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
-        """Return F (n_errors, n_errors) of a step h (s), early, late: P becomes F (P + early) F' + late."""
+        """Return F (n_errors, n_errors) of a step h (s), and noise terms: P becomes F (P + early) F' + late."""
         n = self.model.states.size
         own, end = x[:n], after[:n]
         middle = 0.5 * (own + end)
@@ -115,12 +115,12 @@ class AugmentedModel:
         one, square = ca.SX.eye(n), A @ A
         change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
         whole = ca.diagcat(last @ change @ vehicle.retraction_slope(own), rest)
-        change = one + h / 2 * A + h**2 / 8 * square  # for the noise, which is small already
+        change = one + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
         half = ca.diagcat(last @ change @ vehicle.retraction_slope(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def direct_slope(self, channel: Channel) -> Any:
-        """Return the constant slope (m, n_errors) of a measurement linear in the errors, else ``None``."""
+        """Return the constant Jacobian (m, n_errors) of a measurement that is linear in the errors, else ``None``."""
         biased, m = channel.measurement.has_bias, channel.space.errors
         if channel.measurement.difference is not None:
             return None
@@ -159,11 +159,11 @@ class AugmentedModel:
 
     @property
     def has_delay_lines(self) -> bool:
-        """Whether there are delay lines."""
+        """Whether a measurement is delayed."""
         return any(channel.delay for channel in self.channels)
 
     def shift_delay_lines(self) -> Any:
-        """Return ``(t, x) -> x`` with the delay lines moved on by one."""
+        """Return ``(t, x) -> x`` with the delay lines shifted by one step."""
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
         parts = {name: x[self.states.slice(name)] for name in self.states.names}
         new = dict(parts)
@@ -175,7 +175,7 @@ class AugmentedModel:
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
     def initial_standard_deviations(self, states: Array, bias: str) -> Array:
-        """Return the standard deviations (n_errors,): given ones of states and biases, delay lines 0."""
+        """Return the initial standard deviations (n_errors,) of states and biases; those of delay lines are 0."""
         sigma = np.zeros(self.errors.size)
         sigma[: states.size] = states
         for channel in self.channels:
@@ -223,7 +223,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel
         variable = model.outputs[name]
         if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
             raise DesignError(
-                f"output '{name}' of model '{model.name}' depends on a control, not known when it is measured: "
+                f"output '{name}' of model '{model.name}' depends on a control, which is unknown at that time: "
                 "name one of states alone."
             )
         space = euclidean_space(variable.size)

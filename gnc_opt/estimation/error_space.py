@@ -1,13 +1,13 @@
-r"""Error space: the set of values of a quantity, and its error coordinates.
+r"""Error space of a quantity: its values, and the coordinates of its errors.
 
-An error e of x relative to :math:`x_r` is :math:`d(x, x_r)`, and :math:`r(x_r, e)` leads back. To first order
+An error e of x relative to :math:`x_r` is :math:`d(x, x_r)`, with the inverse :math:`x = r(x_r, e)`. To first order
 :math:`dx = R\, e` and :math:`e = D\, dx` with
 
 .. math:: R = \left.\frac{\partial r}{\partial e}\right|_{e=0}, \qquad
    D = \left.\frac{\partial d}{\partial x}\right|_{x=x_r}, \qquad D R = 1 .
 
-Covariances are those of e; for attitudes this is the multiplicative filter (Markley and Crassidis, Fundamentals of
-Spacecraft Attitude Determination and Control, 2014, section 6.2.4), whatever parameters the attitude has.
+Covariances are those of e. For attitudes this gives the multiplicative filter (Markley and Crassidis, Fundamentals of
+Spacecraft Attitude Determination and Control, 2014, section 6.2.4) for any attitude parameters.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import casadi as ca
 
 @dataclass(frozen=True)
 class Space:
-    """A space of columns (size, 1) with errors (errors, 1).
+    """Space of column vectors (size, 1) with errors (errors, 1).
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class Space:
 
 
 def euclidean_space(size: int) -> Space:
-    """Return the space in which errors are differences."""
+    """Return the space whose errors are differences."""
     return Space(size, size, lambda x, ref: x - ref, lambda ref, e: ref + e)
 
 
 def product_space(spaces: Sequence[Space]) -> Space:
-    """Return the space of stacked columns."""
+    """Return the product space, for stacked columns."""
     sizes = [0, *_compute_offsets(s.size for s in spaces)]
     errors = [0, *_compute_offsets(s.errors for s in spaces)]
 

@@ -1,4 +1,4 @@
-"""Estimator: a discrete-time filter as symbolic functions with a memory, and output feedback of its estimate."""
+"""Estimator: a discrete-time filter as CasADi functions with memory, and output feedback of its estimate."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from gnc_opt.model.variables import Layout, as_point
 
 @dataclass(frozen=True, eq=False)
 class Estimator:
-    """A discrete-time estimator: ``(t, y, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
+    """Discrete-time filter: ``update(t, y, z) -> (x, z)``, then ``predict(t, u, z) -> z`` for the next control step.
 
-    From samples y and its memory z, the prediction for t: estimated states x and the next prediction.
+    The memory z contains the prediction for time t; y are the samples, x the estimated states.
 
     Attributes
     ----------
     name : str
     update, predict : casadi.Function
-        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is NaN without a sample for longer than ``hold``.
+        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is NaN after ``hold`` steps without a sample.
     first : array (n_memory,)
-        The memory at the first step.
+        Initial memory.
     states, errors, measured, commands : Layout
         Names, sizes and units of x, of its error, of y and of u.
     pattern : casadi.Sparsity
-        Of the lower triangle of the covariance of all errors, in the order of ``covariance``.
+        Sparsity of the lower triangle of the error covariance, in the order of ``covariance``.
     memory : Layout
         ``<state>_hat``, ``<measurement>_bias_hat``, ..., ``covariance`` (nonzeros of its lower triangle), and for each
         measurement ``<measurement>_nis`` (sum of the normalised innovations squared), ``_taken`` and ``_refused``
         (counts).
     error : casadi.Function
-        ``(x, x_ref) -> e``, the error of states.
+        ``(x, x_ref) -> e``, the state error.
     sizes : mapping of str to int
-        Components of each measurement's error.
+        Number of error components of each measurement.
     dt : float
         Control step, s.
     explanation : DesignReport
     gates : mapping of str to float
-        Probabilities with which valid samples pass, of measurements with a gate.
+        Probability that a valid sample passes, for each measurement with a gate.
 
     Examples
     --------
@@ -75,24 +75,24 @@ class Estimator:
     gates: dict[str, float] = field(default_factory=dict)
 
     def explain(self) -> DesignReport:
-        """Return the facts of the design; print them to read them."""
+        """Return the design report."""
         return self.explanation
 
     def __call__(
         self, t: float, y: ArrayLike, u: ArrayLike, z: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Evaluate one step: return the estimated states (n_states,) at t and the memory (n_memory,) of the next step.
+        """Evaluate one step: return the estimated states (n_states,) at t and the memory (n_memory,) for the next step.
 
         Parameters
         ----------
         t : float
-            Beginning of the step, s.
+            Start of the step, s.
         y : array (n_measured,)
-            Samples; NaN for missing ones.
+            Samples; NaN if missing.
         u : array (n_commands,)
-            Applied from t to the next step.
+            Command from t to the next step.
         z : array (n_memory,), optional
-            Memory; without it the step is the first.
+            Memory; default: the initial memory.
         """
         sample = as_point(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
         command = as_point(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
@@ -100,12 +100,12 @@ class Estimator:
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
     def estimate(self, memory: ArrayLike) -> Array:
-        """Return the states of memories (n_memory,) or (n_memory, n), predictions for the times of the memories."""
+        """Return the predicted states from memories (n_memory,) or (n_memory, n), for the times of the memories."""
         told, names = self._estimator_memory(memory), [f"{name}_hat" for name in self.states.names]
         return np.concatenate([told[self.memory.slice(n)] for n in names])
 
     def covariance(self, memory: ArrayLike) -> Array:
-        """Return the covariance of the state errors, (n_errors, n_errors) per memory (n_memory,)."""
+        """Return the covariance of the state errors, (n_errors, n_errors), for each memory (n_memory,)."""
         column = self._estimator_memory(memory)[self.memory.slice(COVARIANCE)]
         rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())
         size, states = self.pattern.size1(), self.errors.size
@@ -115,7 +115,7 @@ class Estimator:
         return np.moveaxis(own, -1, 0) if column.ndim > 1 else own
 
     def _estimator_memory(self, given: ArrayLike) -> Array:
-        """Return the estimator's rows of a memory, which come first in that of `output_feedback`."""
+        """Return the estimator's rows of a memory, the first ones in the memory of `output_feedback`."""
         what = f"the memory given to '{self.name}'"
         memory = read_numbers(given, what)
         if memory.ndim not in (1, 2) or memory.shape[0] < self.memory.size:
@@ -125,27 +125,27 @@ class Estimator:
 
 @suggest_keywords
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
-    """Return the controller that feeds back an estimate.
+    """Return a controller that feeds back the estimate of a filter.
 
-    Without a sample for longer than ``hold``, the controller gets NaN, see `with_dropout_handling`.
+    After more than ``hold`` steps without a sample the controller gets NaN, see `with_dropout_handling`.
 
     Parameters
     ----------
     controller : Controller
-        Of states that are estimated.
+        Controller whose states are estimated.
     estimator : Estimator
-        Its commands are among those of the controller; it takes them as applied as they are.
+        Its commands are a subset of the controller's; it assumes that they are applied without change.
 
     Returns
     -------
     Controller
-        Its ``states`` are the measurements, in the order of the design; its memory is the estimator's and, below it,
-        the controller's.
+        Its ``states`` are the measurements, in the order of the design. Its memory is the estimator's, followed by the
+        controller's.
 
     Raises
     ------
     ArgumentError
-        They do not fit.
+        Controller and estimator are not compatible.
 
     Examples
     --------
@@ -161,7 +161,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
     if controller.estimated is not None:
         raise ArgumentError(
-            f"controller '{controller.name}' is fed by an estimator already: give the one inside."
+            f"controller '{controller.name}' already includes an estimator: give the controller inside."
         )
     controller.step_length(estimator.dt)
     fed = _match_variables(controller.states, estimator.states, "state", controller.name, estimator.name)
@@ -182,11 +182,11 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         memory=Layout(
             "memory",
             (*estimator.memory.variables, *controller.memory.variables),
-            f"controller '{controller.name}' fed by '{estimator.name}'",
+            f"controller '{controller.name}' with '{estimator.name}'",
         ),
         dt=estimator.dt,
         explanation=DesignReport(
-            f"{told.title}, fed by the {estimator.explanation.title}",
+            f"{told.title}, with the {estimator.explanation.title}",
             (*told.facts, *estimator.explanation.facts),
         ),
         unbridged=None,
@@ -200,7 +200,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
 def _combined_law_functions(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
-    """Return the law and the first memory of both, of the controller's law or its easy form."""
+    """Return law and initial memory of controller and estimator, for the controller's full or easy law."""
     scalar = bare.is_a("SXFunction") and controller.start.is_a("SXFunction")
     kind = ca.SX if scalar else ca.MX
     size = estimator.memory.size
@@ -216,12 +216,12 @@ def _combined_law_functions(
 
 
 def _match_variables(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
-    """Return the rows of all wanted variables among those that are there."""
+    """Return the row indices of all wanted variables in another layout."""
     rows: list[int] = []
     for v in wanted.variables:
         if v.name not in there:
             raise ArgumentError(
-                f"'{whose}' needs the {kind} '{v.name}', which '{where}' does not give: "
+                f"'{whose}' needs the {kind} '{v.name}', which '{where}' does not have: "
                 f"{did_you_mean(v.name, there.names)}"
             )
         if there[v.name].size != v.size:
@@ -237,5 +237,5 @@ def _require_distinct_names(controller: Controller, estimator: Estimator) -> Non
     for name in estimator.memory.names:
         if name in controller.memory:
             raise ArgumentError(
-                f"'{controller.name}' and '{estimator.name}' both remember a '{name}': rename the state or the output."
+                f"'{controller.name}' and '{estimator.name}' both have the memory '{name}': rename the state or output."
             )

@@ -1,4 +1,4 @@
-"""Design of Kalman filters, extended and unscented: arguments and properties before any run."""
+"""Design of extended and unscented Kalman filters, with a report of their properties."""
 
 from __future__ import annotations
 
@@ -44,26 +44,26 @@ def design_ekf(
     Parameters
     ----------
     model : Model
-        Dynamics of the vehicle for the filter.
+        Dynamics model of the filter.
     x0 : array (n_states,) or mapping by name
-        Expected state at the first control step.
+        Expected initial state, at the first control step.
     measurements : sequence of Measurement
-        Each of a state or an output of the model.
+        Measurements of states or outputs of the model.
     sigma0 : mapping
-        Standard deviation of the error of x0 of every state; 0: known exactly.
+        Standard deviation of the initial error of every state; 0 if it is known exactly.
     dt : float
         Control step, s.
     process_noise : mapping, optional
-        White noise on the rates of states: standard deviation that it adds to the state, unit per square root of a
-        second; 0 for those left out.
+        White noise on the rates of states: the standard deviation added to the state, in its unit per square root of a
+        second; default 0.
     options : FilterOptions, optional
-        Limits of the actuators, integration, lost samples, name.
+        Actuator limits, integration, lost samples, name.
 
     Raises
     ------
     ArgumentError, DesignError, UnknownNameError, ModelError
-        Bad numbers, unknown states, a measurement that depends on a control, a difference without a retraction or one
-        that is not its inverse.
+        Invalid numbers, unknown states, a measurement that depends on a control, or a difference whose retraction is
+        missing or not its inverse.
 
     Examples
     --------
@@ -89,17 +89,17 @@ def design_ukf(
     process_noise: Deviations | None = None,
     options: FilterOptions | None = None,
 ) -> Estimator:
-    """Return an unscented Kalman filter, which needs no derivatives; on the manifold as `design_ekf`.
+    """Return an unscented Kalman filter, which needs no derivatives; multiplicative as in `design_ekf`.
 
     Parameters
     ----------
     model, x0, measurements, sigma0, dt, process_noise, options
-        As for `design_ekf`.
+        See `design_ekf`.
 
     Raises
     ------
     ArgumentError, DesignError, UnknownNameError, ModelError
-        As for `design_ekf`.
+        See `design_ekf`.
 
     Examples
     --------
@@ -114,11 +114,11 @@ def design_ukf(
 
 
 Deviations: TypeAlias = Mapping[str, ArrayLike]
-"""Standard deviations by the name of a state, one number or one per component of its error."""
+"""Standard deviations by name of the state, one number or one per error component."""
 
 
 class FilterDesign:
-    """Filter design; ``sigma0``, ``noise`` (n_errors,): first deviations and noise densities."""
+    """Design data of a filter; ``sigma0``, ``noise`` (n_errors,): initial deviations and noise densities."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class FilterDesign:
         missing = [n for n in model.states.names if n not in sigma0]
         if missing:
             raise ArgumentError(
-                f"sigma0 of '{name}' does not tell how well '{missing[0]}' is known: give every state, 0 if exactly."
+                f"sigma0 of '{name}' has no entry for state '{missing[0]}': give every state, 0 if it is known exactly."
             )
         self.limits = read_limits(model, options.limits)
         self.sigma0 = self.augmented.initial_standard_deviations(read, "bias")
@@ -219,13 +219,13 @@ class FilterDesign:
                 )
             )
         facts += self._steady_state_facts(labels)
-        what = "steps in a row without a sample that are predicted; then no estimate"
+        what = "consecutive steps without a sample; after that no estimate"
         return [*facts, ReportEntry("hold", str(self.hold), remark=what)]
 
     def _steady_state_facts(self, labels: tuple[str, ...]) -> list[ReportEntry]:
-        """Return the unobservable states and the steady accuracy of the linear model at the first state."""
+        """Return the unobservable states and the steady-state accuracy of the model linearised at the initial state."""
         F, Q, H, R = self._linear_model()
-        where = "by the linear model at the first state, no command"
+        where = "model linearised at the initial state, zero command"
         unseen = sorted(
             {label for mode in uncontrollable_modes(F.T, H.T, labels) for label in mode.states},
             key=labels.index,
@@ -237,9 +237,7 @@ class FilterDesign:
             regulator = solve_algebraic_riccati(
                 F.T, H.T, Q, R, np.zeros((F.shape[0], H.shape[0])), labels, sampled=True
             )
-        except (
-            DesignError
-        ):  # unobservable states, or states without noise: their variance has no positive steady value
+        except DesignError:  # unobservable or noise-free states have no positive steady variance
             return facts
         P = regulator.cost - regulator.cost @ H.T @ np.linalg.solve(
             H @ regulator.cost @ H.T + R, H @ regulator.cost
@@ -255,7 +253,7 @@ class FilterDesign:
         ]
 
     def _linear_model(self) -> tuple[Array, Array, Array, Array]:
-        """Return F and Q of one control step, H and R of all measurements, at the first state without command."""
+        """Return F and Q of one control step, H and R of all measurements, at the initial state with zero command."""
         augmented, space, tangent = self.augmented, self.augmented.space, Tangent()
         x, first = ca.SX.sym("x", space.size), augmented.first(self.t0, self.x0)
         u = ca.SX.zeros(self.model.controls.size)
@@ -283,7 +281,7 @@ class FilterDesign:
 
 def _read_initial_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:
     """Return the expected state (n_states,)."""
-    what = f"the first state of '{name}'"
+    what = f"the initial state of '{name}'"
     if isinstance(x0, Mapping):
         for key in x0:
             model.states.slice(key)
@@ -311,7 +309,7 @@ def _read_standard_deviations(model: Model, given: Deviations, what: str) -> Arr
 
 
 def _check_retraction_inverse(model: Model, x0: Array) -> None:
-    """Refuse a retraction that is not the way back of its difference, to first order at the first state."""
+    """Raise an error if a retraction is not the inverse of its difference, to first order at the initial state."""
     x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
     there = model.error_expression(model.retraction_expression(x, e), x)
     both = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
@@ -321,6 +319,6 @@ def _check_retraction_inverse(model: Model, x0: Array) -> None:
     if bad.size:
         label = model.errors.labels[int(bad[0])]
         raise DesignError(
-            f"the retraction of '{label}' in model '{model.name}' is not the way back of its difference: that between "
-            f"retraction(x, e) and x misses e by {miss[bad[0]]:.2g} to first order."
+            f"the retraction of '{label}' in model '{model.name}' is not the inverse of its difference: that of "
+            f"retraction(x, e) and x differs from e by {miss[bad[0]]:.2g} to first order."
         )

@@ -1,25 +1,25 @@
-r"""Filter: one control step of an estimator as symbolic functions.
+r"""Kalman filter: one control step of an estimator as CasADi functions.
 
-**Update.** With y the samples, :math:`\nu = d(y, \hat y)` their innovations, H and :math:`\Omega` of
-`linearization` at the prediction and R the covariance of the noise, the measurements are taken one after the
-other. Samples that are not finite, not due or refused by the gate,
+**Update.** With the samples y, their innovations :math:`\nu = d(y, \hat y)`, H and :math:`\Omega` of `linearization` at
+the prediction and the noise covariance R, the measurements are processed sequentially. Samples that are not finite, not
+due or rejected by the gate,
 
 .. math:: \nu^T (H P H^T + R + \Omega)^{-1} \nu > \chi^2_m(\text{gate}),
 
-are left out. The rest is whitened and taken component by component, in Joseph's form,
+are omitted. The others are whitened and processed by component, in Joseph's form,
 
 .. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T .
 
-In the end the state moves by the error found.
+Finally the state is corrected by the estimated error.
 
-**Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics
-halfway, R and D of `space`,
+**Prediction** over a step h: the state by the classical Runge-Kutta method; with the Jacobian A of the dynamics at half
+the step, R and D of `space`,
 
 .. math:: F_{h,s} = D_h \, e^{A (h - s)} R_s, \qquad
    P \leftarrow F_{h,0} P F_{h,0}^T + \tfrac{h}{6} \left( F_{h,0} Q F_{h,0}^T + 4\, F_{h,h/2} Q F_{h,h/2}^T + Q \right),
 
-by Simpson's rule with the exponential up to its fourth power (that of the noise up to its second). The unscented filter
-carries its points in place of the first term.
+by Simpson's rule with the matrix exponential to fourth order (for the noise to second order). The unscented filter
+propagates its sigma points instead of the first term.
 
 Sources: R. E. Kalman, A new approach to linear filtering and prediction problems, J. Basic Eng. 82 (1960).
 R. S. Bucy, P. D. Joseph, Filtering for Stochastic Processes with Applications to Guidance (1968).
@@ -51,11 +51,11 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
 
 LOST = "lost_steps"
-"""The entry that counts control steps in a row that should have brought a sample and brought none."""
+"""Memory entry that counts consecutive control steps with missing samples."""
 
 
 def counter_variables(channels: Sequence[Channel]) -> list[Variable]:
-    """Return the entries of a memory that are counted in, `LOST` last."""
+    """Return the counters in the memory, `LOST` last."""
     entries = []
     for channel in channels:
         entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
@@ -65,18 +65,18 @@ def counter_variables(channels: Sequence[Channel]) -> list[Variable]:
 
 
 class Tally:
-    """The samples of one control step: which are due, taken, refused; ``entries`` of the memory by name, SX."""
+    """Samples of one control step: due, accepted, rejected; ``entries`` of the memory by name, SX."""
 
     def __init__(self, memory: Layout, z: Any) -> None:
         self.entries = {name: z[memory.slice(name)] for name in memory.names}
         self._any_due, self._any_taken = ca.SX(0), ca.SX(0)
 
     def is_sample_due(self, channel: Channel) -> Any:
-        """Return whether a sample is expected now."""
+        """Return whether a sample is due at this step."""
         return self.entries[f"{channel.name}_next"] < 0.5 if channel.is_sample_counted else ca.SX(1)
 
     def is_sample_valid(self, channel: Channel, sample: Any) -> Any:
-        """Return whether one is, and has come."""
+        """Return whether a sample is due and finite."""
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
         return ca.logic_and(whole, self.is_sample_due(channel)) if channel.is_sample_counted else whole
 
@@ -105,13 +105,13 @@ class Tally:
 
 
 COVARIANCE = "covariance"
-"""The entry of the memory with the structural nonzeros of the lower triangle of P, column by column."""
+"""Memory entry with the structural nonzeros of the lower triangle of P, column by column."""
 
 
 class KalmanFilter:
-    """A filter's functions, its memory, and ``pattern``, the sparsity of P's lower triangle.
+    """Functions and memory of a filter; ``pattern`` is the sparsity of the lower triangle of P.
 
-    ``noise`` (n_errors,) are densities by error, unit per square root of a second.
+    ``noise`` (n_errors,) are noise densities of the errors, in their unit per square root of a second.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class KalmanFilter:
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
     def _covariance_pattern(self) -> Any:
-        """Return the sparsity of the lower triangle of P: the entries that can differ from zero."""
+        """Return the sparsity of the lower triangle of P."""
         augmented, n = self.augmented, self.augmented.errors.size
         if not self.linearization.preserves_sparsity:
             return ca.Sparsity.lower(n)
@@ -165,12 +165,12 @@ class KalmanFilter:
             P = new
 
     def _unpack_memory(self, z: Any) -> tuple[Any, Any]:
-        """Return the augmented state and its covariance in a memory."""
+        """Return the augmented state and its covariance from a memory."""
         half = ca.SX(self.pattern, z[self.memory.slice(COVARIANCE)])
         return z[: self.augmented.states.size], ca.tril2symm(half)
 
     def _pack_memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
-        """Return the column of the memory with another state and covariance."""
+        """Return the memory with a new state and covariance."""
         new = dict(entries)
         for name in self.augmented.states.names:
             new[f"{name}_hat"] = x[self.augmented.states.slice(name)]
@@ -209,7 +209,7 @@ class KalmanFilter:
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
     def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_View]:
-        """Return how the measurements see the errors of x at t."""
+        """Return the linearised measurements at t for the state x."""
         augmented, views = self.augmented, []
         for channel in augmented.channels:
             observed, space = augmented.delayed_output(channel), channel.space
@@ -258,7 +258,7 @@ class KalmanFilter:
 
 @dataclass(frozen=True)
 class _View:
-    """Linearised measurement: its prediction y and its slope, whitened by the root of its covariance."""
+    """Linearised measurement: prediction y, slope and square root of the covariance that whitens it."""
 
     y: Any
     slope: Any
@@ -266,7 +266,7 @@ class _View:
 
 
 def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
-    """Return the error and P updated by whitened components with slopes H (m, n), and the NIS."""
+    """Return the error and P after whitened components with slopes H (m, n), and the NIS."""
     nis = ca.SX(0)
     for i in range(H.shape[0]):
         h = ca.sparsify(H[i, :].T)
@@ -277,7 +277,7 @@ def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any
         error = error + k * left_over
         left = ca.tril2symm(ca.tril(P - k @ g.T))
         if h.nnz() == 1:
-            # left h is k where rounding is left out: with it in its place no difference is left in that column
+            # without rounding, left h equals k; replacing it makes this column exactly zero
             (j,) = h.sparsity().row()
             left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
             P = _copy_upper_to_lower(left, j)
@@ -287,23 +287,23 @@ def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any
 
 
 def _select_matrix(condition: Any, yes: Any, no: Any) -> Any:
-    """Return the one matrix or the other, symmetric both of them if they are square."""
+    """Return one of two matrices; square ones are symmetric."""
     if yes.shape[0] != yes.shape[1]:
         return ca.if_else(condition, yes, no)
     return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))
 
 
 def _copy_upper_to_lower(matrix: Any, j: int) -> Any:
-    """Return the symmetric matrix of the lower part, with its row j from its column j."""
+    """Return the symmetric matrix with row j copied from column j of the lower part."""
     matrix[j, :] = matrix[:, j].T
     return ca.tril2symm(ca.tril(matrix))
 
 
 def _flow_with_held_command(flow: Any, t: Any, u: Any) -> Map:
-    """Return the flow from t under a held command as a function of the state alone."""
+    """Return the flow from t with constant command, as a function of the state."""
     return lambda x: flow(t, x, u)
 
 
 def _structural_nonzeros(matrix: Any) -> Any:
-    """Return where a matrix is not zero by its structure, bool array."""
+    """Return the structural nonzeros of a matrix, bool array."""
     return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

@@ -1,13 +1,13 @@
-r"""Linearization of a function of a random quantity: by its tangent, or by statistical regression.
+r"""Linearisation of a function of a random variable: Jacobian, or statistical linear regression.
 
-Both describe :math:`f(x)`, x of mean :math:`\hat x` and covariance P of its error e, as
+Both approximate :math:`f(x)`, x with mean :math:`\hat x` and error covariance P, by
 
 .. math:: f(x) \approx \hat f + F e + \omega, \qquad \omega \sim (0, \Omega) .
 
 *Tangent* (extended Kalman filter): :math:`\hat f = f(\hat x)`, F the Jacobian, :math:`\Omega = 0`.
 
-*Regression* (unscented Kalman filter), with :math:`P = L L^T`, points :math:`\pm c L_i`, the errors :math:`f_i^\pm` of
-their images relative to :math:`f(\hat x)`, :math:`s_i = (f_i^+ + f_i^-) / 2` and :math:`c^2 = 3` (Gauss and Hermite):
+*Regression* (unscented Kalman filter), with :math:`P = L L^T`, sigma points :math:`\pm c L_i`, errors :math:`f_i^\pm`
+of their images relative to :math:`f(\hat x)`, :math:`s_i = (f_i^+ + f_i^-) / 2` and :math:`c^2 = 3` (Gauss-Hermite):
 
 .. math:: \bar f = \frac{1}{c^2} \sum_i s_i, \quad F = A L^{-1}, \quad A_i = \frac{f_i^+ - f_i^-}{2c}, \quad
    \Omega = \frac{c^2 - 1}{c^4} \sum_i s_i s_i^T .
@@ -34,21 +34,21 @@ Map: TypeAlias = Callable[[Any], Any]
 
 @dataclass(frozen=True)
 class Tangent:
-    """By the Jacobian at the mean; f takes and returns an SX column, x and P are SX symbols."""
+    """Linearisation by the Jacobian at the mean; f maps SX columns, x and P are SX symbols."""
 
     @property
     def preserves_sparsity(self) -> bool:
-        """Whether errors that f does not connect stay uncorrelated to the last bit."""
+        """Whether errors that f does not couple stay exactly uncorrelated."""
         return True
 
     def propagate_covariance(
         self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any
     ) -> tuple[Any, Any]:
-        """Return the tangent's value, and P propagated with its slope."""
+        """Return f at the mean, and P propagated with the Jacobian."""
         return value, slope @ P @ slope.T
 
     def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
-        """Return f at the mean, the slope of its error and no remainder."""
+        """Return f at the mean, the Jacobian in the errors and a zero remainder."""
         value = f(x)
         slope = target.error_slope(value) @ ca.jacobian(value, x) @ source.retraction_slope(x)
         return value, slope, ca.SX(target.errors, target.errors)
@@ -56,22 +56,22 @@ class Tangent:
 
 @dataclass(frozen=True)
 class Regression:
-    """By 2 n + 1 points."""
+    """Statistical linear regression with 2 n + 1 sigma points."""
 
     @property
     def preserves_sparsity(self) -> bool:
-        """As of `Tangent`: points mix all errors."""
+        """Whether errors that f does not couple stay exactly uncorrelated; sigma points mix all errors."""
         return False
 
     def propagate_covariance(
         self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any
     ) -> tuple[Any, Any]:
-        """Return the mean of f(x) and the covariance of its error, from the points alone."""
+        """Return the mean of f(x) and the covariance of its error, from the sigma points."""
         mean, spread, remainder, _ = self._map_sigma_points(f, space, space, x, P)
         return mean, spread @ spread.T + remainder
 
     def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
-        """Return the mean of f(x), the slope of its error and the covariance of the residual."""
+        """Return the mean of f(x), the regression slope of its error and the covariance of the residual."""
         value, spread, remainder, root = self._map_sigma_points(f, source, target, x, P)
         return value, solve_lower_right(spread, root), remainder
 
@@ -97,7 +97,7 @@ Approximation: TypeAlias = Tangent | Regression
 
 
 def cholesky_semidefinite(P: Any) -> Any:
-    """Return L (n, n), lower, with P = L L' of a symmetric SX that may be singular; reads the lower part."""
+    """Return the lower L (n, n) with P = L L' for a symmetric, possibly singular SX; uses the lower part of P."""
     n = P.shape[0]
     root = ca.SX.zeros(n, n)
     for j in range(n):
@@ -113,7 +113,7 @@ def cholesky_semidefinite(P: Any) -> Any:
 
 
 def solve_lower_left(root: Any, b: Any) -> Any:
-    """Return L^-1 b of a lower SX L; components with a zero on the diagonal are zero."""
+    """Return L^-1 b for a lower SX L; components with a zero on the diagonal are zero."""
     rows: list[Any] = []
     for i in range(root.shape[0]):
         value = b[i, :]
@@ -125,7 +125,7 @@ def solve_lower_left(root: Any, b: Any) -> Any:
 
 
 def solve_lower_right(a: Any, root: Any) -> Any:
-    """Return F with F L = a of a lower SX L; columns with a zero on the diagonal are zero."""
+    """Return F with F L = a for a lower SX L; columns with a zero on the diagonal are zero."""
     columns: dict[int, Any] = {}
     for j in reversed(range(root.shape[0])):
         value = a[:, j]

@@ -1,4 +1,4 @@
-"""Measurement: function, noise, rate and delay of one sensor; options of filters."""
+"""Measurement: function, noise, sampling period and delay of a sensor; options of filters."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from gnc_opt.model.variables import as_vector
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FilterOptions:
-    """Options of filters besides the model and its noise.
+    """Options of a filter other than its model and noise.
 
     Attributes
     ----------
     limits : tuple of two arrays (n_controls,) or numbers, optional
-        Lower and upper limits of the actuators: the prediction takes the command within them.
+        Lower and upper limits of the actuators; the prediction uses the limited command.
     t0 : float
         Time of the first control step, s.
     substeps : int
@@ -59,26 +59,26 @@ def read_options(options: FilterOptions | None, name: str) -> FilterOptions:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Model of a sensor in an estimator: ``y = h(x) + bias + noise``.
+    """Sensor model of an estimator: ``y = h(x) + bias + noise``.
 
     Parameters
     ----------
     of : str
-        The state or the output of the model that is measured; the sensor's signal in a loop has the same name.
+        Name of the measured state or output; the sensor signal in a loop has the same name.
     sigma : float or one per component
         Standard deviation of the white noise of a sample, unit of the measurement, > 0.
     period : float, optional
-        Time between two new samples, s, a multiple of the control step; default every control step.
+        Time between new samples, s, a multiple of the control step; default: one control step.
     delay : float
-        Time by which samples arrive late, s, a multiple of the control step (`Delay`, behind `ZeroOrderHold`).
+        Delay of the samples, s, a multiple of the control step (`Delay`, after `ZeroOrderHold`).
     bias : float or one per component
-        Standard deviation of a constant error, which then is estimated, too; its first value is 0.
+        Standard deviation of a constant error; if > 0, the error is estimated, with initial value 0.
     bias_walk : float or one per component
-        Standard deviation by which that error changes, unit per square root of a second (`RandomWalk`).
+        Standard deviation of the bias drift, unit per square root of a second (`RandomWalk`).
     gate : float, optional
-        Probability with which a valid sample passes, in (0, 1); default: no gate.
+        Probability that a valid sample passes, in (0, 1); default: no gate.
     difference : callable, optional
-        ``difference(y, y_hat)`` of SX columns; default that of the state, see `Model.difference`.
+        ``difference(y, y_hat)`` of SX columns; default: that of the state, see `Model.difference`.
 
     Examples
     --------
@@ -111,17 +111,17 @@ class Measurement:
         read_positive(self.delay, f"the delay of the measurement of '{self.of}'", or_zero=True)
         if self.gate is not None and not 0 < read_positive(self.gate, f"the gate of '{self.of}'") < 1:
             raise ArgumentError(
-                f"the gate of the measurement of '{self.of}' is {self.gate:g}: give the probability in (0, 1) with "
-                "which a right sample passes."
+                f"the gate of the measurement of '{self.of}' is {self.gate:g}: give the probability in (0, 1) that a "
+                "valid sample passes."
             )
 
     @property
     def has_bias(self) -> bool:
-        """Whether a constant or drifting error is estimated."""
+        """Whether a constant or drifting bias is estimated."""
         return bool(np.any(np.asarray(self.bias) > 0) or np.any(np.asarray(self.bias_walk) > 0))
 
     def values(self, name: str, size: int) -> Array:
-        """Return ``sigma``, ``bias`` or ``bias_walk`` with one number per component of the error, (size,)."""
+        """Return ``sigma``, ``bias`` or ``bias_walk`` as an array with one number per error component, (size,)."""
         return as_vector(
             getattr(self, name), size, f"the {name} of the measurement of '{self.of}'", ArgumentError
         )

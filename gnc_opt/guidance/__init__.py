@@ -1,4 +1,4 @@
-"""Where planning meets flight: neighbouring-optimal guidance about a solution, and re-planning in flight."""
+"""Guidance along a planned trajectory: neighbouring-optimal guidance, and re-planning in flight."""
 
 from gnc_opt.guidance.neighbouring_bang_bang import design_neighbouring_optimal
 from gnc_opt.guidance.replanning import Replanner

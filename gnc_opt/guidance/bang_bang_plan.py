@@ -1,11 +1,11 @@
-r"""Bang-bang plan: initial controls and switching times of a solution, and the prediction of its end from any state.
+r"""Bang-bang plan: initial controls and switching times of a solution, and the prediction of its final state.
 
-Between the switches the controls are constant and the states are integrated by the Runge-Kutta method of fourth order
-in a fixed number of steps per arc. From a state x at t this gives
+The controls are constant between the switches. The states are integrated by the fourth-order Runge-Kutta method with a
+fixed number of steps per arc. From a state x at t this gives
 
 .. math:: \psi(\tau; t, x) = x(t_f) \ominus x_f, \qquad \nabla_\tau (\nu^T \psi),
 
-:math:`\tau` the switch times and the end :math:`t_f`; entries before t have no effect.
+with the switching times and the final time :math:`t_f` in :math:`\tau`; entries before t have no effect.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from gnc_opt.planning.solution.solution import Solution
 
 @dataclass(frozen=True)
 class RegulatedEnd:
-    """The last part of a flight (length in s), regulated with a reserved share of the controls."""
+    """Final part of the trajectory (length in s), tracked by a regulator with a reserved share of the controls."""
 
     length: float
     reserve: float
@@ -37,7 +37,7 @@ class RegulatedEnd:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A switching plan during flight, symbolic, with so many Runge-Kutta steps per arc."""
+    """Symbolic prediction of a switching plan, with ``steps`` Runge-Kutta steps per arc."""
 
     plan: SwitchingPlan
     ending: RegulatedEnd
@@ -48,12 +48,12 @@ class Prediction:
         object.__setattr__(self, "_unknowns", self.plan.times.size)
 
     def controls(self, s: Any, tau: Any) -> Any:
-        """Return the controls (SX) at a time s before the end."""
+        """Return the controls (SX) at time s, for s before the end."""
         late = s > tau[-1] - self.ending.length
         return self.plan.control(s, tau) * (1 - self.ending.reserve * late)
 
     def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
-        """Return their mean (SX) over a step; after the end they keep the final state at rest."""
+        """Return the mean controls (SX) over a step; after the end the trim control of the final state."""
         late = _compute_step_share(begin, length, tau[-1] - self.ending.length)
         over, rest = _compute_step_share(begin, length, tau[-1]), self.plan.reference.tail_control
         before = self.plan.mean_control(begin, length, tau) * (1 - self.ending.reserve * late)
@@ -61,7 +61,7 @@ class Prediction:
 
     @cached_property
     def terminal_conditions_function(self) -> Any:
-        """``(t, x, tau, nu) -> (psi, gradient of nu' psi)``, columns."""
+        """Return ``(t, x, tau, nu) -> (psi, gradient of nu' psi)``, columns."""
         model = self.plan.reference.model
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("tau", self._unknowns)
         nu, after = ca.SX.sym("nu", model.errors.size), x
@@ -74,7 +74,7 @@ class Prediction:
 
     @cached_property
     def reference(self) -> Any:
-        """``(t, tau) -> x``: the state at t from which the plan leads to its end; after the end, that."""
+        """Return ``(t, tau) -> x``: planned state at t, by backward integration; the final state after the end."""
         t, tau = ca.SX.sym("t"), ca.SX.sym("tau", self._unknowns)
         x = ca.SX(self.plan.final)
         for begin, end in reversed(list(itertools.pairwise(self._arc_boundaries(t, tau)))):
@@ -89,7 +89,7 @@ class Prediction:
 
     @cached_property
     def _arc_propagation_function(self) -> Any:
-        """``(t, x, u, length) -> x`` with constant controls."""
+        """Return ``(t, x, u, length) -> x`` for constant controls."""
         model = self.plan.reference.model
         f, p = model.function, model.parameter_values
         t, x, u, length = (
@@ -106,13 +106,13 @@ class Prediction:
 
 
 def _compute_step_share(begin: Any, length: float, since: Any) -> Any:
-    """Return which share of a step is later than a time."""
+    """Return the share of a step that is later than a given time."""
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingPlan:
-    """Bang-bang controls: ``first`` (n_controls,), ``jumps`` of ``channels``, ``times`` (s), the end last."""
+    """Bang-bang plan: ``first`` controls (n_controls,), ``jumps`` of ``channels``, ``times`` (s), the last is t_f."""
 
     reference: Reference
     first: Array
@@ -122,7 +122,7 @@ class SwitchingPlan:
 
     @property
     def initial_time(self) -> float:
-        """s."""
+        """Initial time, s."""
         return self.reference.initial_time
 
     @property
@@ -132,18 +132,18 @@ class SwitchingPlan:
 
     @property
     def final(self) -> Array:
-        """Final state (n_states,)."""
+        """Planned final state (n_states,)."""
         return self.reference.x(self.reference.final_time)
 
     def control(self, s: Any, times: Any) -> Any:
-        """Return the controls (SX) at a time s for these switch times; a switch counts from its time on."""
+        """Return the controls (SX) at time s for given switching times; each is right-continuous."""
         u = ca.vertsplit(ca.SX(self.first))
         for k, (channel, jump) in enumerate(zip(self.channels, self.jumps, strict=True)):
             u[channel] += jump * (s > times[k])
         return ca.vertcat(*u)
 
     def mean_control(self, begin: Any, length: float, times: Any) -> Any:
-        """Return the mean of the controls (SX) over a step, without regard to the end."""
+        """Return the mean controls (SX) over a step, without the final time."""
         u = ca.vertsplit(ca.SX(self.first))
         for k, (channel, jump) in enumerate(zip(self.channels, self.jumps, strict=True)):
             u[channel] += jump * ca.fmin(1, ca.fmax(0, (begin + length - times[k]) / length))
@@ -151,7 +151,7 @@ class SwitchingPlan:
 
     @classmethod
     def of(cls, solution: Solution) -> SwitchingPlan:
-        """Read a bang-bang solution of one phase with free end time and all final states given."""
+        """Return the plan of a bang-bang solution with one phase, free final time and fixed final states."""
         reference = Reference(solution)
         name = solution.problem_name
         if len(solution.phases) != 1:
@@ -159,18 +159,18 @@ class SwitchingPlan:
         (leg,) = solution.phases.values()
         if leg.path_labels or solution.need_problem("follow").constraints:
             raise DesignError(
-                f"the plan '{name}' has constraints beside its limits of controls, which the guidance does not "
-                "know: follow it by design_tvlqr() or design_mpc()."
+                f"the plan '{name}' has constraints other than limits of controls, which the guidance does not "
+                "support: track it with design_tvlqr() or design_mpc()."
             )
         loose = [
             label for label, fixed in zip(leg.states.labels, leg.final_bounds.fixed, strict=True) if not fixed
         ]
         if loose:
-            raise DesignError(
-                f"the plan '{name}' does not give '{loose[0]}' at the end: fix it with final()."
-            )
+            raise DesignError(f"the plan '{name}' does not fix '{loose[0]}' at the end: use final().")
         if leg.final_time_bounds.fixed[0] or leg.duration_bounds.fixed[0]:
-            raise DesignError(f"the plan '{name}' ends at a fixed time: leave the end free and minimise it.")
+            raise DesignError(
+                f"the plan '{name}' has a fixed final time: make the final time free and minimise it."
+            )
         first, switches = _read_switches(solution, leg)
         return cls(
             reference,
@@ -182,7 +182,7 @@ class SwitchingPlan:
 
 
 def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[tuple[float, int, float]]]:
-    """Return the first controls, and time, channel and jump of each switch."""
+    """Return the initial controls, and the time, channel and jump of each switch."""
 
     def bound_level(arc: Arc, channel: int) -> float:
         bounds = leg.control_bounds
@@ -195,8 +195,8 @@ def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[
         if not arcs or inner is not None:
             where = f" from {inner.start:g} s to {inner.end:g} s" if inner is not None else ""
             raise DesignError(
-                f"'{label}' of the plan '{solution.problem_name}' is not known to be on its limits{where}: refine the "
-                "solution, or follow it by design_tvlqr() if it is not bang-bang."
+                f"'{label}' of the plan '{solution.problem_name}' is not at its limits{where}: refine the "
+                "solution, or track it with design_tvlqr() if it is not bang-bang."
             )
         first[channel] = bound_level(arcs[0], channel)
         switches += [

@@ -1,22 +1,22 @@
-r"""Neighbouring-optimal guidance: a bang-bang plan with switches and end corrected by measurements.
+r"""Neighbouring-optimal guidance of a bang-bang plan: feedback corrections of switching times and final time.
 
-At each control step that begins at t with the state x, for the switches that are still to come (and the end),
+At each control step, with start t and state x, the remaining switching times and the final time change by
 
 .. math:: (S^T W S + \epsilon H + \lambda) \, \delta\tau = -(S^T W \psi + \epsilon \nabla_\tau L),
 
-with :math:`\psi` and :math:`\nabla_\tau L` of `Prediction` at the present :math:`\tau` and x, and S, H, :math:`\nu` of
-the plan (`Optimum`): a Newton step towards the neighbouring extremal, which meets the end conditions in the least time
-(Bryson and Ho, Applied Optimal Control, section 6.4, for switch times). With fewer switches left than conditions, the
-weights W decide what is missed; :math:`\lambda` holds switches that have little effect. In the last part of the flight
-a regulator follows the remainder of the plan, integrated backward from the end.
+with :math:`\psi` and :math:`\nabla_\tau L` of `Prediction` at the current :math:`\tau` and x, and S, H, :math:`\nu` of
+the plan (`Optimum`). This is a Newton step towards the neighbouring extremal, which satisfies the end conditions in
+minimum time (Bryson and Ho, Applied Optimal Control, section 6.4). If fewer switches than conditions remain, the
+weights W distribute the error; :math:`\lambda` fixes switches with little effect. In the final part of the trajectory a
+regulator tracks the remaining plan, integrated backward from the end.
 
-The optimum is found by Newton's method on :math:`L = t_f + \nu^T \psi(\tau)` from the switch times of the solution,
+The optimum is found by Newton's method on :math:`L = t_f + \nu^T \psi(\tau)`, starting from the solution,
 
 .. math:: \begin{pmatrix} H & S^T \\ S & 0 \end{pmatrix} \begin{pmatrix} \delta\tau \\ \delta\nu \end{pmatrix} =
    -\begin{pmatrix} \nabla_\tau L \\ \psi \end{pmatrix}, \qquad S = \psi_\tau, \quad H = L_{\tau\tau} .
 
-It is a strict minimum if S has full rank and H is positive definite where :math:`S \delta\tau = 0` (Maurer and
-Osmolovskii, SIAM J. Control Optim. 42(6), 2004).
+It is a strict minimum if S has full rank and H is positive definite on the null space of S (Maurer and Osmolovskii,
+SIAM J. Control Optim. 42(6), 2004).
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from gnc_opt.simulation.step_selection import MAX_SUBSTEPS
 from gnc_opt.tolerances import CONVEX, RANK, TINY
 
 _MET = 1e-6
-"""Largest miss of the end, as the move of switch times that corrects it, in shares of the duration."""
+"""Largest end error, as the change of switching times that corrects it, in shares of the duration."""
 
 _STATIONARY = 1e-3
-"""Gradient of the Lagrangian (s/s) above which the switch times are not those of least time."""
+"""Largest gradient of the Lagrangian (s/s) at which the switching times count as time-optimal."""
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """Switch times and end tau (s), nu (n_errors,), S, H; ``curvature``: least of H on S's null space."""
+    """Optimal tau (s), nu (n_errors,), S, H; ``curvature``: smallest eigenvalue of H on the null space of S."""
 
     tau: Array
     nu: Array
@@ -63,7 +63,7 @@ class Optimum:
 
 
 def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
-    """Return the optimum next to the plan; `DesignError` if its conditions fail."""
+    """Return the optimum next to the plan; raise `DesignError` if its conditions fail."""
     plan = prediction.plan
     name, tau = plan.reference.model.name, plan.times.copy()
     duration = tau[-1] - plan.initial_time
@@ -71,16 +71,16 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
     if tau.size < errors:
         raise DesignError(
             f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
-            "such a plan cannot be corrected by them; follow it by design_tvlqr()."
+            "neighbouring-optimal guidance does not apply; use design_tvlqr()."
         )
     first, _, _ = _terminal_derivatives(prediction, tau)
     if not _has_full_row_rank(first.S):
         raise DesignError(
-            f"the switch times of the plan of '{name}' cannot steer all states at its end: follow it by design_tvlqr()."
+            f"the switch times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
         )
 
     def conditions(y: Array) -> Array:
-        """Return the gradient of L, and psi as the moves of switch times that correct it, in the duration."""
+        """Return the gradient of L, and psi as changes of switching times that correct it, as shares of t_f."""
         psi, slope = prediction.terminal_conditions_function(
             plan.initial_time, plan.initial, y[: tau.size] * duration, y[tau.size :]
         )
@@ -92,18 +92,18 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
     missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
-            f"no switch times of least time were found beside those of the plan of '{name}': give the regulator a "
+            f"no minimum-time switching times were found near those of the plan of '{name}': use a "
             "smaller reserve or a shorter last part."
         )
     if np.max(np.abs(gradient)) > _STATIONARY:
         raise DesignError(
-            f"the switch times of the plan of '{name}' are not those of least time (gradient "
+            f"the switching times of the plan of '{name}' are not time-optimal (gradient "
             f"{np.max(np.abs(gradient)):.2g} s/s): minimise the final time, and refine the solution."
         )
     if not optimum.curvature > CONVEX:
         raise DesignError(
-            f"the plan of '{name}' fails the second-order condition (least curvature {optimum.curvature:.2g} "
-            "along what keeps the end): its switch times do not follow the state uniquely; follow it by "
+            f"the plan of '{name}' fails the second-order condition (smallest curvature {optimum.curvature:.2g} "
+            "in the null space of the end conditions): its switching times are not a function of the state; use "
             "design_tvlqr()."
         )
     return optimum
@@ -114,13 +114,13 @@ def _compute_row_norms(S: Array) -> Array:
 
 
 def _has_full_row_rank(S: Array) -> bool:
-    """Whether every condition at the end can be moved by itself."""
+    """Return whether the end conditions can be changed independently."""
     sizes = np.linalg.svd(S / _compute_row_norms(S)[:, None], compute_uv=False)
     return bool(sizes[-1] > RANK * sizes[0])
 
 
 def _terminal_derivatives(prediction: Prediction, tau: Array) -> tuple[Optimum, Array, Array]:
-    """Return S, H and the multipliers of least squares at these times, with the gradient of L and psi."""
+    """Return S, H and the least-squares multipliers at these times, with the gradient of L and psi."""
     plan, g = prediction.plan, np.eye(tau.size)[-1]
 
     times, nu = ca.SX.sym("tau", tau.size), ca.SX.sym("nu", plan.reference.model.errors.size)
@@ -141,13 +141,13 @@ def _terminal_derivatives(prediction: Prediction, tau: Array) -> tuple[Optimum, 
 
 
 OFF = 0.1
-"""Share of the accepted errors by which the predicted end of the plan may be off: more steps per arc are taken."""
+"""Largest end error of the predicted plan, in shares of the accepted errors; more steps per arc reduce it."""
 
 _TIME = 0.03
-"""Weight of the flight time: this duration counts as one accepted error, squared, per flight."""
+"""Weight of the flight time in units of squared accepted errors per duration of the plan."""
 
 _CORRECTION_WEIGHT_SHARE = 0.04
-"""A correction by this share of the flight weighs as much as an accepted error."""
+"""Correction, as a share of the duration, whose weight equals an accepted error."""
 
 
 @one_thread()
@@ -162,41 +162,41 @@ def design_neighbouring_optimal(
     reserve: float = 0.1,
     delay: float = 0.0,
 ) -> Controller:
-    """Return the guidance that corrects the switch times and the end of a bang-bang plan of least time.
+    """Return a controller that corrects the switching times and the final time of a minimum-time bang-bang plan.
 
     Parameters
     ----------
     solution : Solution
-        Refined solution of one phase with free final time and all final states fixed, without constraints
-        except limits of controls (limits of states are not checked).
+        Refined solution with one phase, free final time and all final states fixed, without constraints other than
+        limits of controls (limits of states are not checked).
     regulator : Controller
-        Holds the end and follows the last part; of a design that follows references, such as `design_lqr` about the
-        final state.
+        Tracks the final part and holds the final state; its design must track references, such as `design_lqr` about
+        the final state.
     Q : weight
-        Of the errors at the end, 1 over the squares of the accepted errors: see `bryson`.
+        Weights of the final errors, 1 over the squares of the accepted errors: see `bryson`.
     last : float
-        Length of the last part, s; switches after its beginning are not corrected any more.
+        Length of the final part, s; switches in it are not corrected.
     dt : float, optional
-        Control step, s; default the regulator's.
+        Control step, s; default: the regulator's.
     name : str
     reserve : float
-        Share of the planned controls that the plan leaves to the regulator in the last part, in [0, 1).
+        Share of the planned controls reserved for the regulator in the final part, in [0, 1).
     delay : float
-        By how much the actuators are late, s: commands are given so much earlier. A lag counts as its time constant.
+        Delay of the actuators, s: commands are issued earlier by this time. A lag counts with its time constant.
 
     Returns
     -------
     Controller
-        Its memory has ``switching_times`` and ``final_time`` (s) as they are planned now, ``tracking`` (1 in the last
-        part), ``miss`` (predicted, in shares of the accepted errors) and the memory of the regulator.
+        Its memory contains the current ``switching_times`` and ``final_time`` (s), ``tracking`` (1 in the final part),
+        ``miss`` (predicted, in shares of the accepted errors) and the regulator's memory.
 
     Raises
     ------
     DesignError
-        The plan is not bang-bang or not of least time, its switches cannot steer the end, or it fails the
-        second-order condition; the message names the remedy.
+        The plan is not bang-bang or not time-optimal, its switches cannot control the end, or it fails the second-order
+        condition; the message contains a remedy.
     ArgumentError
-        A regulator of another model or without a reference, or bad numbers.
+        A regulator of another model or without a reference, or invalid numbers.
 
     Examples
     --------
@@ -259,8 +259,8 @@ def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
             )
     if regulator.signals.labels != reference_signal_layout(plan.reference).labels:
         raise ArgumentError(
-            f"the regulator '{regulator.name}' takes {list(regulator.signals.names)} beside the state, where a "
-            "reference is given to it: use one with constant gains, such as design_lqr() about the final state."
+            f"the regulator '{regulator.name}' needs the signals {list(regulator.signals.names)}, but guidance only "
+            "provides a reference: use one with constant gains, such as design_lqr() about the final state."
         )
 
 
@@ -269,13 +269,13 @@ def _read_regulated_end(last: float, reserve: float, plan: SwitchingPlan) -> Reg
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
         raise ArgumentError(
-            f"the last part of {length:g} s is no part of a flight of {duration:g} s: shown it."
+            f"the last part of {length:g} s is not shorter than the flight of {duration:g} s: reduce it."
         )
     return RegulatedEnd(length, reserve)
 
 
 def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Prediction:
-    """Return the prediction with so many steps per arc that it leads the plan to its end."""
+    """Return the prediction with enough steps per arc to reproduce the end of the plan."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:
         psi = Prediction(plan, RegulatedEnd(0.0, 0.0), steps).terminal_conditions_function(
@@ -286,7 +286,7 @@ def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array)
             return Prediction(plan, ending, steps)
         if steps >= MAX_SUBSTEPS:
             raise DesignError(
-                f"the plan of '{plan.reference.model.name}', flown by its switch times, misses its end by {off:.2g} "
+                f"the plan of '{plan.reference.model.name}' with its switching times misses its end by {off:.2g} "
                 "of the accepted errors: refine the solution."
             )
         steps *= 2
@@ -307,7 +307,7 @@ class _Guidance:
 
     @cached_property
     def correction_function(self) -> Any:
-        """``(t, x, tau) -> (tau, miss)``: one correction of what takes effect after t + delay."""
+        """Return ``(t, x, tau) -> (tau, miss)``: one correction of the times after t + delay."""
         plan, best = self.plan, self.optimum
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial.size), ca.SX.sym("tau", best.tau.size)
         psi, slope = self.prediction.terminal_conditions_function(t, x, tau, best.nu)
@@ -326,7 +326,7 @@ class _Guidance:
         )
 
     def _order_switching_times(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
-        """Return corrected times: none that has passed, each switch of a control after the one before, the end last."""
+        """Return the corrected times: not in the past, in the order of each control's switches, the final time last."""
         soonest, found = t + self.delay, ca.vertsplit(new)
         before: dict[int, Any] = {}
         for k, channel in enumerate(self.plan.channels):
@@ -336,7 +336,7 @@ class _Guidance:
         return ca.vertcat(*found)
 
     def law_functions(self, n_signals: int) -> tuple[Any, Any]:
-        """Return the law and its first memory."""
+        """Return the law and its initial memory."""
         n, inner = self.optimum.tau.size, self.regulator
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
@@ -352,10 +352,10 @@ class _Guidance:
         first = ca.vertcat(self.optimum.tau, 0, 0, inner.start(t, x, r))
         return law(t, x, r, z, u, after), initial_state_function(t, x, r, first)
 
-    # --- what can be said -----------------------------------------------------------------------------------
+    # --- design report ------------------------------------------------------------------------------------
 
     def facts(self) -> list[ReportEntry]:
-        """Return the facts of the design."""
+        """Return the entries of the design report."""
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
         return [
@@ -364,7 +364,10 @@ class _Guidance:
                 "switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"
             ),
             ReportEntry(
-                "least curvature", best.curvature, "", "of the flight time along what keeps the end, times it"
+                "least curvature",
+                best.curvature,
+                "",
+                "of the scaled flight time, end conditions satisfied",
             ),
             ReportEntry(
                 "last part",

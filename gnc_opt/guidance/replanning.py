@@ -1,13 +1,13 @@
-r"""Replanner: solving the problem of a plan again in flight, from the estimated state.
+r"""Replanner: repeated solution of the optimal control problem in flight, from the estimated state.
 
 At a control step that begins at t with the (estimated) state :math:`\hat x(t)`, the new plan begins after the latency
 :math:`\lambda` with the state predicted under the controls of the old plan,
 
 .. math:: x_0 = \hat x(t) + \int_t^{t + \lambda} f(s, x, u_{\mathrm{old}}(s)) \, ds ,
 
-which is flown meanwhile (R. Findeisen and F. Allgoewer, Computational delay in nonlinear model predictive control, IFAC
-Proc. 37 (1), 2004). A solve that fails leaves the old plan in force. The remaining problem is that of the plan with
-shifted time limits (Bellman's principle); conditions on the whole phase or on its start cannot be shifted.
+which is followed in the meantime (R. Findeisen and F. Allgoewer, Computational delay in nonlinear model predictive
+control, IFAC Proc. 37 (1), 2004). If the solve fails, the old plan stays in force. The remaining problem is the problem
+of the plan with shifted time limits (Bellman's principle); conditions on the whole phase or its start cannot shift.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from gnc_opt.tolerances import RANK, SAME_TIME
 
 
 def remaining_problem(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
-    """Return the rest of a phase from ``begin`` (s); starts slightly beyond a limit are on it."""
+    """Return the problem of the phase from ``begin`` (s); initial states slightly beyond a limit are moved to it."""
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
     left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
@@ -47,31 +47,31 @@ def remaining_problem(problem: Problem, began: float, begin: float, start: dict[
 
 
 def check_remaining_problem(problem: Problem) -> None:
-    """Raise `ArgumentError` if the remaining problem of one phase differs from the whole in its conditions."""
+    """Raise `ArgumentError` if the conditions of the remaining problem differ from those of the whole phase."""
     (leg,) = problem.phases.values()
     names = [n for n in problem.parameters.names if n in leg.model.parameters]
     if names:
         raise ArgumentError(
-            f"parameter '{names[0]}' of model '{leg.model.name}' is chosen along with the plan of the Replanner, but "
-            "in flight the vehicle has one already: plan with its number, Model.parameter(name, number)."
+            f"parameter '{names[0]}' of model '{leg.model.name}' is optimised in the plan of the Replanner, but "
+            "is constant in flight: fix it with Model.parameter(name, number)."
         )
     whole = ca.vertcat(leg.ends("initial"), leg.initial_time, leg.integral_symbols())
     for constraint in problem.constraints.values():
         if ca.depends_on(constraint.expression, whole):
             raise ArgumentError(
-                f"constraint '{constraint.name}' of problem '{problem.name}' is on the whole flight, and a Replanner "
-                "would ask it anew of each rest: limit the final value of a state that has the integrand as its rate, "
-                "give time(duration=...), or write numbers for what holds at the start."
+                f"constraint '{constraint.name}' of problem '{problem.name}' is on the whole flight, but a Replanner "
+                "would apply it to each rest: limit the final value of a state that has the integrand as its rate, "
+                "give time(duration=...), or use numbers in place of initial values."
             )
     if not _is_cost_additive(problem, leg):
         raise ArgumentError(
-            f"the cost of problem '{problem.name}' weighs the rest of a flight by what was flown before, so that a "
+            f"the cost of problem '{problem.name}' is not additive over the flight, so that a "
             "Replanner would change the plan: write a sum of integrals and a function of the end."
         )
 
 
 def _is_cost_additive(problem: Problem, leg: Phase) -> bool:
-    """Whether the optimal remainder is independent of the past: the cost's gradient keeps its direction."""
+    """Return whether the optimal remainder is independent of the past: the cost gradient keeps its direction."""
     rest = ca.vertcat(leg.ends("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols())
     before = ca.vertcat(leg.ends("initial"), leg.initial_time)
     gradient = ca.Function("gradient", [before, rest], [ca.gradient(problem.cost, rest)])
@@ -89,28 +89,28 @@ def _is_cost_additive(problem: Problem, leg: Phase) -> bool:
 def _are_proportional(first: Any, second: Any) -> bool:
     a, b = (np.asarray(g.full()[:, 0]) for g in (first, second))
     sizes = np.linalg.norm(a), np.linalg.norm(b)
-    if not np.isfinite(sizes).all() or min(sizes) == 0:  # inconclusive at these numbers
+    if not np.isfinite(sizes).all() or min(sizes) == 0:  # inconclusive
         return True
     return bool(np.linalg.norm(a / sizes[0] - b / sizes[1]) <= RANK)
 
 
 _PREDICTED = 4
-"""Integration steps of the prediction per control step."""
+"""Number of integration steps of the prediction per control step."""
 
 
 class Solver(Protocol):
-    """Solver of variations of a problem, see `gnc_opt.Resolver`."""
+    """Interface of a solver of problem variations, see `gnc_opt.Resolver`."""
 
     @property
     def solution(self) -> Solution:
-        """The plan, with its problem."""
+        """Plan, with its problem."""
 
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
-        """Return the solution of a variation."""
+        """Return the solution of a problem variation."""
 
 
 def follow_plan(plan: Solution) -> Schedule:
-    """Return the schedule of a law with constant gains that follows a plan and then keeps it at rest."""
+    """Return the schedule of a law with constant gains that tracks a plan and then holds its final state."""
     with contextlib.suppress(ArgumentError):
         return ReferenceSchedule(Reference(plan))
     return ReferenceSchedule(Reference(plan, tail="hold"))
@@ -118,28 +118,28 @@ def follow_plan(plan: Solution) -> Schedule:
 
 @dataclass(frozen=True, eq=False)
 class Replanner:
-    """Solve the problem of the plan again while flying.
+    """Repeated solution of the plan's problem in flight.
 
     Parameters
     ----------
     resolver : callable
-        Without arguments, returns the `gnc_opt.Resolver` of the plan; called once in every process.
+        Function without arguments that returns the `gnc_opt.Resolver` of the plan; called once per process.
     every : float
-        Time between two re-plannings, s, a multiple of the control step.
+        Time between re-plannings, s, a multiple of the control step.
     latency : float
-        How long solving takes on board, s; it is rounded up to control steps.
+        Onboard computation time of a solve, s; rounded up to control steps.
     last : float
-        Before the end of the plan in which it stays as it is, s.
+        Time before the end of the plan without re-planning, s.
     follow : callable
-        ``follow(plan) -> schedule``: the schedule of the controller's law for a plan. Default: states and
-        controls of the plan, for laws with constant gains; for others the schedule of their design, such as
+        ``follow(plan) -> schedule``: schedule of the controller. Default: states and controls of the plan, for
+        laws with constant gains; for other laws the schedule of their design, such as
         ``lambda plan: design_tvlqr(model, Reference(plan), ...).schedule``.
 
     Raises
     ------
     ArgumentError
-        Bad numbers, a plan of several phases, or one that does not begin at a fixed time; constraints on the
-        whole flight or a cost that is not additive, which would apply again in full to the remainder.
+        Invalid numbers, a plan with several phases or a free initial time; constraints on the whole flight or a cost
+        that is not additive, because they would apply in full to the remaining part.
 
     Examples
     --------
@@ -174,7 +174,7 @@ class Replanner:
 
     @property
     def solver(self) -> Solver:
-        """The resolver, created at first use."""
+        """Resolver, created at first use."""
         if "_solver" not in vars(self):
             made = self.resolver()
             if not isinstance(getattr(made, "solution", None), Solution):
@@ -186,12 +186,12 @@ class Replanner:
 
     @property
     def plan(self) -> Solution:
-        """The plan as it was before the flight."""
+        """Plan before the flight."""
         return self.solver.solution
 
     @cached_property
     def _propagation_function(self) -> Any:
-        """``(t, x, u, dt) -> x`` after a control step under held controls."""
+        """Return ``(t, x, u, dt) -> x`` after a control step with constant controls."""
         model = self.model
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("u", model.controls.size)
         dt, p = ca.SX.sym("dt"), model.parameter_values
@@ -205,33 +205,32 @@ class Replanner:
 
     @property
     def description(self) -> str:
-        """The data that determine its plans, for the fingerprint of a flight."""
+        """Data that determine the plans, for the fingerprint of a compiled loop."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
         return " ".join((*about, repr((self.every, self.latency, self.last)), _qualified_name(self.follow)))
 
     @property
     def model(self) -> Model:
-        """Of the plan."""
+        """Model of the plan."""
         (leg,) = self.plan.need_problem("solve again").phases.values()
         return leg.model
 
     def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
-        """Refuse a controller that does not follow the plan: layouts of its states and signals, its step (s), and the
-        row of its schedule (n_signals,) at a time.
+        """Raise an error if a controller does not follow the plan.
 
         Parameters
         ----------
         followed, signals : Layout
-            Of the controller.
+            Layouts of the controller.
         dt : float
             Control step, s.
         row : callable
-            ``row(t)`` returns the controller's own row of its schedule (n_signals,).
+            ``row(t)`` returns the controller's schedule row (n_signals,).
         """
         for v in self.model.states.variables:
             if v.name not in followed or followed[v.name].size != v.size:
                 raise ArgumentError(
-                    f"the plan of the Replanner begins with '{v.name}' ({v.size}), which the controller does not know: "
+                    f"the plan of the Replanner has the state '{v.name}' ({v.size}), unknown to the controller: "
                     f"it has {list(followed.names)}; estimate it, or feed it back."
                 )
         if not math.isclose(self.every / dt, round(self.every / dt), rel_tol=1e-6) or self.every < dt / 2:
@@ -242,8 +241,8 @@ class Replanner:
         busy = self.every + self.latency + self.last
         if busy >= leg.duration:
             raise ArgumentError(
-                f"the Replanner would plan nothing: every, latency and last are {busy:g} s together, and its plan "
-                f"takes {leg.duration:g} s; make them shorter."
+                f"the Replanner would never re-plan: every, latency and last are {busy:g} s together, and its plan "
+                f"lasts {leg.duration:g} s; reduce them."
             )
         for share in (0.0, 0.5):
             t = leg.initial_time + share * leg.duration
@@ -253,17 +252,17 @@ class Replanner:
                 raise
             except Exception as error:
                 raise ArgumentError(
-                    f"follow= of the Replanner failed for its own plan, {format_error(error)}: let it return a "
+                    f"follow= of the Replanner failed for the original plan, {format_error(error)}: return a "
                     "schedule, schedule(times, dt) -> (n_signals, n_times)."
                 ) from error
             if not np.allclose(found[:, 0], own, rtol=1e-6, atol=1e-9):
                 raise ArgumentError(
-                    "the controller of the loop follows something else than the plan of its Replanner: design it for "
-                    "this plan, and give follow= a function that makes its schedule of a plan."
+                    "the controller of the loop does not follow the plan of its Replanner: design it for "
+                    "this plan, and give follow= a function that returns the schedule of a plan."
                 )
 
     def rows(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
-        """Return what the controller follows (size, n_times) of a plan at times (s)."""
+        """Return the schedule (size, n_times) of a plan at times (s)."""
         rows = np.asarray(self.follow(plan)(times, dt), dtype=float)
         if rows.shape != (size, times.size):
             raise ArgumentError(
@@ -277,14 +276,14 @@ class Replanner:
         return rows
 
     def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
-        """Return the state (n_states,) to which the controls of a plan lead from x at t until then (s)."""
+        """Return the state (n_states,) predicted at time ``until`` (s) from x at t with the controls of a plan."""
         for begin in t + dt * np.arange(round((until - t) / dt)):
             u = plan.mean_control([begin], dt)
             x = np.asarray(self._propagation_function(float(begin), x, u, dt).full()[:, 0])
         return x
 
     def solved(self, begin: float, x: Array, near: Solution) -> Solution:
-        """Return the plan from a time (s) and a state (n_states,) on."""
+        """Return the plan from a time (s) and a state (n_states,)."""
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}
         (leg,) = self.plan.phases.values()
@@ -294,8 +293,8 @@ class Replanner:
         (found,) = plan.phases.values()
         if not math.isclose(found.initial_time, begin, rel_tol=SAME_TIME, abs_tol=SAME_TIME):
             raise ArgumentError(
-                f"the plan that was made begins at {found.initial_time:g} s, not at {begin:g} s: let the resolver "
-                "solve the problem that it is given."
+                f"the new plan begins at {found.initial_time:g} s, not at {begin:g} s: let the resolver "
+                "solve the given problem."
             )
         return plan
 

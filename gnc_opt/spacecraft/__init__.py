@@ -1,4 +1,4 @@
-"""Spacecraft dynamics, symbolic and numeric alike; each module begins with a page of equations and sources."""
+"""Spacecraft dynamics for CasADi symbols and NumPy arrays; module docstrings contain equations and sources."""
 
 from gnc_opt.spacecraft.attitude import (
     mrp_difference,

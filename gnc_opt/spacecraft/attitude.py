@@ -1,9 +1,9 @@
 r"""Attitude: modified Rodrigues parameters (MRP), direction cosine matrices, quaternions, Euler angles.
 
-Frame B is reached from frame L by turning L through the angle :math:`\Phi` about the unit axis e.
+Frame B results from rotating frame L through the angle :math:`\Phi` about the unit axis e.
 
-**Direction cosine matrix.** ``dcm_BL`` takes the L components of a vector to its B components (passive):
-:math:`v_B = C_{BL}\, v_L`; its columns are the axes of L seen in B. `scipy.spatial.transform.Rotation` holds
+**Direction cosine matrix.** ``dcm_BL`` maps the L components of a vector to its B components (passive):
+:math:`v_B = C_{BL}\, v_L`; its columns are the axes of L in B components. `scipy.spatial.transform.Rotation` uses
 the transpose (active): ``Rotation.from_mrp(sigma).as_matrix() == dcm_BL.T``.
 
 **Modified Rodrigues parameters** (three, no constraint; singular at one full turn)
@@ -15,14 +15,14 @@ the transpose (active): ``Rotation.from_mrp(sigma).as_matrix() == dcm_BL.T``.
 
 .. math:: \dot\sigma = \tfrac14 [ (1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T ]\, \omega_{BL,B} .
 
-**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` is the same attitude with the angle :math:`\Phi - 2\pi`;
-one of the two has :math:`|\sigma| \le 1`. Bound :math:`\sigma` in trajectories of less than half a turn.
+**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` is the same attitude with the angle :math:`\Phi - 2\pi`; one of
+both has :math:`|\sigma| \le 1`. Limit :math:`\sigma` in trajectories with rotations of less than 180 degrees.
 
 **Quaternion**, scalar part first:
 
 .. math:: q = (\cos(\Phi/2),\; e \sin(\Phi/2)) = (1 - \sigma^2,\; 2 \sigma) / (1 + \sigma^2) .
 
-Every function takes CasADi columns or arrays (3,) and (3, n_times), time last, unless it says "numeric".
+Functions accept CasADi columns or arrays (3,) and (3, n_times) with time as last axis, except those marked "numeric".
 
 References
 ----------
@@ -44,7 +44,7 @@ from gnc_opt.spacecraft.vectors import Matrix, Vector, cross, dot, is_symbolic, 
 
 
 def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
-    """Return ``dcm_BL``, which takes L components to B components.
+    """Return ``dcm_BL``, which maps L components to B components.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
 
 
 def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
-    r"""Return four times the MRP from the reference to sigma: the turn (rad) between them, to first order.
+    r"""Return four times the MRP from the reference to sigma, to first order the rotation vector (rad) between them.
 
-    For `Model.difference`, by the short way round, with the same components in R and B and a length <= 4:
+    For `Model.difference`. It describes the shorter rotation, has equal components in R and B, and a length <= 4:
     .. math:: \delta\sigma = \frac{(1 - \sigma_r^2)\, \sigma - (1 - \sigma^2)\, \sigma_r + 2\, \sigma \times \sigma_r}
        {1 + \sigma^2 \sigma_r^2 + 2\, \sigma \cdot \sigma_r}
 
@@ -132,7 +132,7 @@ def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
     sigma_ref : casadi (3, 1), array (3,) or (3, n_times)
         Either of the two sets.
     error : casadi (3, 1), array (3,) or (3, n_times)
-        rad to first order, in components of the turned frame.
+        Rotation vector to first order, rad, in components of the rotated frame.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
 
 
 def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
-    """Return the MRP (3,) of a turn through ``angle`` (rad) about ``axis`` (3,), of any length; numeric.
+    """Return the MRP (3,) of a rotation through ``angle`` (rad) about ``axis`` (3,), of any length; numeric.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     Raises
     ------
     ArgumentError
-        The axis has no direction.
+        The axis has length zero.
 
     Examples
     --------

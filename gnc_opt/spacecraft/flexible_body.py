@@ -1,4 +1,4 @@
-r"""A rigid hub with flexible appendages: rotation and modal vibration, coupled.
+r"""Flexible spacecraft: coupled rotation and modal vibration of a rigid hub with appendages.
 
 With the hub's rate :math:`\omega` (inertial, body components), modal coordinates :math:`\eta` of the
 clamped appendages (frequencies :math:`\Lambda`, damping ratios :math:`\xi`), and their coupling C (3 rows,
@@ -43,23 +43,23 @@ from gnc_opt.spacecraft.vectors import Vector, cross, is_symbolic
 
 @dataclass(frozen=True, eq=False)
 class FlexibleBody:
-    """Data of a hub with appendages of N modes.
+    """Data of a hub and appendages with N modes.
 
     Attributes
     ----------
     inertia : array (3, 3)
-        Of the whole at rest, kg m^2; principal moments (3,) are taken as a diagonal matrix.
+        Inertia of the whole undeformed body, kg m^2; principal moments (3,) define a diagonal matrix.
     coupling : array (3, N)
         kg^0.5 m.
     frequencies : array (N,)
-        Of the clamped appendages, rad/s.
+        Natural frequencies of the clamped appendages, rad/s.
     damping : array (N,)
         Damping ratios, >= 0.
 
     Raises
     ------
     ModelError
-        Sizes that do not fit, frequencies <= 0, or appendages with more inertia than the whole.
+        Inconsistent sizes, frequencies <= 0, or appendages with more inertia than the whole body.
 
     Examples
     --------
@@ -97,12 +97,12 @@ class FlexibleBody:
 
     @property
     def rigid_inertia(self) -> Array:
-        """J - C C^T (3, 3): what a fast torque has to turn, kg m^2."""
+        """J - C C^T (3, 3), the effective inertia for fast torques, kg m^2."""
         return np.asarray(self.inertia - self.coupling @ self.coupling.T)
 
     @property
     def mass_matrix(self) -> Array:
-        """[[J, C], [C^T, 1]] (3 + N, 3 + N)."""
+        """Mass matrix [[J, C], [C^T, 1]] (3 + N, 3 + N)."""
         n = self.frequencies.size
         return np.block([[self.inertia, self.coupling], [self.coupling.T, np.eye(n)]])
 
@@ -141,12 +141,12 @@ class FlexibleBody:
         return kinetic + mixed + self.modal_energy(eta, eta_rate)
 
     def modal_energy(self, eta: Array, eta_rate: Array) -> Any:
-        """Return the energy of the vibration relative to the hub, J; numeric."""
+        """Return the vibration energy relative to the hub, J; numeric."""
         strain = self._columns(self.frequencies, eta)
         return 0.5 * (np.sum(np.square(eta_rate), axis=0) + np.sum(np.square(strain), axis=0))
 
     def free_frequencies(self) -> Array:
-        """Return the frequencies of the free body without damping (N,), rad/s, increasing."""
+        """Return the undamped natural frequencies of the free body (N,), rad/s, in ascending order."""
         n = self.frequencies.size
         stiffness = np.zeros((3 + n, 3 + n))
         stiffness[3:, 3:] = np.diag(self.frequencies**2)
@@ -154,7 +154,7 @@ class FlexibleBody:
         return np.asarray(np.sqrt(squares))
 
     def free_damping(self) -> Array:
-        """Return the damping ratios of the free body (N,), by increasing frequency."""
+        """Return the damping ratios of the free body (N,), in order of ascending frequency."""
         n = self.frequencies.size
         inverse = np.linalg.inv(self.mass_matrix)[3:, 3:]
         stiff, viscous = np.diag(self.frequencies**2), np.diag(2 * self.damping * self.frequencies)

@@ -1,4 +1,4 @@
-r"""Gravity of an oblate planet, inertial and differential.
+r"""Gravity of an oblate planet, and gravity gradient torque.
 
 Point mass and second zonal harmonic at the inertial position :math:`r = (X, Y, Z)`, Z along the planet's
 axis:
@@ -79,7 +79,7 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
 
 
 def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Vector:
-    """Return the torque of gravity on an extended body, N m.
+    """Return the gravity gradient torque on an extended body, N m.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
 r"""Unit quaternions, scalar part first: :math:`q = (\cos(\Phi/2),\; e \sin(\Phi/2))`.
 
-Frame B is reached from frame A by turning A through :math:`\Phi` about the unit axis e; ``q_BA`` and
-``-q_BA`` are the same attitude.
+Frame B results from rotating frame A through :math:`\Phi` about the unit axis e; ``q_BA`` and ``-q_BA`` are the same
+attitude.
 
 **Product.** With Hamilton's product
 
 .. math:: p \otimes q = (p_0 q_0 - p_v \cdot q_v,\; p_0 q_v + q_0 p_v + p_v \times q_v)
 
-turns about the axes of the *moving* frame compose from left to right: ``q_CA = product(q_BA, q_CB)``.
+rotations about the axes of the *moving* frame compose from left to right: ``q_CA = product(q_BA, q_CB)``.
 
 **Direction cosine matrix** (passive, A components to B components, see `gnc_opt.spacecraft.attitude`)
 
@@ -17,10 +17,10 @@ turns about the axes of the *moving* frame compose from left to right: ``q_CA = 
 
 .. math:: \dot q_0 = -\tfrac12 q_v \cdot \omega, \qquad \dot q_v = \tfrac12 (q_0\, \omega + q_v \times \omega) .
 
-**Error** of q relative to a reference in the same frame: :math:`\delta q = q_r^{-1} \otimes q`, with the same
-components in R and B; the sign is chosen so that :math:`\delta q_0 \ge 0`, the short way round.
+**Error** of q relative to a reference in the same frame: :math:`\delta q = q_r^{-1} \otimes q`, with equal components
+in R and B; the sign :math:`\delta q_0 \ge 0` selects the shorter rotation.
 
-Every function takes CasADi columns or arrays (n,) and (n, n_times), time last, unless it says "numeric".
+Functions accept CasADi columns or arrays (n,) and (n, n_times) with time as last axis, except those marked "numeric".
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def quaternion_conjugate(q: Quaternion) -> Quaternion:
-    """Return the quaternion of the turn back (the inverse of a unit quaternion).
+    """Return the conjugate quaternion (the inverse of a unit quaternion).
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def quaternion_conjugate(q: Quaternion) -> Quaternion:
 
 
 def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
-    """Return ``dcm_BA``, which takes A components to B components: (3, 3) or (3, 3, n_times).
+    """Return ``dcm_BA``, which maps A components to B components: (3, 3) or (3, 3, n_times).
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def quaternion_rate(q_BA: Quaternion, omega_BA_B: Vector) -> Quaternion:
 
 
 def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
-    """Return the quaternion from the reference to q by the short way, scalar part >= 0.
+    """Return the quaternion of the shorter rotation from the reference to q, scalar part >= 0.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
 
 
 def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
-    """Return twice the vector part of the error, (3,): the turn (rad) from the reference to q, to first order.
+    """Return twice the vector part of the error, (3,): to first order the rotation vector (rad) from q_ref to q.
 
     Parameters
     ----------
@@ -152,14 +152,14 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
 def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
     """Return the unit quaternion whose `quaternion_difference` from the reference is ``error``.
 
-    Errors of more than 2 count as half a turn.
+    Errors longer than 2 give a rotation of 180 degrees.
 
     Parameters
     ----------
     q_ref : casadi (4, 1), array (4,) or (4, n_times)
-        Of any length but zero.
+        Nonzero, not necessarily normalised.
     error : casadi (3, 1), array (3,) or (3, n_times)
-        rad to first order, in components of the turned frame.
+        Rotation vector to first order, rad, in components of the rotated frame.
 
     Examples
     --------

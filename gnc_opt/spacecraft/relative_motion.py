@@ -1,7 +1,7 @@
-r"""Motion relative to a leader or target: Hill's equations, nonlinear motion in the radial frame, inertial truth.
+r"""Relative motion of spacecraft: Hill's equations, nonlinear motion in the radial frame, inertial motion.
 
-**Frame L** (local vertical, local horizontal) sits in the target: z points to the planet's centre, x along the
-target's velocity, y completes the triad. It turns about the orbit normal,
+**Frame L** (local vertical, local horizontal) has its origin in the target: z points to the planet's centre, x along
+the target's velocity, y completes the triad. It rotates about the orbit normal,
 
 .. math:: \omega_{LI,L} = (0, -n, 0), \qquad n = \sqrt{\mu / a^3} .
 
@@ -15,7 +15,7 @@ both in L, with :math:`|r| \ll a` and a force per mass :math:`f` beyond gravity:
 
 with an error of the order :math:`3 n^2 |r|^2 / a`.
 
-**Frame R** sits in the leader: x radial outward, y along the motion, z along the orbit normal:
+**Frame R** has its origin in the leader: x radial outward, y along the motion, z along the orbit normal:
 :math:`(x, y, z)_L = (y, -z, -x)_R`.
 
 **Circular Keplerian leader** at radius :math:`r_l`, mean motion n. For the follower at
@@ -26,8 +26,8 @@ with an error of the order :math:`3 n^2 |r|^2 / a`.
    \ddot y &= -2 n \dot x + n^2 y - \mu\, y / q + f_y \\
    \ddot z &= -\mu\, z / q + f_z .
 
-**Truth**: leader and follower as two inertial orbits. The leader's true frame turns at :math:`h/r^2` about z and,
-where the leader is pushed out of its plane by :math:`a_h`, at :math:`r\, a_h/h` about x.
+**Inertial motion** of leader and follower: the leader's radial frame rotates at :math:`h/r^2` about z and, if a force
+accelerates the leader out of its plane by :math:`a_h`, at :math:`r\, a_h/h` about x.
 
 SI units. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last.
 
@@ -55,14 +55,14 @@ def mean_motion(semi_major_axis: float, mu: float = MU_EARTH) -> float:
     Parameters
     ----------
     semi_major_axis : float
-        Of the target's orbit, m.
+        Semi-major axis of the target's orbit, m.
     mu : float
         Gravitational parameter, m^3/s^2.
 
     Raises
     ------
     ArgumentError
-        If either is not positive.
+        An argument is not positive.
 
     Examples
     --------
@@ -113,7 +113,7 @@ def hill_acceleration(r_L: Vector, v_L: Vector, n: Any) -> Vector:
 def relative_acceleration(
     rho_R: Vector, rho_rate_R: Vector, leader_radius: Any, n: Any, mu: Any = MU_EARTH
 ) -> Vector:
-    """Return the follower's acceleration without thrust as seen in R, m/s^2; circular Keplerian leader.
+    """Return the follower's acceleration without thrust, as observed in R, m/s^2, for a circular Keplerian leader.
 
     Parameters
     ----------
@@ -147,16 +147,16 @@ def differential_j2(
     j2: Any = J2_EARTH,
     radius: Any = RADIUS_EARTH,
 ) -> Vector:
-    """Return the follower's acceleration by the oblateness minus the leader's, in R, m/s^2.
+    """Return the difference of the J2 accelerations of follower and leader, in R, m/s^2.
 
     Parameters
     ----------
     rho_R : casadi (3, 1), array (3,) or (3, n_times)
         Position relative to the leader, m.
     leader_radius : float or casadi scalar
-        Of the leader, m.
+        Orbital radius of the leader, m.
     dcm_RI : casadi (3, 3), array (3, 3) or (3, 3, n_times)
-        Takes inertial components (z along the planet's axis) to R.
+        Maps inertial components (z along the planet's axis) to R.
     mu, j2, radius : float or casadi scalar
         m^3/s^2, 1 and m (equatorial).
 
@@ -216,12 +216,12 @@ def radial_frame_rate(r: Vector, v: Vector, acceleration: Vector) -> Vector:
 def relative_from_inertial(
     r_leader: Vector, v_leader: Vector, r_follower: Vector, v_follower: Vector, acceleration: Vector
 ) -> tuple[Vector, Vector]:
-    """Return position (m) and rate (m/s) of the follower as seen in the leader's true radial frame.
+    """Return position (m) and rate (m/s) of the follower as observed in the leader's radial frame.
 
     Parameters
     ----------
     r_leader, v_leader, r_follower, v_follower : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial, m and m/s.
+        Inertial states, m and m/s.
     acceleration : like the others
         Total acceleration of the leader, m/s^2.
 
@@ -250,8 +250,7 @@ def inertial_from_relative(
     Parameters
     ----------
     r_leader, v_leader, rho_R, rho_rate_R, acceleration : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial state of the leader, state of the follower seen in its radial frame (m, m/s), acceleration
-        (m/s^2).
+        Inertial state of the leader, follower state observed in its radial frame (m, m/s), acceleration (m/s^2).
 
     Examples
     --------

@@ -1,11 +1,11 @@
-r"""Rotation of a rigid body: Euler's equations, relative to an inertial or to a uniformly turning frame.
+r"""Rigid-body rotation: Euler's equations relative to an inertial or a uniformly rotating frame; reaction wheels.
 
 With the inertia matrix J in body axes about the centre of mass, ``omega_BI_B`` the rate of body B relative to
 inertial space I, and the torque T, all in B components:
 
 .. math:: J \dot\omega_{BI} = T - \omega_{BI} \times (J \omega_{BI}) .
 
-**Relative to a frame L** that turns at ``omega_LI`` (constant in L, as for the LVLH frame of a circular
+**Relative to a frame L** that rotates at ``omega_LI`` (constant in L, as for the LVLH frame of a circular
 orbit): write :math:`\omega = \omega_{BL}` and :math:`w = C_{BL}\,\omega_{LI}`, so that :math:`\omega_{BI} =
 \omega + w`. With :math:`\dot w = -\omega \times w`,
 
@@ -21,8 +21,8 @@ the axis each, spin rate :math:`\Omega` relative to the body, motor torque T on 
    J \dot\omega &= -\omega \times (J \omega + A h) + A T + T_{ext} \\
    \dot h &= -T, \qquad h = I_w \Omega .
 
-J is the inertia with the wheels locked; their momentum by the body's own rate is neglected (:math:`I_w \ll
-J`). The shaft power of wheel i is :math:`-T_i \Omega_i`: positive if the motor drives the wheel faster.
+J is the inertia with locked wheels. The wheel momentum due to the body rate is neglected (:math:`I_w \ll J`). The shaft
+power of wheel i is :math:`-T_i \Omega_i`, positive if the motor accelerates the wheel.
 
 The inertia is three principal moments, (3,), or a symmetric matrix, (3, 3).
 SI units. Vectors are CasADi columns or arrays (n,) and (n, n_times), time last.
@@ -46,7 +46,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.spacecraft.vectors import Matrix, Vector, apply, cross, is_symbolic, stack
 
 PYRAMID_ELEVATION = float(np.arctan(1 / np.sqrt(2)))
-"""Elevation of the axes above the base (rad) that serves all three body axes alike, 35.264 degrees."""
+"""Elevation of the axes above the base (rad) with equal capability about all body axes, 35.264 degrees."""
 
 
 def wheel_pyramid(elevation: float = PYRAMID_ELEVATION, azimuth: float = np.pi / 4, wheels: int = 4) -> Array:
@@ -55,11 +55,11 @@ def wheel_pyramid(elevation: float = PYRAMID_ELEVATION, azimuth: float = np.pi /
     Parameters
     ----------
     elevation : float
-        Of the axes above the x-y plane, rad.
+        Elevation of the axes above the x-y plane, rad.
     azimuth : float
-        Of the first wheel from x towards y, rad; the others follow at equal angles.
+        Azimuth of the first wheel from x towards y, rad; the wheels have equal angular spacing.
     wheels : int
-        At least 3.
+        Number of wheels, at least 3.
 
     Raises
     ------
@@ -81,14 +81,14 @@ def wheel_pyramid(elevation: float = PYRAMID_ELEVATION, azimuth: float = np.pi /
 
 
 def array_momentum(axes: ArrayLike, momenta: Vector) -> Vector:
-    """Return the momentum of all wheels in body components, N m s.
+    """Return the total wheel momentum in body components, N m s.
 
     Parameters
     ----------
     axes : array (3, n)
         Spin axes as columns.
     momenta : casadi (n, 1), array (n,) or (n, n_times)
-        Of each wheel about its axis, N m s.
+        Momentum of each wheel about its axis, N m s.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def wheel_body_acceleration(
     omega_BI_B, external_B : casadi (3, 1), array (3,) or (3, n_times)
         Rate relative to inertial space (rad/s) and external torque (N m) in B components.
     momenta, torques : casadi (n, 1), array (n,) or (n, n_times)
-        Of each wheel about its axis (N m s), and of the motors on the body (N m).
+        Momentum of each wheel about its axis (N m s), and motor torques on the body (N m).
 
     Examples
     --------
@@ -128,7 +128,7 @@ def wheel_body_acceleration(
 
 
 def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: Vector) -> Vector:
-    """Return the momentum of body and wheels in body components, N m s; constant in inertial space without torque.
+    """Return the total momentum of body and wheels in body components, N m s; without torque inertially constant.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: V
     omega_BI_B : casadi (3, 1), array (3,) or (3, n_times)
         rad/s.
     momenta : casadi (n, 1), array (n,) or (n, n_times)
-        Of each wheel about its axis, N m s.
+        Momentum of each wheel about its axis, N m s.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Many tasks side by side: one pool of workers for campaigns and searches, whatever executor they are given."""
+"""Parallel execution of tasks: a worker pool for campaigns and searches, on any executor."""
 
 from gnc_opt.workers.pool import Done, WorkerDied, WorkerPool
 from gnc_opt.workers.processes import Shared

@@ -1,4 +1,4 @@
-"""WorkerPool: does many tasks on an executor, in any order, and answers for every one of them."""
+"""WorkerPool: execution of tasks on an executor, with a result or an error for every task."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.workers.processes import Object, OwnProcesses, Parcel, Shared, open_parcel
 
 MOST_CRASHES = 8
-"""After so many items in a row that each killed a process of its own, no more are tried."""
+"""Number of consecutive items that killed their own process, after which no more items are tried."""
 
 MOST_PENDING = 32
-"""Items handed to an executor and not done yet, at most, unless it has more than half as many threads."""
+"""Largest number of unfinished items per executor, unless it has more than half as many threads."""
 
 NO_WORKERS_MAX_WAIT_S = 10.0
-"""A cluster that has no workers twice in so many seconds (s) is not waited for."""
+"""Interval (s) between two checks for workers; a cluster without workers at both counts as lost."""
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -40,23 +40,23 @@ Task: TypeAlias = Callable[[Object, Item], Answer]
 Split: TypeAlias = Callable[[Item], Sequence[Item]]
 
 Place: TypeAlias = tuple[int, ...]
-"""The number of an item; one that was split has its number and those of the part."""
+"""Index of an item; a part of a split item has the index of the item and of the part."""
 
 
 class WorkerDied(GncOptError):
-    """Error: the process died, or no worker is left for the task."""
+    """Error of a task whose process died, or for which no worker is left."""
 
 
 @dataclass(frozen=True, eq=False)
 class Done(Generic[Item, Answer]):
-    """An item with its answer or its error.
+    """Item with its answer or its error.
 
     Attributes
     ----------
     item : object
     answer : object or None
     error : BaseException or None
-        What the task raised, or `WorkerDied`.
+        Exception of the task, or `WorkerDied`.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class Done(Generic[Item, Answer]):
 
 
 class WorkerPool(Generic[Object]):
-    """Workers with one object that all of them share; a context manager.
+    """Pool of workers that share one object; a context manager.
 
     Tasks are functions ``task(object, item)``; all must be picklable.
 
@@ -84,12 +84,12 @@ class WorkerPool(Generic[Object]):
     executor : Executor, "serial" or None
         None: one process per processor.
     caller : str
-        For messages, e.g. ``"monte_carlo()"``.
+        Name for messages, e.g. ``"monte_carlo()"``.
 
     Attributes
     ----------
     interrupted : bool
-        Whether Ctrl-C came.
+        Whether the run was interrupted by Ctrl-C.
 
     Examples
     --------
@@ -114,7 +114,9 @@ class WorkerPool(Generic[Object]):
             remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
             self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
             sends = shared.maker is not None and not isinstance(executor, ThreadPoolExecutor)
-            if sends or isinstance(executor, ProcessPoolExecutor):  # that hangs at times where it cannot send
+            if sends or isinstance(
+                executor, ProcessPoolExecutor
+            ):  # ProcessPoolExecutor may hang if pickling fails
                 self._parcel = shared.pack_parcel()
 
     def __enter__(self) -> WorkerPool[Object]:
@@ -133,10 +135,10 @@ class WorkerPool(Generic[Object]):
         show: Callable[[Done[Item, Answer]], None],
         split: Split[Item] = lambda item: (),
     ) -> list[Done[Item, Answer]]:
-        """Return the result of a task with every item, in order, without those that Ctrl-C prevented (`interrupted`).
+        """Return the results of a task for all items, in order, without those cancelled by Ctrl-C (`interrupted`).
 
-        Items lost with a process run again, each in a new process; an item that kills it, too, is split. If a
-        given executor breaks, the pool's own processes do the remaining tasks.
+        Items whose process died run again, each in a new process; an item that kills it too is split. If the given
+        executor breaks, the pool's own processes execute the remaining tasks.
 
         Parameters
         ----------
@@ -145,7 +147,7 @@ class WorkerPool(Generic[Object]):
         show : callable
             Called with each result. An exception in it ends the run.
         split : callable, optional
-            Returns the parts of an item that together give the same result.
+            Returns parts of an item that together give the same result.
         """
         items = list(items)
         ledger = _Ledger(items, show)
@@ -160,7 +162,7 @@ class WorkerPool(Generic[Object]):
             self.interrupted = True
             if self._own is None:
                 ledger.cancel_tasks()
-            else:  # not future by future: executors whose processes end stumble over cancelled ones
+            else:  # executors with terminating processes fail on futures cancelled one by one
                 self._own.end_processes(at_once=True)
             ledger.collect_results()
         return ledger.sorted_results()
@@ -171,13 +173,13 @@ class WorkerPool(Generic[Object]):
         items: Sequence[tuple[int, Item]],
         ledger: _Ledger[Item, Answer],
     ) -> list[tuple[int, Item]]:
-        """Do numbered items side by side; return those that a dead process left behind."""
+        """Execute numbered items in parallel; return those whose process died."""
         left: list[tuple[int, Item]] = []
 
         def record_result(number: int, error: BaseException | None) -> None:
             future = ledger.futures.pop(
                 number
-            )  # as long as it is held a Dask cluster keeps the task and its answer
+            )  # a Dask cluster keeps task and answer as long as the future is referenced
             if isinstance(error, BrokenExecutor):
                 left.append((number, ledger.items[number]))
             else:
@@ -196,7 +198,7 @@ class WorkerPool(Generic[Object]):
                     pending[future] = number
             ended, _ = wait(pending, timeout=NO_WORKERS_MAX_WAIT_S, return_when=FIRST_COMPLETED)
             idle = idle + 1 if pending and not ended and _has_lost_workers(self._executor) else 0
-            if idle == 2:  # workers may have been on their way back
+            if idle == 2:  # workers may have been restarting
                 deserted, ended = True, set(pending)
             for future in ended:
                 number = pending.pop(future)
@@ -212,12 +214,12 @@ class WorkerPool(Generic[Object]):
         split: Split[Item],
         ledger: _Ledger[Item, Answer],
     ) -> None:
-        """Do items again, each in a new process, splitting those that kill it."""
+        """Execute items again, each in a new process, and split those that kill it."""
         waiting, crashes = list(reversed(left)), 0
         while waiting and self._own is not None:
             place, item = waiting.pop()
             if crashes == MOST_CRASHES:
-                why = f"not tried: the {crashes} before it killed their process"
+                why = f"not tried, since the {crashes} previous items killed their process"
                 ledger.store_result(place, Done(item, error=WorkerDied(why)))
                 continue
             self._own.restart_processes(1)
@@ -231,7 +233,7 @@ class WorkerPool(Generic[Object]):
             crashes = crashes + 1 if died else 0
             ledger.store_result(place, done)
         if left and self._own is not None:
-            self._own.end_processes()  # the next run begins with as many processes as ever
+            self._own.end_processes()  # the next run starts with the full number of processes
 
     def _submit_task(self, task: Task[Object, Item, Answer], item: Item) -> Future[Answer]:
         try:
@@ -264,7 +266,7 @@ class _Ledger(Generic[Item, Answer]):
             future.cancel()
 
     def collect_results(self) -> None:
-        """Store answers that have not been read yet."""
+        """Store answers that have not been read."""
         for number, future in self.futures.items():
             if (number,) not in self.done and future.done() and _get_error(future) is None:
                 self.done[number,] = Done(self.items[number], future.result())
@@ -274,7 +276,7 @@ class _Ledger(Generic[Item, Answer]):
 
 
 class _Serial(Executor):
-    """Does every task at once, in this process."""
+    """Executor that runs every task immediately in this process."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -286,7 +288,7 @@ class _Serial(Executor):
 
 
 def _make_result(item: Item, future: Future[Answer], error: BaseException | None) -> Done[Item, Answer]:
-    if isinstance(error, KeyboardInterrupt):  # the task itself obeyed Ctrl-C
+    if isinstance(error, KeyboardInterrupt):  # Ctrl-C in the task itself
         raise error
     if error is None:
         return Done(item, future.result())
@@ -295,7 +297,7 @@ def _make_result(item: Item, future: Future[Answer], error: BaseException | None
 
 
 def _get_error(future: Future[Any]) -> BaseException | None:
-    """Return what a future ended with, or will end with."""
+    """Return the exception of a future; waits for its end."""
     try:
         return future.exception()
     except CancelledError as error:
@@ -313,7 +315,7 @@ def _gone() -> Future[Any]:
 
 
 def _has_lost_workers(executor: Executor) -> bool:
-    """Whether an executor is that of a Dask cluster that has no workers, or no scheduler any more."""
+    """Return whether an executor belongs to a Dask cluster without workers or scheduler."""
     client: Any = getattr(executor, "_client", None)
     if not hasattr(client, "scheduler_info"):
         return False
@@ -321,7 +323,7 @@ def _has_lost_workers(executor: Executor) -> bool:
 
 
 def _count_task_slots(executor: Executor) -> int:
-    """Return how many tasks an executor may have at a time: each holds what all of them share."""
+    """Return the largest number of simultaneous tasks of an executor; each holds a copy of the shared object."""
     client: Any = getattr(executor, "_client", None)
     threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else (os.cpu_count() or 1)
     return max(MOST_PENDING, 2 * threads)
@@ -331,5 +333,5 @@ _TURN = threading.RLock()
 
 
 def _run_task_in_turn(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
-    with _TURN:  # a compiled function serves one thread at a time
+    with _TURN:  # compiled functions are not thread-safe
         return task(open_parcel(parcel), item)

@@ -1,4 +1,4 @@
-"""Processes of one's own, and the one object that all tasks need."""
+"""Worker processes of the package, and the object that their tasks share."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from gnc_opt.errors import GncOptError
 Object = TypeVar("Object")
 
 Parcel: TypeAlias = "Here[Object] | bytes"
-"""The object for a worker: the object itself, or a pickled function that creates it."""
+"""Shared object as sent to a worker: the object itself, or a pickled function that creates it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shared(Generic[Object]):
-    """An object for all tasks.
+    """Object shared by all tasks.
 
     Attributes
     ----------
     value : object
     name, remedy : str
-        For the error if it cannot be sent to another process.
+        For the error message if the object cannot be pickled.
     maker : callable, optional
-        Makes it in another process; must be picklable.
+        Picklable function that creates the object in another process.
 
     Examples
     --------
@@ -49,12 +49,12 @@ class Shared(Generic[Object]):
 
     @classmethod
     def picklable(cls, value: Object, name: str, remedy: str) -> Shared[Object]:
-        """Return an object that travels by itself."""
+        """Return a shared object that is pickled itself."""
         return cls(value, name, remedy, partial(_return_value, value))
 
     @property
     def here(self) -> Here[Object]:
-        """The parcel that stays in this process and in those that inherit its memory."""
+        """Parcel for this process and processes that inherit its memory."""
         return Here(self.value, self._make_pickle_error(""))
 
     def pack_parcel(self) -> bytes:
@@ -63,7 +63,7 @@ class Shared(Generic[Object]):
         Raises
         ------
         GncOptError
-            The object cannot be sent.
+            The object cannot be pickled.
         """
         if self.maker is None:
             raise self._make_pickle_error("")
@@ -78,7 +78,7 @@ class Shared(Generic[Object]):
 
 @dataclass(frozen=True, eq=False)
 class Here(Generic[Object]):
-    """A parcel that stays where it is; an executor that tries to send it gets the error."""
+    """Parcel that cannot be pickled; the attempt raises the stored error."""
 
     value: Object
     error: GncOptError
@@ -88,7 +88,7 @@ class Here(Generic[Object]):
 
 
 def open_parcel(parcel: Parcel[Any]) -> Any:
-    """Return the object of a parcel; one that was sent is made once per process."""
+    """Return the object of a parcel; a pickled one is created once per process."""
     return parcel.value if isinstance(parcel, Here) else _unpickle_once(parcel)
 
 
@@ -104,16 +104,16 @@ def _return_value(value: Object) -> Object:
 _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _OBJECT: list[Any] = []
-"""In a process of ours: the shared object."""
+"""Shared object of a worker process."""
 
 
 def is_fork_default() -> bool:
-    """Whether new processes are copies of this one, with everything it has in memory."""
+    """Return whether new processes are forked from this one and inherit its memory."""
     return os.name == "posix" and os.uname().sysname == "Linux"
 
 
 class OwnProcesses:
-    """Processes that have a shared object; new ones take the place of those that died."""
+    """Worker processes with a shared object; processes that died are replaced."""
 
     def __init__(self, shared: Shared[Any]) -> None:
         self._context: Any = multiprocessing.get_context("fork" if is_fork_default() else None)
@@ -121,7 +121,7 @@ class OwnProcesses:
         self._executor: ProcessPoolExecutor | None = None
 
     def _write_parcel(self, shared: Shared[Any]) -> Path:
-        """Return a file with the packed object: an argument of more than 64 kB may block a process."""
+        """Return a file with the pickled object; process arguments of more than 64 kB may block."""
         packed = shared.pack_parcel()
         try:
             folder = tempfile.mkdtemp(prefix="gnc_opt-")
@@ -136,21 +136,21 @@ class OwnProcesses:
         return path
 
     def submit_task(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
-        """Have a task done by one of them, as many as there are processors."""
+        """Submit a task to the processes, one per processor."""
         if self._executor is None:
             self.restart_processes(os.cpu_count() or 1)
         assert self._executor is not None
         return self._executor.submit(_run_task, task, item)
 
     def restart_processes(self, count: int) -> None:
-        """Let new processes take the place of those there are."""
+        """Replace the existing processes by new ones."""
         self.end_processes()
         self._executor = ProcessPoolExecutor(
             count, self._context, initializer=_initialise_process, initargs=(self._parcel,)
         )
 
     def end_processes(self, at_once: bool = False) -> None:
-        """End them; ``at_once`` also during a task, whose result is no longer needed."""
+        """End the processes; ``at_once`` also during a task, whose result is discarded."""
         if self._executor is None:
             return
         if at_once:
@@ -160,11 +160,11 @@ class OwnProcesses:
 
 
 def _kill_processes(executor: Any) -> None:
-    """End the processes of an executor at once; for what it needs the public interface comes with Python 3.14."""
+    """Kill the processes of an executor; Python 3.14 has a public interface for it."""
     for process in list((executor._processes or {}).values()):
         process.terminate()
-    # One that dies while it answers leaves half an answer, for the rest of which the executor waits for ever as long
-    # as anybody could write it: after the processes, that is this one alone.
+    # A process killed while it sends a result leaves a partial message; the executor waits for the rest as long as a
+    # writer exists. Once the processes are gone, only this process is one.
     if executor._result_queue is not None:
         executor._result_queue._writer.close()
 
@@ -173,7 +173,7 @@ def _kill_processes(executor: Any) -> None:
 
 
 def _initialise_process(parcel: Here[Any] | Path) -> None:
-    """Get the object; Ctrl-C is the parent's business, and the processors are shared already."""
+    """Get the object, ignore Ctrl-C (handled by the parent), and limit the threads to one."""
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _THREAD_COUNTS:
@@ -182,7 +182,7 @@ def _initialise_process(parcel: Here[Any] | Path) -> None:
 
 
 def _exit_with_parent() -> None:
-    """End at once when the parent process is gone for any reason."""
+    """Exit immediately when the parent process is gone."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

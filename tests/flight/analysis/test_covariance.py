@@ -253,7 +253,7 @@ def test_what_cannot_be_linearized_is_refused():
     ends = go.ClosedLoop(model, law, events=[Event("gate", model.symbol("q"))])
     with pytest.raises(go.ArgumentError, match=r"has events \('gate'\)"):
         go.linear_covariance(go.Scenario(ends, **MISSION))
-    with pytest.raises(go.ArgumentError, match=r"Odd\(\) does not tell its mean"):
+    with pytest.raises(go.ArgumentError, match=r"Odd\(\) does not define its mean"):
         go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions={"plant.m": Odd()}))
     with pytest.raises(go.ArgumentError, match="give a ClosedLoop"):
         go.Scenario(model, **MISSION)

@@ -421,7 +421,7 @@ def test_roots_of_singular_covariances():
         ({"measurements": [Measurement("q", 1, difference=3)]}, "'q' cannot be evaluated"),
         ({"measurements": [Measurement("q", 1, difference=lambda a: a)]}, "'q' cannot be evaluated"),
         ({"measurements": [Measurement("q", 1, delay=1e3)]}, "is 10000 control steps, and the filter"),
-        ({"sigma0": {"q": 1}}, "does not tell how well 'v' is known"),
+        ({"sigma0": {"q": 1}}, "has no entry for state 'v'"),
         ({"sigma0": {"q": 1, "vv": 1}}, "no state 'vv': did you mean 'v'"),
         ({"sigma0": 1.0}, "sigma0 of 'EKF' is a float where a Mapping"),
         ({"sigma0": {"q": 1, "v": -1}}, "sigma0 of 'EKF' for 'v'"),
@@ -472,8 +472,8 @@ def test_measurements_that_cannot_be_meant_are_refused(arguments, message):
     ("retraction", "error", "message"),
     [
         (None, go.ModelError, "the retraction of state 'att' in model 'm' is missing"),
-        (lambda ref, e: mrp_retraction(ref, 2 * e), go.DesignError, "is not the way back of its difference"),
-        (lambda ref, e: ref + e, go.DesignError, "is not the way back"),
+        (lambda ref, e: mrp_retraction(ref, 2 * e), go.DesignError, "is not the inverse of its difference"),
+        (lambda ref, e: ref + e, go.DesignError, "is not the inverse"),
     ],
 )
 def test_attitudes_need_their_way_back(retraction, error, message):

@@ -133,9 +133,9 @@ def chosen(p: Any, leg: Any) -> None:
         (budget, "'effort' of problem 'cart' is on the whole flight"),
         (shift, "'shift' of problem 'cart' is on the whole flight"),
         (clock, r"give time\(duration"),
-        (squared, "weighs the rest"),
-        (per_second, "weighs the rest"),
-        (chosen, "'gain' of model 'cart' is chosen along with the plan"),
+        (squared, "is not additive"),
+        (per_second, "is not additive"),
+        (chosen, "'gain' of model 'cart' is optimised in the plan"),
     ],
 )
 def test_what_would_be_granted_anew_is_refused(more: Any, what: str) -> None:
@@ -207,11 +207,14 @@ def test_what_makes_no_resolver_or_schedule_is_refused() -> None:
         solution = property(lambda _: resolver().solution)
 
     for made, what in (
-        (lambda: loop(follow=lambda plan: 3), "follow= of the Replanner failed for its own plan, TypeError"),
+        (
+            lambda: loop(follow=lambda plan: 3),
+            "follow= of the Replanner failed for the original plan, TypeError",
+        ),
         (lambda: loop(follow=lambda plan: 1 / 0), "ZeroDivisionError: division by zero"),
         (lambda: Replanner(lambda: 3, every=0.1), "returned 3: write lambda"),  # type: ignore[arg-type,return-value]
         (lambda: Replanner(Mute, every=0.1), r"has no solve\(\)"),  # type: ignore[arg-type]
-        (lambda: loop(latency=0.7), "would plan nothing: every, latency and last are 1.05 s"),
+        (lambda: loop(latency=0.7), "would never re-plan: every, latency and last are 1.05 s"),
     ):
         with pytest.raises(go.ArgumentError, match=what):
             made()

@@ -209,7 +209,7 @@ def two_phases() -> Any:
         (lambda: loop(every(0.015)), "multiple of the control step"),
         (lambda: linear_covariance(go.Scenario(loop(every()), x0=[-1.0, 0.0], tf=1.0)), "re-plans in flight"),
         (lambda: loop(3), "replanner of a closed loop"),  # type: ignore[arg-type]
-        (lambda: loop(every(), controller=feedforward(_another_way())), "follows something else"),
+        (lambda: loop(every(), controller=feedforward(_another_way())), "does not follow the plan"),
         (
             lambda: loop(every(follow=lambda plan: lambda t, dt: np.zeros((2, t.size)))),
             r"shape \(2, 1\) at 1 times: the controller needs \(3, 1\)",

@@ -42,7 +42,7 @@ def campaign(**more: Any) -> Any:
     ("expression", "what"),
     [
         (H < 0.5, "of event 'e' is discontinuous at zero"),
-        (ca.sign(H), "of event 'e' jumps"),
+        (ca.sign(H), "of event 'e' is discontinuous"),
         (ca.SX(1.0), "depends neither on a state nor on the time"),
         (G - 1.0, "depends neither on a state nor on the time"),
     ],
