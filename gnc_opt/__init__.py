@@ -1,4 +1,4 @@
-"""gnc_opt: trajectory optimisation for guidance, navigation and control, with an optimality check of every answer."""
+"""gnc_opt: trajectory optimisation for guidance, navigation and control, with optimality checks of solutions."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -221,7 +221,7 @@ _PACKAGES = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used (PEP 562), since loading all takes longer than NumPy and CasADi."""
+    """Load a public name at its first use (PEP 562), which keeps the import fast."""
     if name in _MODULES:
         value = getattr(import_module(f"gnc_opt.{_MODULES[name]}"), name)
         globals()[name] = value

@@ -1,7 +1,7 @@
-"""Results on disk: one compressed NumPy archive with a JSON header; floats keep every bit, nothing is pickled.
+"""Result files: compressed NumPy archives with a JSON header, without pickle; floats are stored exactly.
 
-The header holds a tree of JSON values tagged with types, the arrays are entries named by their place in it
-(``phases.leg.lam_start``). Only listed classes are created.
+The header is a tree of JSON values with type tags. The arrays are named by their path in the tree
+(``phases.leg.lam_start``). Only registered classes are created.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ Arrays: TypeAlias = dict[str, Array]
 
 @dataclass(frozen=True)
 class Packing:
-    """Packs and unpacks instances of ``classes`` (dataclasses, enumerations) without their ``left_out`` fields."""
+    """Conversion of ``classes`` (dataclasses, enumerations) to JSON trees, without their ``left_out`` fields."""
 
     classes: tuple[type, ...]
     left_out: Mapping[type, tuple[str, ...]] = field(default_factory=dict)
 
     def stored_fields(self, kind: Any) -> list[str]:
-        """Return the names of the fields of a dataclass that are packed."""
+        """Return the names of the stored fields of a dataclass."""
         return [f.name for f in fields(kind) if f.init and f.name not in self.left_out.get(kind, ())]
 
     def pack(self, value: Any, place: str, arrays: Arrays) -> Any:
-        """Return the JSON tree of a value; its arrays go to ``arrays`` under their place in the tree.
+        """Return the JSON tree of a value, and store its arrays in ``arrays`` under their path in the tree.
 
-        Mappings come back as dicts, lists as tuples, NumPy's scalars as Python's.
+        Mappings are restored as dicts, lists as tuples, NumPy scalars as Python scalars.
 
         Raises
         ------
         GncOptError
-            Something in it is of a class that is not listed; the message names the place.
+            An object has an unregistered class; the message contains its path.
         """
         if isinstance(value, np.ndarray):
             return {"array": _store_array(value, place, arrays)}
@@ -68,7 +68,7 @@ class Packing:
         return _to_plain_value(value.item() if isinstance(value, np.generic) else value, place)
 
     def unpack(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
-        """Return the value of a tree that `pack` made."""
+        """Return the value of a tree from `pack`."""
         if isinstance(tree, list):
             return tuple(self.unpack(item, arrays) for item in tree)
         if not isinstance(tree, dict):
@@ -112,14 +112,14 @@ class Packing:
 
 
 def _are_stackable_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
-    """Whether these are arrays that can lie side by side."""
+    """Return whether the values are arrays of equal shape and type."""
     if not value or not all(isinstance(item, np.ndarray) and item.ndim for item in value):
         return False
     return len({(item.dtype, item.shape[:-1]) for item in value}) == 1
 
 
 def _store_array(array: Array, place: str, arrays: Arrays) -> str:
-    """Store an array; return the name it got, which is a safe name of a file."""
+    """Store an array and return its name, a valid file name."""
     if array.dtype.hasobject:
         raise GncOptError(f"'{place}' cannot be saved: it is an array of Python objects.")
     name = "".join(c if c.isprintable() and c not in '/\\:*?"<>|' else "_" for c in place)
@@ -136,7 +136,7 @@ def _to_plain_value(value: Any, place: str) -> Any:
 
 
 def _make_type_error(value: Any, place: str) -> GncOptError:
-    return GncOptError(f"'{place}' cannot be saved: files do not hold a {type(value).__name__}.")
+    return GncOptError(f"'{place}' cannot be saved: files cannot store a {type(value).__name__}.")
 
 
 def _join(place: str, name: str) -> str:
@@ -145,7 +145,7 @@ def _join(place: str, name: str) -> str:
 
 @dataclass(frozen=True)
 class FileFormat:
-    """How results of one class, the ``kind``, are written to files and read.
+    """File format of results of one class, the ``kind``.
 
     Raise ``version`` if a stored class changes its fields; ``alike`` are compatible older versions.
     """
@@ -157,16 +157,16 @@ class FileFormat:
     alike: tuple[int, ...] = ()
 
     def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
-        """Write a result, and more values by name; return the file written.
+        """Write a result and additional named values; return the path of the file.
 
-        ``.npz`` is appended to a path without suffix. A crash leaves the old file.
+        ``.npz`` is appended to a path without suffix. The file is replaced atomically.
 
         Raises
         ------
         OSError
             The file cannot be written, e.g. because its folder does not exist.
         GncOptError
-            The result holds something that files do not.
+            The result contains an object that cannot be stored.
         """
         arrays: Arrays = {}
         header: dict[str, Any] = {"format": self._format_name, "version": self.version}
@@ -177,14 +177,14 @@ class FileFormat:
         return _write_archive(path, header, arrays)
 
     def read(self, path: str | Path) -> tuple[Any, dict[str, Any]]:
-        """Return the result in a file, and the data stored with it.
+        """Return the result in a file, and the additional values.
 
         Raises
         ------
         FileNotFoundError
-            There is no such file.
+            The file does not exist.
         GncOptError
-            The file is damaged, of another format, or of another version.
+            The file is damaged, or has another format or version.
         """
         header, arrays = _read_archive(path, self.noun)
         if not isinstance(header, dict) or header.get("format") != self._format_name:
@@ -200,7 +200,7 @@ class FileFormat:
             trees = {name: tree for name, tree in header.items() if name not in _ABOUT_THE_FILE}
             values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)
-        except Exception as error:  # whatever it is, this tree does not describe a result
+        except Exception as error:  # any error: the tree does not describe a result
             raise _make_damage_error(path, self.noun) from error
         if not isinstance(result, self.kind):
             raise _make_damage_error(path, self.noun)
@@ -225,7 +225,7 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
 
 @contextlib.contextmanager
 def write_atomically(target: Path) -> Iterator[IO[bytes]]:
-    """A stream to a new file that replaces the old one after a complete write, and is deleted otherwise."""
+    """Open a temporary file that replaces the target after a complete write and is deleted otherwise."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
@@ -236,7 +236,7 @@ def write_atomically(target: Path) -> Iterator[IO[bytes]]:
         with contextlib.suppress(OSError):
             os.unlink(name)
         if isinstance(error, OSError) and error.errno is not None and error.filename is None:
-            error.filename = str(target)  # a full disk says so without saying where
+            error.filename = str(target)  # the error of a full disk lacks the path
         raise
 
 
@@ -247,13 +247,13 @@ def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
         except _NoArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
-        except Exception as error:  # zipfile, zlib, NumPy and JSON each have their own
+        except Exception as error:  # zipfile, zlib, NumPy and JSON raise different errors
             raise _make_damage_error(path, noun) from error
     return header, entries
 
 
 def _make_damage_error(path: str | Path, noun: str) -> GncOptError:
-    return GncOptError(f"'{path}' is damaged: its content does not make up a {noun}; save it again.")
+    return GncOptError(f"'{path}' is damaged: its content is not a complete {noun}; save it again.")
 
 
 class _NoArchive(Exception):
@@ -261,7 +261,7 @@ class _NoArchive(Exception):
 
 
 def _read_verified_arrays(stream: BinaryIO) -> dict[str, Array]:
-    """Return all arrays of an archive after looking at every checksum: NumPy may stop reading before the last byte."""
+    """Return all arrays of an archive after verifying their checksums, which NumPy does not do completely."""
     if not zipfile.is_zipfile(stream):
         raise _NoArchive
     with zipfile.ZipFile(stream) as archive:

@@ -1,4 +1,4 @@
-"""Reading the arguments of calls: invalid values and misspelt attributes raise a one-sentence error."""
+"""Validation of arguments and attributes: invalid values and misspelt names raise a one-sentence error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a function whose `TypeError` for an unknown keyword then names the nearest valid one."""
+    """Decorate a function so that its `TypeError` for an unknown keyword suggests a valid one."""
 
     @functools.wraps(function)
     def call_with_suggestion(*arguments: P.args, **keywords: P.kwargs) -> T:
@@ -43,7 +43,7 @@ def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
 
 
 class Strict:
-    """Base of public classes: an unknown attribute or keyword raises an error with the nearest valid name."""
+    """Base of public classes: an unknown attribute or keyword raises an error that suggests a valid name."""
 
     __slots__ = ()
 
@@ -61,7 +61,7 @@ class Strict:
         if isinstance(known, MemberDescriptorType) or hasattr(self, "__dict__"):
             object.__setattr__(self, name, value)
         elif callable(known):
-            raise UnknownAttributeError(f"{_called(self)} learns its {name} by a call: write {name}(...).")
+            raise UnknownAttributeError(f"{_called(self)} sets {name} by a method call: write {name}(...).")
         elif known is not None:
             raise UnknownAttributeError(
                 f"'{name}' of {_called(self)} follows from its declarations: change those."
@@ -69,10 +69,10 @@ class Strict:
         else:
             raise _make_attribute_error(self, name)
 
-    if not TYPE_CHECKING:  # a type checker must go on refusing misspelt attributes by itself
+    if not TYPE_CHECKING:  # type checkers report misspelt attributes themselves
 
         def __getattr__(self, name: str) -> Any:
-            if name.startswith("__"):  # Python asks for its protocols, and expects most of them to be missing
+            if name.startswith("__"):  # Python probes for protocols, most of them missing
                 raise AttributeError(name)
             raise _make_attribute_error(self, name)
 
@@ -88,12 +88,12 @@ def _called(instance: Strict) -> str:
     kind = type(instance).__name__.lower()
     try:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"
-    except AttributeError:  # under construction
+    except AttributeError:  # in the constructor
         return kind
 
 
 def _find_leaf_classes(kind: type) -> list[type]:
-    """The classes below a class that have none below themselves: those that users meet."""
+    """Return the subclasses without subclasses, the public ones."""
     below: list[type] = kind.__subclasses__()
     return [leaf for c in below for leaf in _find_leaf_classes(c)] if below else [kind]
 
@@ -102,7 +102,7 @@ ErrorType = type[GncOptError]
 
 
 def expect(value: Any, kind: type, what: str, remedy: str) -> Any:
-    """Return ``value`` if it is of the given class, else raise `ArgumentError` that ends with the remedy."""
+    """Return ``value`` if it has the given class; raise `ArgumentError` with the remedy otherwise."""
     if not isinstance(value, kind):
         raise ArgumentError(
             f"{what} is a {type(value).__name__} where a {kind.__name__} is needed: {remedy}."
@@ -111,19 +111,19 @@ def expect(value: Any, kind: type, what: str, remedy: str) -> Any:
 
 
 def read_mapping(value: Any, what: str, remedy: str) -> Mapping[Any, Any]:
-    """Return an optional mapping, empty for ``None``; all else is refused with the remedy."""
+    """Return an optional mapping, empty for ``None``; raise `ArgumentError` with the remedy for other values."""
     return {} if value is None else cast(Mapping[Any, Any], expect(value, Mapping, what, remedy))
 
 
 def require_distinct(names: Sequence[str], what: str) -> None:
-    """Raise `ArgumentError` for a name that two things (``"events of a loop"``) have."""
+    """Raise `ArgumentError` if a name occurs twice; ``what`` is for example ``"events of a loop"``."""
     for name in names:
         if names.count(name) > 1:
             raise ArgumentError(f"two {what} are called '{name}': rename one.")
 
 
 def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:
-    """Return a name that can be a keyword argument, as names of variables and phases are."""
+    """Return a name that is a valid keyword argument, for variables and phases."""
     if not isinstance(name, str) or not name.isidentifier():
         raise error(f"{shown(name)} cannot be the name of a {what}: use letters, digits and underscores.")
     if keyword.iskeyword(name) or name == "time":
@@ -138,7 +138,7 @@ def read_label(
     *,
     instead: str = "its name comes first, a text",
 ) -> str:
-    """Return a name that appears only in results and reports: any text without brackets."""
+    """Return a name for results and reports: any text without brackets."""
     article = "an" if what[:1] in "aeiou" else "a"
     if not isinstance(name, str):
         raise error(f"{shown(name)} cannot be the name of {article} {what}: {instead}.")
@@ -172,8 +172,8 @@ def read_probability(value: Any, what: str, error: ErrorType = ArgumentError) ->
 
 
 def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
-    """Return numbers as a new float array of their own shape; texts, ``None`` and expressions are refused."""
-    if type(value) is np.ndarray and value.dtype == float:  # by far the most frequent
+    """Return numbers as a new float array; raise an error for text, ``None`` and expressions."""
+    if type(value) is np.ndarray and value.dtype == float:  # the most frequent case
         return value.copy()
     if isinstance(value, ca.DM):
         value = value.full()
@@ -184,13 +184,13 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
         real = array.dtype.kind in "biuf" or all(isinstance(entry, numbers.Real) for entry in array.flat)
         if real:
             return np.array(array, dtype=float)
-    except (TypeError, ValueError, OverflowError):  # rows of different lengths, or objects that refuse
+    except (TypeError, ValueError, OverflowError):  # ragged rows, or objects without conversion
         pass
     raise error(f"{what} is {shown(value)}, which is not a number or an array of numbers.")
 
 
 def _contains_symbols(value: Any) -> bool:
-    """Whether CasADi symbols hide in a value; to NumPy they would answer with warnings."""
+    """Return whether a value contains CasADi symbols, which NumPy would convert with warnings."""
     if isinstance(value, (list, tuple)):
         return any(_contains_symbols(entry) for entry in value)
     return isinstance(value, (ca.SX, ca.MX))

@@ -1,4 +1,4 @@
-"""The arrays that everything is computed with."""
+"""Array types, and a low-discrepancy constant."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Array: TypeAlias = NDArray[np.float64]
 """Real numbers."""
 
 Indices: TypeAlias = NDArray[np.int64]
-"""Places in other arrays, and other whole numbers."""
+"""Indices and other integers."""
 
 Mask: TypeAlias = NDArray[np.bool_]
-"""Which entries are meant."""
+"""Boolean mask."""
 
 GOLDEN_RATIO_FRACTION = 0.5 * (5.0**0.5 - 1.0)
-"""Its multiples, modulo 1, are spread evenly over [0, 1) however many there are: deterministic perturbations."""
+"""Fraction of the golden ratio; its multiples modulo 1 are evenly distributed: deterministic perturbations."""

@@ -1,4 +1,4 @@
-"""The command line.
+"""Command line interface.
 
 ``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``.
 """
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Without the program's name; default ``sys.argv[1:]``.
+        Arguments without the program name; default: ``sys.argv[1:]``.
     """
     args = _build_parser().parse_args(arguments)
     args.command = shlex.join(["gnc-opt", *(sys.argv[1:] if arguments is None else arguments)])
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest is not written at the exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discards output at exit
         return ExitCode.BROKEN_PIPE
     except KeyboardInterrupt:
         print("gnc-opt: interrupted", file=sys.stderr)
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports a wrong option in one sentence, like every other bad input."""
+    """Argument parser with one-sentence errors."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(ExitCode.BAD_INPUT, f"gnc-opt: {message} (see {self.prog} --help)\n")
@@ -118,7 +118,7 @@ def _add_examples_command(commands: Any) -> None:
 
 
 def number_or_none(text: str) -> float | None:
-    """Read a number, or "none"; argparse names this function where it is neither."""
+    """Return a number, or None for "none"; argparse shows the name of this function in errors."""
     return None if text == "none" else float(text)
 
 

@@ -1,4 +1,4 @@
-"""What the commands of the command line do, and what they print."""
+"""Commands of the command line and their output."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 
 REFINE_TOLERANCE = 1e-8
-"""What --tol is where it is not given: an answer is refined until it can be checked."""
+"""Default of --tol."""
 
 MAX_WORK_S = 60.0
-"""What --limit is where it is not given: that of `RefinementLimits`."""
+"""Default of --limit, from `RefinementLimits`."""
 
 
 class ExitCode(IntEnum):
@@ -109,7 +109,7 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
 
 
 def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
-    """Build a file's problem, in this process or another one."""
+    """Build the problem of a file, in this or another process."""
     return load_problem_file(path).build(options)
 
 
@@ -161,7 +161,7 @@ def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> 
 
 
 def _select_console(args: argparse.Namespace) -> Console:
-    """Where people read: standard output, or standard error if that carries JSON."""
+    """Return the console for text: standard output, or standard error if JSON goes to standard output."""
     from rich.console import Console
 
     console = Console(stderr=getattr(args, "json", None) == "-", quiet=args.quiet, highlight=False)
@@ -218,7 +218,7 @@ def _describe_problem(file: ProblemFile, problem: Problem) -> str:
 
 
 def _check_output_paths(args: argparse.Namespace) -> None:
-    """Refuse places that cannot be written to before the work starts, not after it."""
+    """Raise an error for invalid output paths before the computation starts."""
     if args.json not in (None, "-"):
         target = Path(args.json)
         if target.is_dir() or not target.parent.is_dir():
@@ -229,7 +229,7 @@ def _check_output_paths(args: argparse.Namespace) -> None:
 
 @contextmanager
 def _format_warnings() -> Iterator[None]:
-    """Show gnc_opt's warnings as one line each, without the place in the code; leave others alone."""
+    """Show warnings of gnc_opt on one line without their source location; other warnings are unchanged."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, ProblemWarning):

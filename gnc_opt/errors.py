@@ -1,4 +1,4 @@
-"""The errors of gnc_opt: each message is one sentence with the cause, its place and the remedy."""
+"""Exceptions and warnings; each message is one sentence with cause, location and remedy."""
 
 from __future__ import annotations
 
@@ -10,46 +10,46 @@ from collections.abc import Iterable, Sequence
 
 
 class GncOptError(Exception):
-    """Base class of every error that gnc_opt raises on purpose."""
+    """Base class of all errors raised by gnc_opt."""
 
 
 class ModelError(GncOptError, ValueError):
-    """The dynamics are wrong: missing, duplicate, of the wrong size or with a foreign symbol."""
+    """Invalid dynamics: missing or duplicate equations, wrong sizes, foreign symbols."""
 
 
 class ProblemError(GncOptError, ValueError):
-    """The optimal control problem is wrong: names, sizes, bounds, values or functions."""
+    """Invalid optimal control problem: names, sizes, bounds, values or functions."""
 
 
 class ArgumentError(GncOptError, ValueError):
-    """An argument is wrong: a solver option, a scheme, a time to evaluate at, an object of the wrong kind."""
+    """Invalid argument: a solver option, a scheme, an evaluation time, an object of the wrong class."""
 
 
 class UnknownNameError(ModelError, ProblemError, KeyError):
-    """An undeclared name; the message suggests the nearest declared one."""
+    """Undeclared name; the message suggests a declared one."""
 
     def __str__(self) -> str:
         return str(self.args[0])
 
 
 class UnknownAttributeError(GncOptError, AttributeError):
-    """An attribute that does not exist, read or assigned; the message offers the nearest one."""
+    """Access to an attribute that does not exist; the message suggests a valid one."""
 
 
 class DesignError(GncOptError, ValueError):
-    """A controller cannot be designed: the plant, the weights or the authority do not allow it."""
+    """A controller cannot be designed because of the plant, the weights or the control authority."""
 
 
 class ProblemWarning(UserWarning):
-    """Something in a problem that is legal and probably not meant."""
+    """A part of a problem that is valid but probably unintended."""
 
 
 _OURS = ("gnc_opt", "contextlib")
-"""Packages whose frames are no user's: what decorates functions of ours stands between them."""
+"""Packages whose frames are skipped to find the user's line, including those of decorators."""
 
 
 def warn_user(message: str) -> None:
-    """Issue a `ProblemWarning` that points to the user's line, however deep in gnc_opt it arises."""
+    """Issue a `ProblemWarning` that points to the line of the user's call."""
     depth = 1
     while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] in _OURS:
         depth += 1
@@ -57,17 +57,17 @@ def warn_user(message: str) -> None:
 
 
 def shown(value: object) -> str:
-    """Return a short form of a value on one line, for messages."""
+    """Return a short one-line form of a value for messages."""
     return " ".join(reprlib.repr(value).split())
 
 
 def format_error(error: BaseException) -> str:
-    """Return an error of any kind on one line."""
+    """Return an error of any class on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'?" if a known name is near, else the list of the known names."""
+    """Return "did you mean 'x'?" if a known name is similar, else the list of known names."""
     names = list(known)
     lowered = {candidate.lower(): candidate for candidate in names}
     near = difflib.get_close_matches(str(name).lower(), lowered, n=1, cutoff=0.6)
@@ -77,7 +77,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> UnknownNameError:
-    """Return the error for an undeclared name, e.g. ``unknown_name("state", "vv", "model 'cart'", ...)``."""
+    """Return the error for an undeclared name, for example ``unknown_name("state", "vv", "model 'cart'", ...)``."""
     if not isinstance(name, str):
         return UnknownNameError(
             f"{where} has no {what} {shown(name)}: give a name, {did_you_mean('', known)}"
@@ -86,7 +86,7 @@ def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> U
 
 
 def suggest_symbol(name: str, known: Sequence[str]) -> str:
-    """Say which symbol is meant by one of another model: its namesake here, or `did_you_mean`."""
+    """Return a suggestion for a symbol of another model: the same name in this model, or `did_you_mean`."""
     own = name if name in known else name.rpartition("_")[0]
     if own not in known:
         return did_you_mean(name, known)

@@ -1,7 +1,6 @@
-"""Problem files: any Python file, or package, with ``build(**options) -> Problem``, and those that come with gnc_opt.
+"""Problem files: Python files or packages with ``build(**options) -> Problem``, and the examples of gnc_opt.
 
-Optional names: ``MESH`` is the default mesh, and ``VIEW`` (a `gnc_opt.plot.View`) defines
-the motion in three dimensions of a report.
+Optional names: ``MESH`` is the default mesh, ``VIEW`` (a `gnc_opt.plot.View`) defines the 3-D motion in a report.
 """
 
 from __future__ import annotations
@@ -25,34 +24,34 @@ from gnc_opt.errors import GncOptError, did_you_mean, unknown_name
 from gnc_opt.planning.problem.problem import Problem
 
 _HOLDERS = (Path(__file__).parent / "shipped", Path(__file__).parents[1])
-"""Possible places of the package ``problems``: installed, or in the repository."""
+"""Possible locations of the package ``problems``: installed, or in the repository."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """A problem file, or a system in a folder of its own, by ``path`` among all ``problems``."""
+    """Example problem: a file or a package at ``path`` below ``problems``."""
 
     path: Path
     problems: Path
 
     @property
     def name(self) -> str:
-        """By which it is run."""
+        """Name on the command line."""
         return self.path.stem
 
     @property
     def is_system(self) -> bool:
-        """Whether it is a folder."""
+        """Whether the example is a package."""
         return self.path.is_dir()
 
     @property
     def import_name(self) -> str:
-        """The name of its module, such as ``problems.classics.zermelo``."""
+        """Module name, such as ``problems.classics.zermelo``."""
         return ".".join(("problems", *self.path.relative_to(self.problems).with_suffix("").parts))
 
     @property
     def module(self) -> ModuleType:
-        """Its module: those of the problems import each other as parts of the package ``problems``."""
+        """Module of the example, imported as part of the package ``problems``."""
         holder = str(self.problems.parent)
         if holder not in sys.path:
             sys.path.insert(0, holder)
@@ -60,13 +59,13 @@ class Example:
 
     @cached_property
     def statement(self) -> str:
-        """Its docstring: what is asked, what it teaches, and where the answer is known from."""
+        """Docstring of the example: problem, purpose and source of the known result."""
         source = self.path / "__init__.py" if self.is_system else self.path
         return ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
 
     @property
     def title(self) -> str:
-        """The first line of the statement."""
+        """First line of the docstring."""
         return self.statement.partition("\n")[0].rstrip(".")
 
     def run(self, arguments: Sequence[str] = ()) -> int:
@@ -77,7 +76,7 @@ class Example:
 
 
 def examples() -> list[Example]:
-    """Return every problem, files first, each by name; raise `GncOptError` if they are not where gnc_opt is."""
+    """Return all examples, files first, sorted by name; raise `GncOptError` if they are not installed."""
     for holder in _HOLDERS:
         folder = holder / "problems"
         if (folder / "_example.py").is_file():
@@ -88,11 +87,11 @@ def examples() -> list[Example]:
                 if path.parent not in systems and path.name != "__init__.py"
             ]
             return [Example(path, folder) for path in (*sorted(files, key=lambda path: path.stem), *systems)]
-    raise GncOptError("the problems that come with gnc_opt are not beside it: install gnc_opt again.")
+    raise GncOptError("the problems that come with gnc_opt are missing: install gnc_opt again.")
 
 
 def example(name: str) -> Example:
-    """Return the problem of this name; raise `UnknownNameError` if there is none."""
+    """Return the example with this name; raise `UnknownNameError` if there is none."""
     found = {each.name: each for each in examples()}
     if name not in found:
         raise unknown_name("example", name, "gnc_opt", found)
@@ -106,34 +105,34 @@ _REMEDIES = {
     "Matrix product with incompatible dimensions": "(Vectors are columns: write a.T @ b, or casadi.dot(a, b).)",
     "overloaded function": "(Build vectors with casadi.vertcat(a, b) first.)",
 }
-"""Replacements for expressions that CasADi rejects, by a part of its message."""
+"""Hints for expressions that CasADi rejects, by a part of its message."""
 
 _WORDS: dict[str, Any] = {"true": True, "false": False, "none": None, "null": None}
 
 
 class ProblemFileError(GncOptError):
-    """A problem file, or an option given to it, is wrong; the message names the file and the line."""
+    """Invalid problem file or option; the message contains file and line."""
 
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """A problem file that has been run; ``path`` is that of the file, or of the package's folder."""
+    """Executed problem file; ``path`` is the file or the package folder."""
 
     path: Path
     module: ModuleType
 
     @property
     def mesh(self) -> Any:
-        """The file's default mesh; None leaves it to `solve`."""
+        """Default mesh of the file; None: the default of `solve`."""
         return getattr(self.module, "MESH", None)
 
     @property
     def view(self) -> Any:
-        """The file's ``VIEW``, or None; raises `ProblemFileError` for anything else."""
+        """``VIEW`` of the file, or None; raises `ProblemFileError` for other values."""
         found = getattr(self.module, "VIEW", None)
         if found is None:
             return None
-        from gnc_opt.plot.motion_view import View  # after the file, which may not need it
+        from gnc_opt.plot.motion_view import View  # after the file, which may not need matplotlib
 
         if not isinstance(found, View):
             raise ProblemFileError(
@@ -143,7 +142,7 @@ class ProblemFile:
 
     @property
     def options(self) -> dict[str, inspect.Parameter]:
-        """The options that ``build`` takes, by name."""
+        """Options of ``build`` by name."""
         return dict(inspect.signature(self.module.build).parameters)
 
     def build(self, options: Mapping[str, Any]) -> Problem:
@@ -175,10 +174,10 @@ class ProblemFile:
 
 
 def load_problem_file(path: str | Path) -> ProblemFile:
-    """Run a problem file, or import a problem that is a package: a folder with ``__init__.py``.
+    """Run a problem file, or import a problem package: a folder with ``__init__.py``.
 
-    A file can import from its folder, the folder above and the folder of its package. A missing ``NAME.py``
-    stands for the package ``NAME``.
+    A file can import from its folder, the parent folder and the root of its package. A missing ``NAME.py`` refers to
+    the package ``NAME``.
 
     Raises
     ------
@@ -196,7 +195,7 @@ def load_problem_file(path: str | Path) -> ProblemFile:
 
 
 def _resolve_source_path(path: Path) -> Path:
-    """Return the file, or the folder of the package, that a path names."""
+    """Return the file, or the package folder, of a path."""
     if path.is_file():
         return path.parent if path.name == _INIT else path
     folder = path.with_suffix("") if path.suffix == ".py" else path
@@ -215,14 +214,14 @@ def _execute_file(file: Path) -> ModuleType:
     if spec is None or spec.loader is None:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
+    sys.modules[spec.name] = module  # dataclasses look up their module
     with _name_failing_line(file, "the file"):
         spec.loader.exec_module(module)
     return module
 
 
 def _import_package(folder: Path) -> ModuleType:
-    """Import a package under its own name: its modules import each other by it."""
+    """Import a package under its own name, which its modules use in imports."""
     holder = _find_import_root(folder.resolve())
     names = folder.resolve().relative_to(holder).parts
     _prepend_import_paths(holder)
@@ -237,19 +236,19 @@ def _import_package(folder: Path) -> ModuleType:
 
 
 def _find_import_root(folder: Path) -> Path:
-    """Return the nearest folder above that is no package: modules of a package have their names from there."""
+    """Return the nearest parent folder that is not a package, the root of module names."""
     return next((above for above in folder.parents if not (above / _INIT).is_file()), folder)
 
 
 def _prepend_import_paths(*folders: Path) -> None:
-    """Let modules be imported from these folders, the last one first."""
+    """Add folders to the import path, the last one first."""
     for folder in folders:
         if str(folder) not in sys.path:
             sys.path.insert(0, str(folder))
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """Read ``NAME=VALUE``: an integer, float, true/false, none, JSON list or string; else `ProblemFileError`."""
+    """Parse ``NAME=VALUE``: an integer, float, true/false, none, JSON list or string; else `ProblemFileError`."""
     name, equals, value = text.partition("=")
     name = name.strip()
     if not equals or not name.isidentifier():
@@ -275,7 +274,7 @@ def _parse_value(value: str, text: str) -> Any:
 
 @contextmanager
 def _name_failing_line(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever a user's code raises into one sentence that names the line."""
+    """Convert any error of user code to a one-sentence error with the line."""
     try:
         yield
     except ProblemFileError:
@@ -288,7 +287,7 @@ def _name_failing_line(path: Path, what: str) -> Iterator[None]:
 
 
 def _format_reason(error: Exception) -> str:
-    """Return the error message, with its type if not from gnc_opt, and the replacement of an expression."""
+    """Return the error message, with its type if it is not from gnc_opt, and a hint for rejected expressions."""
     if isinstance(error, GncOptError):
         return str(error)
     message = error.msg if isinstance(error, SyntaxError) else str(error)
@@ -299,7 +298,7 @@ def _format_reason(error: Exception) -> str:
 
 
 def _find_failing_line(path: Path, error: BaseException) -> str:
-    """Name the last line of the file, or of any file of the package, that the error passed through."""
+    """Return the last line of the file or package in the traceback of an error."""
     passed = [(f.filename, f.lineno) for f in traceback.extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError) and error.filename:
         passed.append((error.filename, error.lineno))

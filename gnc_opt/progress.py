@@ -1,4 +1,4 @@
-"""Progress meters on standard error: of solves, refinements, searches and campaigns."""
+"""Progress display on standard error: solves, refinements, searches and campaigns."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class _Meter:
 
 @contextmanager
 def refinement_meter(name: str, tolerance: float, console: Console | None = None) -> Iterator[ShowPass]:
-    """Show each iteration of a refinement to a tolerance when it is done; yields ``show(record)``."""
+    """Show each completed iteration of a refinement to a tolerance; yields ``show(record)``."""
     console = _make_console() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
     count = 0
@@ -91,7 +91,7 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
 def search_meter(
     name: str, total: int, sense: float = 1.0, console: Console | None = None
 ) -> Iterator[ShowEnding]:
-    """Show ended tasks and the best objective; yields ``show(objective)``; negative ``sense``: maximise."""
+    """Show completed tasks and the best objective; yields ``show(objective)``; ``sense`` < 0: maximise."""
     with _bar(name, total, console) as advance:
         best: float | None = None
 
@@ -106,7 +106,7 @@ def search_meter(
 
 @contextmanager
 def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
-    """Show how many of ``total`` runs have ended and failed; yields ``show(runs, failed)`` for further ones."""
+    """Show the numbers of completed and failed runs; yields ``show(runs, failed)`` for additional runs."""
     with _bar("runs", total, console) as advance:
         all_failed = 0
 
@@ -120,7 +120,7 @@ def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowR
 
 @contextmanager
 def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
-    """One bar; yields ``advance(count, note)``, whose note stands behind the bar."""
+    """Show a progress bar; yields ``advance(count, note)``, with a note after the bar."""
     console = _make_console() if console is None else console
     columns = (
         TextColumn("{task.description}", style="bold"),
@@ -139,6 +139,6 @@ def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[i
 
 
 def _make_console() -> Console:
-    """Return standard error; notebooks write over a line as terminals do, which needs no widgets of theirs."""
+    """Return a console on standard error; notebooks overwrite lines as terminals do, without widgets."""
     notebook = Console().is_jupyter
     return Console(stderr=True, force_jupyter=False, force_terminal=True if notebook else None)

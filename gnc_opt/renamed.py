@@ -1,4 +1,4 @@
-"""Former public names and what takes their place: for the message of an old name and the page "Renamed"."""
+"""Former public names and their replacements, for error messages and the page "Renamed"."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ RENAMED = {
     "gnc_opt.simulation.Turn": "gnc_opt.simulation.RandomRotation",
     "gnc_opt.simulation.consistency": "gnc_opt.analysis.consistency",
 }
-"""From the full former name to the full present one."""
+"""Present full name of each former full name."""
 
 REMOVED = {
     "gnc_opt.analysis.correlations": "scipy.stats.spearmanr on `campaign.parameters` and `campaign.measure(name)`",
@@ -68,7 +68,7 @@ REMOVED = {
     "gnc_opt.design_scheduled_ekf": "`design_ekf`",
     "gnc_opt.polish": "`refine`, which gives exact switching times",
 }
-"""From the full name of what is gone to what to use instead."""
+"""Replacement of each removed full name."""
 
 RENAMED_STATUS_WORDS = {
     "alarm": "controller_alarm",
@@ -81,14 +81,14 @@ RENAMED_STATUS_WORDS = {
     "verdict_fails": "conditions_fail",
     "work_limit": "budget_limit",
 }
-"""From the former printed word of a status to the present one: the name of the member in lower case."""
+"""Present word of each former status word: the member name in lower case."""
 
 RENAMED_PARAMETERS = {"experiment": "scenario", "judge": "measures"}
-"""From the former name of a parameter to the present one."""
+"""Present name of each former parameter."""
 
 
 class StatusWord(Enum):
-    """An enumeration of statuses that also accepts former words, so that files with them can be loaded."""
+    """Enumeration of statuses that accepts former words, so that older files can be loaded."""
 
     @classmethod
     def _missing_(cls, value: object) -> Enum | None:
@@ -96,11 +96,11 @@ class StatusWord(Enum):
 
 
 class RenamedError(GncOptError, ImportError):
-    """A former name was used. It is an `ImportError`, since Python replaces the text of an `AttributeError`."""
+    """Use of a former name; an `ImportError`, because Python replaces the text of an `AttributeError`."""
 
 
 def check_renamed(module: str, name: str) -> None:
-    """Raise `RenamedError` if a module had a public name that is another one now, or is gone."""
+    """Raise `RenamedError` if the name was a public name of the module and has been renamed or removed."""
     former = f"{module}.{name}"
     if former in RENAMED:
         raise RenamedError(f"{former} is now {RENAMED[former]}: see the page 'Renamed' of the documentation.")

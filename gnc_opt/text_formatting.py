@@ -1,4 +1,4 @@
-"""Texts of results: counts, pieces of HTML, in which every text that goes in is escaped, and JSON."""
+"""Formatting of results: counts, HTML elements with escaped text, and JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table that scrolls by itself where the screen is narrow, or nothing if it has no rows."""
+    """Return a table that scrolls horizontally on narrow screens; "" without rows."""
     lines = "".join(f"<tr>{_format_cells('td', row)}</tr>" for row in rows)
     head = f"<thead><tr>{_format_cells('th', titles)}</tr></thead>" if any(titles) else ""
     return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
@@ -22,7 +22,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def html_heading(text: str) -> str:
-    """Return a paragraph that stands out."""
+    """Return an emphasised paragraph."""
     return f"<p><strong>{escape(text)}</strong></p>"
 
 
@@ -35,12 +35,12 @@ def derivative_unit(unit: str, other: str) -> str:
 
 
 def html_preformatted(text: str) -> str:
-    """Return lines whose columns stay where they are."""
+    """Return preformatted lines."""
     return f"<pre>{escape(text)}</pre>"
 
 
 class Printed:
-    """Base of results that notebooks show as `print` does."""
+    """Base class of results with equal output in notebooks and by `print`."""
 
     __slots__ = ()
 
@@ -53,7 +53,7 @@ def _format_cells(tag: str, values: Iterable[object]) -> str:
 
 
 def convert_to_json(value: Any) -> Any:
-    """Return JSON values: NumPy numbers and arrays unpacked, non-finite numbers as None."""
+    """Return JSON values: NumPy scalars and arrays converted, non-finite numbers as None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -75,4 +75,4 @@ GREEK_NAMES = (
     *("nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta"),
     *("Lambda", "Xi", "Pi", "Sigma", "Phi", "Psi", "Omega"),
 )
-"""Names of variables that are typeset as Greek letters."""
+"""Variable names that are typeset as Greek letters."""

@@ -66,27 +66,27 @@ class InnovationTest(Strict):
 class Consistency(Strict, Printed):
     """Consistency test of an estimator's errors and innovations.
 
-        Attributes
-        ----------
-        nees : array (n_times,) or (m,)
-            NEES of the predictions of a run, or at the ends of m runs; NaN for runs without such an end.
-        average : float
-        band : tuple of two floats
-            Interval at the requested confidence, of that mean (campaign) or of each value (run).
+    Attributes
+    ----------
+    nees : array (n_times,) or (m,)
+        NEES of the predictions of a run, or at the ends of m runs; NaN for runs without such an end.
+    average : float
+    band : tuple of two floats
         Interval for a consistent filter at the requested confidence, of the mean (campaign) or of each value (run).
-            Of the error, the mean to be expected.
+    components : int
         Number of error components, the expected mean.
-            Whether the values of ``nees`` are (campaigns).
+    independent : bool
         Whether the values of ``nees`` are independent (campaigns).
-        innovations : mapping of str to InnovationTest
-            By measurement.
-    Test of each measurement's innovations.
-        Examples
-        --------
-        >>> test = InnovationTest(average=0.9, band=(0.7, 1.3), taken=80, refused=0)
-        >>> result = Consistency(np.array([1.9, 2.2]), 2.05, (0.1, 5.6), 2, True, 0.95, {"q": test})
-        >>> print(result.ok)
-        True
+    confidence : float
+    innovations : mapping of str to InnovationTest
+        Test of each measurement's innovations.
+
+    Examples
+    --------
+    >>> test = InnovationTest(average=0.9, band=(0.7, 1.3), taken=80, refused=0)
+    >>> result = Consistency(np.array([1.9, 2.2]), 2.05, (0.1, 5.6), 2, True, 0.95, {"q": test})
+    >>> print(result.ok)
+    True
     """
 
     nees: Array

@@ -283,7 +283,7 @@ class Replanner:
         return x
 
     def solved(self, begin: float, x: Array, near: Solution) -> Solution:
-        """Return the plan from a time (s) and a state (n_states,)."""
+        """Return the plan from time ``begin`` (s) and state ``x`` (n_states,), warm-started from ``near``."""
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}
         (leg,) = self.plan.phases.values()

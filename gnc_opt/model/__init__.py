@@ -1,4 +1,4 @@
-"""Model: variables, parameters, dynamics and outputs, written once and symbolically."""
+"""Symbolic model of a dynamic system: variables, parameters, dynamics and outputs."""
 
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable

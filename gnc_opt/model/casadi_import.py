@@ -1,4 +1,4 @@
-"""Dynamics that were written in CasADi first: the variables behind their symbols, and dx/dt in a model's own ones."""
+"""Import of dynamics written in CasADi: declaration of the variables, and substitution of the model's symbols."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gnc_opt.errors import ModelError, shown, unknown_name
 
 @dataclass(frozen=True)
 class Declared:
-    """A variable to declare: its name, its number of components and the user's symbol, if there is one."""
+    """Variable to declare: name, number of components and, if any, the user's symbol."""
 
     name: str
     size: int
@@ -22,9 +22,9 @@ class Declared:
 
 
 def read_variables(given: Any, what: str) -> list[Declared]:
-    """Return the variables behind symbols, a sequence of them, or a mapping from names to symbols or sizes.
+    """Return the variables from symbols, a sequence of them, or a mapping from names to symbols or sizes.
 
-    Symbols without a mapping keep their names. ``what`` is for the `ModelError` of anything else.
+    Symbols without a mapping keep their names. ``what`` is the subject of the `ModelError`.
     """
     if isinstance(given, Mapping):
         return [_describe_input(name, value, what) for name, value in given.items()]
@@ -33,7 +33,7 @@ def read_variables(given: Any, what: str) -> list[Declared]:
 
 
 def read_named_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
-    """Return the values by name; raise `UnknownNameError` for a name not in ``names``."""
+    """Return the values by name; raise `UnknownNameError` for a name that is not in ``names``."""
     for name in given or {}:
         if name not in names:
             raise unknown_name("variable", name, what, names)
@@ -43,28 +43,28 @@ def read_named_values(given: Mapping[str, Any] | None, names: Sequence[str], wha
 def express_derivative(
     f: Any, arguments: Mapping[str, Any], symbols: Mapping[str, list[Any]], size: int, what: str
 ) -> Any:
-    """Return dx/dt, SX (size, 1), in new symbols; raise `ModelError` for other inputs, sizes or symbols.
+    """Return dx/dt, SX (size, 1), in the model's symbols; raise `ModelError` for other inputs, sizes or symbols.
 
     Parameters
     ----------
     f : casadi.Function, or casadi.SX or casadi.MX (size, 1), or a list of their rows
     arguments, symbols : mapping
-        The new SX symbols (n, 1) of t, x, u and p; those in ``f``.
+        Symbols (n, 1) of t, x, u and p: of the model (SX), and of ``f``.
     """
     function = f if isinstance(f, ca.Function) else _make_function(f, symbols, what)
     _check_inputs(function, arguments, what)
     inputs = {name: arguments[name] for name in function.name_in()}
     names = function.name_out()
     if len(names) != 1 and "dx_dt" not in names:
-        raise ModelError(f"{what} returns {', '.join(names)}: return dx/dt alone, or call it dx_dt.")
+        raise ModelError(f"{what} returns {', '.join(names)}: return only dx/dt, or name it dx_dt.")
     value = function(**inputs)["dx_dt" if "dx_dt" in names else names[0]]
     if tuple(value.shape) != (size, 1):
-        raise ModelError(f"{what} has the shape {tuple(value.shape)}: the states ask for ({size}, 1).")
+        raise ModelError(f"{what} has the shape {tuple(value.shape)}: the states require ({size}, 1).")
     return value
 
 
 def _make_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
-    """Return an expression as a function of all of t, x, u, p."""
+    """Return an expression as a function of t, x, u, p."""
     if any(symbol is None for stack in symbols.values() for symbol in stack):
         raise ModelError(f"{what} is an expression: give the symbols that it is written in, not their sizes.")
     names = [name for name, stack in symbols.items() if stack]
@@ -89,7 +89,7 @@ def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> Non
         wanted = (arguments[name].shape[0], 1)
         if tuple(function.size_in(i)) != wanted and (wanted[0] or function.numel_in(i)):
             raise ModelError(
-                f"{what} takes {name} of shape {tuple(function.size_in(i))}: the variables make {wanted}."
+                f"{what} takes {name} of shape {tuple(function.size_in(i))}: the variables require {wanted}."
             )
 
 

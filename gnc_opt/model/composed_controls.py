@@ -1,4 +1,4 @@
-"""Controls that are stated as one and optimised as others: a difference, or a magnitude times a direction."""
+"""Composed controls: a difference of two controls, or the product of a magnitude and a direction."""
 
 from __future__ import annotations
 
@@ -14,56 +14,56 @@ from gnc_opt.model.variables import Variable
 
 @dataclass(frozen=True)
 class ComposedControl:
-    """A control u, the ``variable``, made of other controls, the ``parts``."""
+    """Control u, the ``variable``, as a function of other controls, the ``parts``."""
 
     variable: Variable
     parts: tuple[str, ...]
 
     @property
     def name(self) -> str:
-        """Of u."""
+        """Name of u."""
         return self.variable.name
 
     def compose(self, *parts: Any) -> Any:
-        """Return u (size, ...), symbols or numbers, from its parts."""
+        """Return u (size, ...), symbols or numbers, from the parts."""
         raise NotImplementedError
 
     def decompose(self, u: Array) -> tuple[Array, ...]:
-        """Return parts that u (size, n_times) is made of; NaN where any would do."""
+        """Return parts that compose u (size, n_times); NaN if they are not unique."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class SplitControl(ComposedControl):
-    """The difference of two controls >= 0 that meet at ``corners`` (by component; empty: at zero)."""
+    """Difference of two controls >= 0, plus ``corners`` (one per component; empty: zero)."""
 
     corners: tuple[float, ...] = ()
 
     def compose(self, *parts: Any) -> Any:
-        """Return first - second, from the corners."""
+        """Return corners + first - second."""
         first, second = parts
         if not self.corners:
             return first - second
         return first - second + np.reshape(self.corners, (-1, *[1] * (np.ndim(first) - 1)))
 
     def decompose(self, u: Array) -> tuple[Array, Array]:
-        """Return what is above the corners, and below."""
+        """Return the positive and the negative part of u - corners."""
         beyond = u - np.reshape(self.corners or [0.0], (-1, 1))
         return np.maximum(beyond, 0.0), np.maximum(-beyond, 0.0)
 
     def decompose_symbol(self, u: Any) -> tuple[Any, Any]:
-        """Return the same of a symbol (size, 1)."""
+        """Return the positive and the negative part for a symbol (size, 1)."""
         beyond = u - ca.DM(self.corners or [0.0] * u.shape[0])
         return ca.fmax(beyond, 0.0), ca.fmax(-beyond, 0.0)
 
 
 @dataclass(frozen=True)
 class VectorControl(ComposedControl):
-    """The product of a magnitude >= 0 (one component) and a direction, a vector of length 1 where it matters."""
+    """Product of a magnitude >= 0 (one component) and a direction, which has length 1 unless it has no effect."""
 
     @property
     def magnitude(self) -> str:
-        """Name of the control that is the norm."""
+        """Name of the control that is the magnitude."""
         return self.parts[0]
 
     @property
@@ -73,7 +73,7 @@ class VectorControl(ComposedControl):
 
     @property
     def length(self) -> str:
-        """Name of the path constraint that limits the length of the direction."""
+        """Name of the path constraint on the length of the direction."""
         return f"{self.direction} squared"
 
     def compose(self, *parts: Any) -> Any:
@@ -82,14 +82,14 @@ class VectorControl(ComposedControl):
         return first * second
 
     def decompose(self, u: Array) -> tuple[Array, Array]:
-        """Return norm and direction."""
+        """Return norm and direction of u."""
         norm = np.linalg.norm(u, axis=0, keepdims=True)
         return norm, np.divide(u, norm, out=np.full_like(u, np.nan), where=norm > 0)
 
 
 @dataclass(frozen=True)
 class AssembledControl(ComposedControl):
-    """Components (``rows``) of a vector that is a magnitude times a direction."""
+    """Components (``rows``) of a product of a magnitude and a direction."""
 
     rows: tuple[int, ...] = ()
 
@@ -99,5 +99,5 @@ class AssembledControl(ComposedControl):
         return (first * second)[list(self.rows)]
 
     def decompose(self, u: Array) -> tuple[Array, ...]:
-        """Return NaN: other controls are needed, too."""
+        """Return NaN: the parts depend on other controls too."""
         return tuple(np.full(u.shape[1:], np.nan) for _ in self.parts)

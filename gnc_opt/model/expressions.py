@@ -1,4 +1,4 @@
-"""Expressions: graph of operations, smooth functions, and nodes that depend on a vector's norm alone."""
+"""CasADi expressions: traversal and substitution of the graph, smooth functions, functions of a vector's norm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gnc_opt.tolerances import EQUAL
 
 
 def list_nodes(expression: Any) -> Iterator[Any]:
-    """Yield every scalar node of an expression once, parents before their children."""
+    """Yield every scalar node of an expression once, results before their operands."""
     seen: set[int] = set()
     waiting = list(reversed(ca.vertsplit(ca.densify(ca.vec(expression)))))
     while waiting:
@@ -29,7 +29,7 @@ def list_nodes(expression: Any) -> Iterator[Any]:
 
 
 def rebuild_node(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
-    """Return a column in which ``replacement(node)`` replaces nodes; None visits the operands of a node."""
+    """Return a column with nodes replaced by ``replacement(node)``; for None the operands of the node are visited."""
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
     waiting = list(elements)
@@ -51,7 +51,7 @@ def rebuild_node(expression: Any, replacement: Callable[[Any], Any | None]) -> A
 
 
 def replace_in(expression: Any, instead: Mapping[int, Any]) -> Any:
-    """Return a column with nodes replaced by their hashes, see `rebuild_node`."""
+    """Return a column with nodes replaced according to their hashes, see `rebuild_node`."""
     return rebuild_node(expression, lambda node: instead.get(node.element_hash()))
 
 
@@ -62,23 +62,23 @@ def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
 
 
 def find_operations(expression: Any) -> set[int]:
-    """Return the codes of the operations (``casadi.OP_...``) in an expression; much faster than `list_nodes`."""
+    """Return the operation codes (``casadi.OP_...``) in an expression; much faster than `list_nodes`."""
     function = ca.Function("operations", [ca.vertcat(*ca.symvar(expression))], [expression])
     return {function.instruction_id(i) for i in range(function.n_instructions())}
 
 
 def contains_nan(expression: Any) -> bool:
-    """Whether a constant in an expression is NaN."""
+    """Return whether a constant in an expression is NaN."""
     function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
     places = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
     return any(math.isnan(function.instruction_constant(i)) for i in places)
 
 
 def smooth_abs(x: Any, width: float) -> Any:
-    """Return the absolute value of each component with its kink rounded off: ``sqrt(x^2 + width^2) - width``.
+    """Return a smooth approximation of the absolute value of each component, ``sqrt(x^2 + width^2) - width``.
 
-    The pseudo-Huber function (R. Hartley and A. Zisserman, Multiple View Geometry, Cambridge 2003, A6.8):
-    zero at zero with curvature 1 / width, and less than the absolute value by ``width`` at most.
+    This is the pseudo-Huber function (R. Hartley and A. Zisserman, Multiple View Geometry, Cambridge 2003, A6.8). It is
+    0 at 0 with curvature 1 / width, and at most ``width`` less than the absolute value.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def smooth_abs(x: Any, width: float) -> Any:
 
 
 ROOTS = (ca.OP_SQRT, ca.OP_HYPOT)
-"""Operations whose derivative does not exist where a vector is zero."""
+"""Operations that are not differentiable at a zero vector."""
 
 _JUMPS = (
     *(ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER),
@@ -122,7 +122,7 @@ class NormNodes:
 
     @classmethod
     def of(cls, expression: Any, vector: Any) -> NormNodes:
-        """Find them in a column, SX."""
+        """Return these nodes of an SX column."""
         nodes = _find_smooth_nodes(expression, vector)
         if not nodes:
             return cls(vector, {})
@@ -131,7 +131,7 @@ class NormNodes:
         return cls(vector, degrees)
 
     def replace_norms(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
-        """Return a column with another symbol (>= 0) for the norm of the vector, and others by hash elsewhere."""
+        """Return a column with the norm of the vector replaced by a symbol >= 0, and other nodes by hash."""
         unit = ca.SX([1.0] + [0.0] * (self.vector.numel() - 1))
 
         def replacement(node: Any) -> Any | None:
@@ -146,7 +146,7 @@ class NormNodes:
 
 
 def _find_smooth_nodes(expression: Any, vector: Any) -> list[Any]:
-    """Return the nodes that depend on a vector, by smooth operations alone."""
+    """Return the nodes that depend on a vector through smooth operations only."""
     leaves = {s.element_hash() for s in ca.vertsplit(vector)}
     depends: dict[int, bool] = {}
     smooth: dict[int, bool] = {}
@@ -162,7 +162,7 @@ def _find_smooth_nodes(expression: Any, vector: Any) -> list[Any]:
 
 
 def _sort_operands_first(expression: Any) -> list[Any]:
-    """All nodes, operands before their results."""
+    """Return all nodes, operands before results."""
     nodes = {node.element_hash(): node for node in list_nodes(expression)}
     done: dict[int, Any] = {}
     for root in nodes.values():
@@ -181,13 +181,13 @@ def _sort_operands_first(expression: Any) -> list[Any]:
 
 
 def _values_along_directions(nodes: Any, vector: Any) -> Array:
-    """Values (n_nodes, n_directions, n_lengths, n_draws) for some directions and lengths of a vector."""
+    """Return the values (n_nodes, n_directions, n_lengths, n_draws) for several directions and lengths of a vector."""
     own = {s.element_hash() for s in ca.vertsplit(vector)}
     others = [s for s in ca.symvar(nodes) if s.element_hash() not in own]
     function = ca.Function("nodes", [vector, ca.vertcat(*others) if others else ca.SX(0, 1)], [nodes])
     rng = np.random.default_rng(_SEED)
     turned = rng.normal(size=(_DIRECTIONS, vector.numel()))
-    turned[:2] = [np.abs(turned[0]), -np.abs(turned[0])]  # both signs, of a single component, too
+    turned[:2] = [np.abs(turned[0]), -np.abs(turned[0])]  # both signs, also for a single component
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     rest = rng.uniform(0.5, 1.5, (_PROBE_DRAWS, len(others))) * rng.choice(
         [-1.0, 1.0, 1.0], (_PROBE_DRAWS, len(others))
@@ -198,7 +198,7 @@ def _values_along_directions(nodes: Any, vector: Any) -> Array:
 
 
 def _homogeneity_degrees(values: Array) -> list[int]:
-    """The degree of homogeneity, 1 or 2, of each row that no turn changes; 0 for others."""
+    """Return the degree of homogeneity, 1 or 2, of each rotation-invariant row; 0 for other rows."""
     with np.errstate(all="ignore"):
         known = np.all(np.isfinite(values) & (values != 0), axis=(1, 2))
         turned = np.abs(values / values[:, :1] - 1)

@@ -1,7 +1,7 @@
-"""Numeric calls of CasADi functions of (t, x, ...).
+"""Numerical evaluation of CasADi functions of (t, x, ...).
 
-CasADi calls a function once per column. For many columns NumPy operations on all are quicker by a factor of 3
-to 300; results differ by the rounding of transcendental functions at most.
+CasADi calls a function once per column. For many columns, NumPy operations on whole rows are 3 to 300 times as fast;
+results differ only by the rounding of transcendental functions.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 
 NUMPY_MIN_COLUMNS_LONG, NUMPY_MAX_OPERATIONS = 100, 2000
-"""Columns for which long programmes are quicker by NumPy, and operations of the longest that is read."""
+"""Number of columns from which NumPy is faster for long functions, and the largest number of operations supported."""
 
 NUMPY_MIN_COLUMNS_SHORT = 60
-"""Columns for which short programmes are quicker by NumPy."""
+"""Number of columns from which NumPy is faster for short functions."""
 
 CALL = 60
 """Overhead of a CasADi call, in operations on one column."""
@@ -36,23 +36,23 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_COSH: np.cosh, ca.OP_TANH: np.tanh, ca.OP_FABS: np.abs, ca.OP_FMIN: np.fmin, ca.OP_FMAX: np.fmax,
     ca.OP_HYPOT: np.hypot,
 }  # fmt: skip
-"""Supported operations; CasADi evaluates functions with others."""
+"""Supported operations; functions with others are evaluated by CasADi."""
 
 _ACCESSES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
-"""A number or a row of an argument that is put into a register, and a register that is a row of an output."""
+"""Constant or argument row that is stored in a register, and register that is an output row."""
 
 
 @dataclass(frozen=True)
 class Operations:
-    """The operations of a CasADi function of columns with one dense column as its first output.
+    """Operations of a CasADi function of column vectors whose first output is one dense column.
 
     Attributes
     ----------
     rows : int
-        Of the output.
+        Number of rows of the output.
     registers : int
     steps : tuple
-        Codes (``casadi.OP_...``) with their results and operands.
+        Operation codes (``casadi.OP_...``) with result and operand registers.
     """
 
     rows: int
@@ -61,7 +61,7 @@ class Operations:
 
     @classmethod
     def from_function(cls, function: Any) -> Operations | None:
-        """Read a function; None if it is too long, or has operations beyond those known here."""
+        """Return the operations of a function; None if it is too long or has unsupported operations."""
         if not function.is_a("SXFunction") or not function.sparsity_out(0).is_dense():
             return None
         count = function.n_instructions()
@@ -78,11 +78,11 @@ class Operations:
         return cls(function.size1_out(0), function.sz_w(), tuple(zip(codes, results, given, strict=True)))
 
     def is_faster(self, n: int) -> bool:
-        """Whether it is quicker than CasADi for n columns."""
+        """Return whether the evaluation is faster than CasADi for n columns."""
         return n * (CALL + len(self.steps)) > NUMPY_MIN_COLUMNS_LONG * len(self.steps)
 
     def __call__(self, n: int, *arguments: Array) -> Array:
-        """Evaluate with arguments (rows,) or (rows, n), (rows of the output, n)."""
+        """Evaluate for arguments (rows,) or (rows, n); return (rows of the output, n)."""
         constant, argument, output = _ACCESSES
         register: list[Any] = [0.0] * self.registers
         found = np.zeros((self.rows, n))
@@ -103,7 +103,7 @@ class Operations:
 
 
 BLOCK = 16
-"""So many evaluations are one call of CasADi, at most."""
+"""Largest number of evaluations per CasADi call."""
 
 
 def evaluate(
@@ -115,7 +115,8 @@ def evaluate(
 ) -> Array:
     """Evaluate a CasADi function of (t, x, ...) at one time or many.
 
-    1-D arguments are constant in time; 2-D ones have time last. ``programme`` is the function as NumPy code.
+    1-D arguments are constant in time; 2-D ones have time as last axis. ``programme`` returns the NumPy version, if
+    any.
     """
     times, *columns = check_arguments(function, t, x, *others)
     if (
@@ -130,7 +131,7 @@ def evaluate(
 
 
 def make_fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
-    """Return a CasADi function's first output at one point, without conversion overhead, for integrators."""
+    """Return a function for the first output at one point, without conversion overhead, for integrators."""
     arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
     free = len(arguments) - len(constants)
     for argument, value in zip(arguments[free:], constants, strict=True):
@@ -166,7 +167,7 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
         if argument.ndim == 1:
             here[:] = argument
         elif here.size:
-            here[:] = argument[:, :1].T if n else 0.0  # also where the last block is not full
+            here[:] = argument[:, :1].T if n else 0.0  # also if the last block is not full
             changing.append((here, np.ascontiguousarray(argument.T)))
         if here.size:
             buffer.set_arg(i, here.reshape(-1).data)
@@ -188,7 +189,8 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
 
 
 def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
-    """Return the states (n_states, n + 1) of a CasADi function of (state, input) from a start (n_states,)."""
+    """Return the states (n_states, n + 1) of the recursion ``state = function(state, input)`` from ``start``
+    (n_states,)."""
     states, columns = np.empty((inputs.shape[1] + 1, start.size)), np.ascontiguousarray(inputs.T)
     state, following, given = np.array(start, dtype=float), np.empty(start.size), np.empty(inputs.shape[0])
     buffer, run = function.buffer()
@@ -204,7 +206,7 @@ def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
 
 
 def check_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
-    """Return the arguments as arrays; raise `ArgumentError` for those that the function cannot take."""
+    """Return the arguments as arrays; raise `ArgumentError` for wrong shapes."""
     arrays = [
         read_numbers(a, f"{function.name_in(i)} of {function.name()}()") for i, a in enumerate(arguments)
     ]

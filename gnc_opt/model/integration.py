@@ -1,4 +1,4 @@
-"""Integration of dynamics by SciPy with guaranteed termination, and the time and reason of an early end."""
+"""Numerical integration with SciPy: limited work, and reports of time and cause of an early end."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ Rate: TypeAlias = Callable[[float, Array], Array]
 """dx/dt as a function of t and x."""
 
 GROWTH_LIMIT = 1e8
-"""Growth beyond the trajectory's own magnitude at which integration is given up."""
+"""Growth of the state, relative to its initial magnitude, at which the integration stops as divergent."""
 
 MOST_NOT_FINITE = 1000
-"""Rates that are not finite, after which integration is given up."""
+"""Number of non-finite rates at which the integration stops."""
 
 MOST_RATES = 500_000
-"""Evaluations of the dynamics; stiff dynamics would take an explicit integrator any number of them."""
+"""Largest number of evaluations of the dynamics; an explicit method may need any number for stiff dynamics."""
 
 
 class EndedError(Exception):
-    """Integration cannot continue; the message gives the reason and the time."""
+    """Error: the integration cannot continue; the message contains cause and time."""
 
 
 class SpentError(EndedError):
-    """The evaluations that were allowed are spent."""
+    """Error: the permitted number of evaluations is exceeded."""
 
 
 class Budget:
-    """Counts evaluations of dynamics, ``most`` at most, and the earliest time at which they are not finite."""
+    """Counter of at most ``most`` evaluations, and of the earliest time with a rate that is not finite."""
 
     def __init__(self, labels: Sequence[str], most: int | None = None) -> None:
         self.labels = labels
@@ -46,7 +46,7 @@ class Budget:
         self.earliest, self.edge = np.inf, ""
 
     def count_calls(self, rate: Rate) -> Rate:
-        """Return the rate, which raises `EndedError` when the budget is spent."""
+        """Return the rate function with a counter; it raises `EndedError` when the limit is exceeded."""
 
         def counted(t: float, x: Array) -> Array:
             values = rate(t, x)
@@ -58,10 +58,10 @@ class Budget:
         return counted
 
     def spend_evaluations(self, t: float, evaluations: int = 1) -> None:
-        """Count evaluations that led to a time; raise `SpentError` when the budget is spent."""
+        """Count evaluations up to time t; raise `SpentError` when the limit is exceeded."""
         self.count += evaluations
         if self.count > self.most:
-            raise SpentError(f"{self.most:,} evaluations of the dynamics led to t = {t:.4g} s only")
+            raise SpentError(f"{self.most:,} evaluations of the dynamics reached only t = {t:.4g} s")
 
     def _note_step(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
@@ -70,20 +70,20 @@ class Budget:
             self.earliest = t
             self.edge = f"the rate of state '{self.labels[i]}' is {values[i]} at t = {round(t, 15):.4g} s"
         if self.not_finite > MOST_NOT_FINITE:
-            raise EndedError(self.edge or "the state is no number")
+            raise EndedError(self.edge or "the state is NaN")
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How exactly dynamics are integrated, and by which kind of method.
+    """Tolerance and method of an integration.
 
     Attributes
     ----------
     relative : float
     magnitude : array (n_states,)
-        The absolute tolerance is their product.
+        The absolute tolerance is relative * magnitude.
     stiff : bool
-        Use Radau's implicit method of order 5.
+        Whether to use Radau's implicit method of order 5.
     """
 
     relative: float
@@ -93,7 +93,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Integration:
-    """Steps of an integrator: times (n,), states (n_states, n), and states in between if requested."""
+    """Steps of an integration: times (n,), states (n_states, n), and dense output on request."""
 
     times: Array
     states: Array
@@ -118,20 +118,20 @@ def integrate(
     x : array (n_states,)
         Initial state.
     span : tuple of two floats
-        Where to begin and to end; the latter may be the earlier.
+        Start and end time; the integration may run backward.
     budget : Budget
-        May be shared by several calls.
+        Work limit; several calls may share it.
     stop : callable, optional
-        Integration ends where this function of t and x crosses zero.
+        Function of t and x; the integration ends at its zero.
     dense : bool
-        Whether states between the steps are wanted.
+        Whether to return the dense output.
 
     Raises
     ------
     SpentError
-        They take too many evaluations.
+        The number of evaluations is exceeded.
     EndedError
-        The dynamics are not finite, or diverge.
+        The dynamics are not finite, or the states diverge.
     """
 
     def has_diverged(_: float, state: Array) -> float:

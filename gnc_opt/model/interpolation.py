@@ -1,8 +1,7 @@
-"""Interpolation along one axis of a table: piecewise polynomials, as weights of a window of coefficients.
+"""Piecewise polynomial interpolation along one axis of a table, as weights of a window of coefficients.
 
 On the interval from break j to break j + 1, with u from 0 to 1, the value is the sum over a of
-``(M_j [1, u, u^2, ...])_a C[stride j + a]``. Methods differ in their windows, matrices M_j and coefficients
-C.
+``(M_j [1, u, u^2, ...])_a C[stride j + a]``. The methods differ in window, matrices M_j and coefficients C.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ Method: TypeAlias = Literal["bspline", "linear", "pchip"]
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The piecewise polynomials of one axis.
+    """Piecewise polynomials of one axis.
 
     Attributes
     ----------
     breaks : array (n + 1,)
-        Increasing.
+        In ascending order.
     matrices : array (n, window, degree + 1)
-        From powers of u to weights of the window.
+        Maps powers of u to weights of the window.
     stride : int
-        By which the window moves from one interval to the next.
+        Shift of the window from one interval to the next.
     """
 
     breaks: Array
@@ -40,24 +39,25 @@ class Pieces:
 
     @property
     def windows(self) -> Indices:
-        """Places of the coefficients of each interval, (n, window)."""
+        """Indices of the coefficients of each interval, (n, window)."""
         n, window, _ = self.matrices.shape
         return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))
 
     def localised(self, coefficients: Array) -> tuple[Pieces, Array]:
-        """Return the same polynomials with the coefficients (n_coefficients,) of the powers, one set per interval."""
+        """Return the same polynomials with coefficients (n_coefficients,) of the powers of u, separate for each
+        interval."""
         n, _, powers = self.matrices.shape
         own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.windows])
         return Pieces(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()
 
 
 def linear(x: Array, values: Array) -> tuple[Pieces, Array]:
-    """Straight lines between the points x (n,), with values (n, ...); returns the pieces and their coefficients."""
+    """Return pieces and coefficients of the linear interpolation at points x (n,) with values (n, ...)."""
     return Pieces(x, np.tile([[1.0, -1.0], [0.0, 1.0]], (x.size - 1, 1, 1)), 1), values
 
 
 def bspline(x: Array, values: Array) -> tuple[Pieces, Array]:
-    """The cubic spline through the points with two continuous derivatives (not-a-knot ends); arguments as in `linear`.
+    """Return pieces and coefficients of the cubic spline with not-a-knot ends; arguments as in `linear`.
 
     Three points give a parabola, two a straight line. C. de Boor, A Practical Guide to Splines, Springer 2001, ch. IV.
     """
@@ -67,7 +67,7 @@ def bspline(x: Array, values: Array) -> tuple[Pieces, Array]:
     unit = scipy.interpolate.BSpline(spline.t, np.eye(x.size), degree)
     widths = np.diff(knots)
     matrices = np.empty((widths.size, degree + 1, degree + 1))
-    for power in range(degree + 1):  # the Taylor series of each basis function at the start of each interval
+    for power in range(degree + 1):  # Taylor series of each basis function at the start of each interval
         series = unit(knots[:-1], nu=power) * widths[:, None] ** power / math.factorial(power)
         for j in range(widths.size):
             matrices[j, :, power] = series[j, j : j + degree + 1]
@@ -75,7 +75,7 @@ def bspline(x: Array, values: Array) -> tuple[Pieces, Array]:
 
 
 def pchip(x: Array, values: Array) -> tuple[Pieces, Array]:
-    """Cubics that are monotone where the points are, with one continuous derivative; arguments as in `linear`.
+    """Return pieces and coefficients of the monotone cubic interpolation; arguments as in `linear`.
 
     F. N. Fritsch and J. Butland, A method for constructing local monotone piecewise cubic interpolants, SIAM J. Sci.
     Stat. Comput. 5, 1984, 300-304.

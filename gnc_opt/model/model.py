@@ -1,4 +1,4 @@
-"""Model: the dynamics of a vehicle, written once."""
+"""Model: symbolic dynamics of a vehicle."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from gnc_opt.text_formatting import counted
 
 
 class Differences:
-    """Differences and retractions that a model's states were declared with, by name; see `Model.difference`."""
+    """Declared differences and retractions of a model's states, by name; see `Model.difference`."""
 
     def __init__(self, owner: str) -> None:
         self._owner = owner
@@ -44,14 +44,14 @@ class Differences:
         function: Callable[[Any, Any], Any],
         retraction: Callable[[Any, Any], Any] | None,
     ) -> None:
-        """Take those of a state in place of others."""
+        """Store difference and retraction of a state, replacing earlier ones."""
         self._functions[name] = function
         self._retractions.pop(name, None)
         if retraction is not None:
             self._retractions[name] = retraction
 
     def errors(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
-        """Yield the errors of states x relative to x_ref, both SX (n_states, 1), one SX column for each state."""
+        """Yield the errors of states x relative to x_ref, both SX (n_states, 1), one SX column per state."""
         for name in states.names:
             rows = states.slice(name)
             if name in self._functions:
@@ -66,13 +66,13 @@ class Differences:
         return Layout("error", tuple(Variable(v.name, e.shape[0], v.unit) for v, e in parts), self._owner)
 
     def retract_state(self, name: str, own: Any, error: Any) -> Any:
-        """Return a state, SX like ``own``, that is an error, an SX column, away from its own value."""
+        """Return the state with a given error relative to ``own``, all SX columns."""
         if name not in self._functions:
             return own + error
         what = f"the retraction of state '{name}' in {self._owner}"
         if name not in self._retractions:
             raise ModelError(
-                f"{what} is missing: give difference('{name}', ..., retraction=...) the way back."
+                f"{what} is missing: give difference('{name}', ..., retraction=...) as its inverse."
             )
         value = as_expression(self._retractions[name](own, error), what)
         if value.shape != own.shape:
@@ -91,7 +91,7 @@ class Model(Strict):
     Parameters
     ----------
     name : str
-        For messages and reports.
+        Name in messages and reports.
 
     Examples
     --------
@@ -142,18 +142,17 @@ class Model(Strict):
         values: Mapping[str, ArrayLike] | None = None,
         units: Mapping[str, str] | None = None,
     ) -> Model:
-        """Return the model of dynamics that are written in CasADi already.
+        """Return a model of dynamics that are written in CasADi.
 
         Parameters
         ----------
         name : str
         x, u, p : symbols
-            Columns of SX or MX symbols, or mappings from names to columns or, if ``f`` is a Function, to
-            sizes.
+            Columns of SX or MX symbols, or mappings from names to columns or, if ``f`` is a Function, to sizes.
         f : casadi.SX, casadi.MX, list of these or casadi.Function
             dx/dt (n_states, 1), or a function of some of t, x, u, p by name.
         t : casadi symbol, optional
-            s.
+            Symbol of time, s.
         values : mapping, optional
             Value of each parameter by name.
         units : mapping, optional
@@ -162,7 +161,7 @@ class Model(Strict):
         Raises
         ------
         ModelError
-            ``f`` uses other symbols, its size does not fit, or a parameter has no value.
+            ``f`` uses other symbols or has a wrong size, or a parameter has no value.
 
         Examples
         --------
@@ -224,7 +223,7 @@ class Model(Strict):
         Raises
         ------
         ModelError
-            Name taken or not an identifier, size < 1, nominal not positive, model already in use.
+            Name already declared or not an identifier, size < 1, nominal not positive, model already in use.
         """
         return self._declare("state", name, size, unit, nominal)
 
@@ -237,10 +236,10 @@ class Model(Strict):
     def split_control(
         self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
     ) -> tuple[Any, Any]:
-        """Declare a control with a cost of its absolute value as the difference of two nonnegative controls.
+        """Declare a control whose absolute value is part of the cost, as the difference of two controls >= 0.
 
         The controls ``name_plus`` and ``name_minus`` are >= 0; at an optimum at most one of them is nonzero.
-        ``Phase.bounds``, ``Phase.guess`` and solutions take ``name``, which is also an output.
+        ``Phase.bounds``, ``Phase.guess`` and solutions accept ``name``, which is also an output.
 
         Parameters
         ----------
@@ -250,7 +249,7 @@ class Model(Strict):
         Returns
         -------
         tuple of casadi.SX
-            The control and, per component, its absolute value, (size, 1) each.
+            The control and its componentwise absolute value, (size, 1) each.
         """
         plus = self.control(f"{name}_plus", size, unit=unit, nominal=nominal)
         minus = self.control(f"{name}_minus", size, unit=unit, nominal=nominal)
@@ -259,10 +258,10 @@ class Model(Strict):
     def vector_control(
         self, name: str, size: int, *, unit: str = "", nominal: ArrayLike | None = None
     ) -> tuple[Any, Any]:
-        """Declare a control whose Euclidean norm is limited or costs, without a kink where it is zero.
+        """Declare a control whose Euclidean norm is limited or part of the cost, without a kink at zero.
 
-        The controls are ``name_magnitude``, >= 0, and ``name_direction``, in the unit ball, or on the unit
-        sphere if the norm has a lower limit > 0 or an expression is not affine in the direction.
+        The controls are ``name_magnitude``, >= 0, and ``name_direction``. The direction is in the unit ball, or on the
+        unit sphere if the norm has a lower limit > 0 or an expression is not affine in the direction.
         ``Phase.norm_bounds`` limits the norm.
 
         Within the ball the norm is at most the magnitude. In affine problems both are equal at an optimum
@@ -272,14 +271,14 @@ class Model(Strict):
         ----------
         name : str
         size : int
-            At least 2; of one component, ``split_control`` has the absolute value.
+            At least 2; for one component use ``split_control``.
         unit, nominal
             As in `state`; ``nominal`` is the typical norm.
 
         Returns
         -------
         tuple of casadi.SX
-            The control (size, 1), and its magnitude, for costs and mass flows.
+            The control (size, 1), and its magnitude for costs and mass flow rates.
         """
         read_integer(size, f"the size of vector control '{name}' of model '{self.name}'", 2, ModelError)
         magnitude = self.control(f"{name}_magnitude", unit=unit, nominal=nominal)
@@ -297,8 +296,8 @@ class Model(Strict):
     ) -> Symbol:
         """Declare an algebraic variable z of a semi-explicit system of index 1: g(t, x, u, p, z) = 0 along a phase.
 
-        A phase has z among its controls and the path constraint ``equation of z``. The guess selects the
-        solution if g = 0 has several. See `gnc_opt.planning.problem.reformulation.algebraic_variables`.
+        Each phase has z as a control and the path constraint ``equation of z``. If g = 0 has several solutions, the
+        guess selects one. See `gnc_opt.planning.problem.reformulation.algebraic_variables`.
 
         Parameters
         ----------
@@ -309,7 +308,7 @@ class Model(Strict):
         Raises
         ------
         ModelError
-            As in `state`, or g has another size or a derivative with respect to z that is singular for all values.
+            As in `state`; or g has a wrong size or a Jacobian in z that is singular for all values.
 
         Examples
         --------
@@ -322,16 +321,16 @@ class Model(Strict):
         value = self._own_expression(residual(symbol), what, symbol.variable.size)
         if ca.sprank(ca.jacobian(value, symbol)) < symbol.variable.size:
             raise ModelError(
-                f"{what} does not determine it (its index is higher than 1): use '{name}' in every row, or "
+                f"{what} does not determine it (index higher than 1): use '{name}' in every row, or "
                 "differentiate the equation."
             )
         self._algebraic[name] = value
         return symbol
 
     def parameter(self, name: str, value: ArrayLike, *, unit: str = "") -> Symbol:
-        """Declare a constant with its value (scalar or vector); change it with `with_parameters`.
+        """Declare a constant parameter with its value (scalar or vector); `with_parameters` changes it.
 
-        ``Problem.parameter`` of the same name turns it into a quantity to optimise.
+        ``Problem.parameter`` of the same name makes it an optimisation variable.
         """
         vector = self._read_finite(name, value, None)
         symbol = self._declare("parameter", name, vector.size, unit, None)
@@ -339,12 +338,12 @@ class Model(Strict):
         return symbol
 
     def ode(self, equations: Mapping[Symbol | str, Any]) -> None:
-        """State the dynamics: a mapping from state (symbol or name) to its time derivative.
+        """Define the dynamics: a mapping from state (symbol or name) to its time derivative.
 
         Raises
         ------
         ModelError
-            A state has two equations, a wrong size, or the expression uses a symbol of another model.
+            A state has two equations or one of wrong size, or an expression uses a symbol of another model.
         """
         self._refuse_if_in_use("ode")
         remedy = "write ode({q: v, v: a}), each state with its time derivative"
@@ -354,7 +353,7 @@ class Model(Strict):
             name = self._variables.state_name(key)
             if name in self._equations:
                 raise ModelError(
-                    f"model '{self.name}' states the dynamics of state '{name}' twice: keep one."
+                    f"model '{self.name}' defines the dynamics of state '{name}' twice: keep one."
                 )
             size = self.states[name].size
             what = f"the time derivative of state '{name}' in model '{self.name}'"
@@ -374,17 +373,15 @@ class Model(Strict):
         function: Callable[[Any, Any], Any],
         retraction: Callable[[Any, Any], Any] | None = None,
     ) -> None:
-        """Declare the error of a state relative to a reference that is not their difference (attitudes).
+        """Declare the error of a state relative to a reference, if it is not a plain difference (attitudes).
 
         Parameters
         ----------
         state : Symbol or str
         function : callable
-            ``function(x, x_ref)`` of SX columns returns the error, to first order; 3 components for a
-            quaternion.
-        retraction : callable, optional
-            ``retraction(x_ref, e)`` returns the state that is the error e away from x_ref; estimators need
-            it.
+            ``function(x, x_ref)`` of SX columns returns the error, to first order; 3 components for a quaternion.
+            retraction : callable, optional
+                ``retraction(x_ref, e)`` returns the state with error e relative to x_ref; needed by estimators.
 
         Raises
         ------
@@ -413,9 +410,9 @@ class Model(Strict):
         composed: Sequence[tuple[ComposedControl, Any]],
         express: Callable[[Any], Any],
     ) -> Model:
-        """Return the same dynamics in other controls.
+        """Return the same dynamics with other controls.
 
-        ``composed`` gives the replaced controls in the new ``controls``; ``express`` rewrites an expression.
+        ``composed`` expresses the replaced controls by the new ``controls``; ``express`` rewrites an expression.
         """
         twin = copy.copy(self)
         twin._functions = {}
@@ -427,9 +424,9 @@ class Model(Strict):
         return twin
 
     def with_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> Model:
-        """Return the same dynamics with further states and their rates, and further controls.
+        """Return the model with additional states, their rates, and additional controls.
 
-        States may be controls of this model, which keep their symbols.
+        Controls of this model can become states; they keep their symbols.
         """
         twin = copy.copy(self)
         twin._functions = {}
@@ -442,7 +439,7 @@ class Model(Strict):
 
     @property
     def time(self) -> Any:
-        """The symbol of time t (s), for dynamics that depend on it."""
+        """Symbol of time t (s), for time-dependent dynamics."""
         return self._time
 
     @property
@@ -467,12 +464,12 @@ class Model(Strict):
 
     @property
     def composed_controls(self) -> Mapping[str, ComposedControl]:
-        """The controls that `split_control` and `vector_control` declared, by name."""
+        """Controls declared by `split_control` and `vector_control`, by name."""
         return self._composed_controls
 
     @property
     def equations(self) -> Mapping[str, Any]:
-        """Expressions that are zero along every trajectory, by the algebraic variable that they determine."""
+        """Expressions that are zero along every trajectory, by the name of their algebraic variable."""
         return self._algebraic
 
     @property
@@ -492,7 +489,7 @@ class Model(Strict):
         return ca.vertcat(*self._differences.errors(self.states, x, x_ref))
 
     def retraction_expression(self, x_ref: Any, e: Any) -> Any:
-        """Return the stacked SX states that are the errors e (n_errors, 1) away from x_ref (n_states, 1), both SX.
+        """Return the stacked SX states with errors e (n_errors, 1) relative to x_ref (n_states, 1), both SX.
 
         Raises
         ------
@@ -511,7 +508,7 @@ class Model(Strict):
         return self._variables.get_symbol(name)
 
     def derivative(self) -> Any:
-        """Return the stacked SX expression of dx/dt; raise `ModelError` if an equation is missing."""
+        """Return the SX expression of dx/dt, stacked over the states; raise `ModelError` if an equation is missing."""
         missing = [name for name in self.states.names if name not in self._equations]
         if missing:
             raise ModelError(
@@ -520,12 +517,12 @@ class Model(Strict):
             )
         if not self._equations:
             raise ModelError(
-                f"model '{self.name}' has no states: declare some with state() and state their ode()."
+                f"model '{self.name}' has no states: declare them with state() and define their ode()."
             )
         return ca.vertcat(*[self._equations[name] for name in self.states.names])
 
     def table_uses(self) -> list[TableUse]:
-        """Return the calls of tables with expressions in the model's symbols, wherever those have gone."""
+        """Return the table calls with expressions of the model's symbols."""
         return [use for symbol in (self._time, *self._variables.symbols) for use in symbol.table_uses]
 
     def output_expression(self, name: str) -> Any:
@@ -534,20 +531,20 @@ class Model(Strict):
         return self._outputs[name][1]
 
     def arguments(self) -> tuple[Any, Any, Any, Any]:
-        """Return the symbols (t, x, u, p), in the argument order of every function of a model."""
+        """Return the symbols (t, x, u, p), the arguments of every function of a model."""
         return self._time, self.symbols("state"), self.symbols("control"), self.symbols("parameter")
 
     # --- numeric calls ----------------------------------------------------------------------------
 
     @property
     def function(self) -> Any:
-        """The CasADi Function ``f(t, x, u, p) -> dx/dt``."""
+        """CasADi Function ``f(t, x, u, p) -> dx/dt``."""
         return self._build_function("f", lambda: [self.derivative()], "dx_dt")
 
     def to_function(self) -> Any:
         """Return the CasADi Function ``(t, x, u, p) -> (dx_dt, y)``, y the stacked outputs, for other tools.
 
-        `from_casadi` reads it back: its names and sizes are those of `states`, `controls`, `parameters` and `outputs`.
+        `from_casadi` accepts it with the names and sizes of `states`, `controls`, `parameters` and `outputs`.
         """
         outputs = [self.output_expression(name) for name in self.outputs.names]
         stacked = ca.vertcat(*outputs) if outputs else ca.SX(0, 1)
@@ -562,7 +559,7 @@ class Model(Strict):
         x : array (n_states,) or (n_states, n_times)
         u : array (n_controls,) or (n_controls, n_times)
         p : array (n_parameters,), optional
-            Defaults to the model's own values.
+            Default: the model's own values.
 
         Returns
         -------
@@ -583,7 +580,7 @@ class Model(Strict):
         return np.asarray(a.full()), np.asarray(b.full())
 
     def mark_in_use(self, user: str) -> None:
-        """Freeze the declarations: a problem now rests on them."""
+        """Forbid further declarations, because a problem uses the model."""
         self._in_use_by = self._in_use_by or user
 
     def _build_function(self, name: str, expressions: Any, *names: str) -> Any:
@@ -621,7 +618,7 @@ class Model(Strict):
             )
 
     def _read_finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
-        """Return a parameter's value as a vector of finite numbers."""
+        """Return a parameter value as a vector of finite numbers."""
         what = f"parameter '{name}' of model '{self.name}'"
         given = read_numbers(value, what, ModelError).size if size is None else size
         vector = as_vector(value, given, what, ModelError)

@@ -1,4 +1,4 @@
-"""Tables: data in one or more dimensions as expressions that a model can use."""
+"""Interpolation tables: data on a grid of one or more dimensions as expressions of a model."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from gnc_opt.model.variables import find_owners
 Outside: TypeAlias = Literal["linear", "hold", "error"]
 
 MOST_VALUES = 200_000
-"""In one table. Every value becomes part of the expression."""
+"""Largest number of values of a table; each becomes part of the expression."""
 
 
 @dataclass(frozen=True, eq=False)
 class TableUse:
-    """One call of a table: its column of arguments, the nodes that find the intervals, and its value; all SX."""
+    """Call of a table: argument column, interval comparisons and value; all SX."""
 
     table: Table
     arguments: Any
@@ -36,18 +36,18 @@ class TableUse:
 
     @cached_property
     def hashes(self) -> frozenset[int]:
-        """Of the comparisons."""
+        """Hashes of the comparisons."""
         return frozenset(node.element_hash() for node in ca.vertsplit(self.comparisons))
 
 
 class Table(Strict):
-    """Data on a grid, interpolated; call it with expressions or with numbers. Made by `table`.
+    """Interpolated data on a grid, callable with expressions or numbers; created by `table`.
 
     Attributes
     ----------
     name : str
     grids : tuple of array
-        The points of each axis.
+        Grid points of each axis.
     values : array (n_1, n_2, ...)
     method : {"bspline", "linear", "pchip"}
     outside : {"linear", "hold", "error"}
@@ -76,12 +76,12 @@ class Table(Strict):
 
     @property
     def lower(self) -> Array:
-        """The lower ends of the axes (n_axes,)."""
+        """Lower ends of the axes (n_axes,)."""
         return np.array([grid[0] for grid in self.grids])
 
     @property
     def upper(self) -> Array:
-        """The upper ends of the axes (n_axes,)."""
+        """Upper ends of the axes (n_axes,)."""
         return np.array([grid[-1] for grid in self.grids])
 
     def __call__(self, *arguments: Any) -> Any:
@@ -90,21 +90,21 @@ class Table(Strict):
         Parameters
         ----------
         *arguments : casadi.SX, float or array
-            Expressions, columns are looked up entry by entry, or numbers that broadcast against each other.
+            Expressions (columns are evaluated entry by entry), or numbers that broadcast against each other.
 
         Returns
         -------
         casadi.SX or array
-            Continuous derivatives in expressions (none for "linear"), also outside the table.
+            Expressions have continuous derivatives (except "linear"), also outside the table.
 
         Raises
         ------
         ArgumentError
-            Wrong number of arguments; numbers outside of a table with ``outside="error"``.
+            Wrong number of arguments, or numbers outside a table with ``outside="error"``.
         """
         if len(arguments) != len(self.grids):
             raise ArgumentError(
-                f"table '{self.name}' has {len(self.grids)} axes and got {len(arguments)} arguments: give one each."
+                f"table '{self.name}' has {len(self.grids)} axes but {len(arguments)} arguments: give one per axis."
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
             return self._expression([self._read_expression(a) for a in arguments])
@@ -137,7 +137,7 @@ class Table(Strict):
             if beyond.size:
                 raise ArgumentError(
                     f"argument {i} of table '{self.name}' is {beyond.flat[0]:g}, outside of its range "
-                    f"{grid[0]:g} to {grid[-1]:g}: stay within, or make the table with another outside=."
+                    f"{grid[0]:g} to {grid[-1]:g}: use values in this range, or set outside= of the table."
                 )
 
     def _expression(self, columns: list[Any]) -> Any:
@@ -164,7 +164,7 @@ class Table(Strict):
 
     @cached_property
     def _axis_pieces(self) -> tuple[list[Pieces], Array]:
-        """The pieces of each axis, and the coefficients (c_1, c_2, ...)."""
+        """Pieces of each axis, and the coefficients (c_1, c_2, ...)."""
         axes, coefficients = [], self.values
         for k, grid in enumerate(self.grids):
             pieces, first = METHODS[self.method](grid, np.moveaxis(coefficients, k, 0))
@@ -176,7 +176,7 @@ class Table(Strict):
         return axes, coefficients
 
     def _interpolate(self, point: Any) -> tuple[Any, Any]:
-        """Return the value at a point (n_axes, 1) and the comparisons that find its intervals, both SX."""
+        """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
         axes, coefficients = self._axis_pieces
         found = [_Found.of(pieces, point[k]) for k, pieces in enumerate(axes)]
         window = ca.SX(coefficients.ravel())
@@ -192,7 +192,7 @@ class Table(Strict):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Where a number lies along an axis, SX."""
+    """Interval and local coordinate of a number on an axis, SX."""
 
     inside: Any
     u: Any
@@ -206,14 +206,14 @@ class _Found:
         steps = [x >= b for b in breaks[1:-1]]
         edges = ca.vertcat(1, *steps, 0)
         inside = edges[:-1] - edges[1:]
-        # by choice, not by fmin and fmax, which hide NaN
+        # if_else instead of fmin and fmax, which ignore NaN
         held = ca.if_else(below, breaks[0], ca.if_else(above, breaks[-1], x))
         start, width = (ca.dot(inside, ca.SX(values)) for values in (breaks[:-1], np.diff(breaks)))
         comparisons = ca.vertcat(below, above, *steps)
         return cls(inside, (held - start) / width, (x - held) / width, comparisons)
 
     def compute_weights(self, pieces: Pieces, *, continued: bool) -> Any:
-        """Return the weights of the window (window, 1), outside held or continued with their slopes."""
+        """Return the weights of the window (window, 1); outside constant or linear extrapolation."""
         n, window, powers = pieces.matrices.shape
         matrix = ca.SX(pieces.matrices[0])
         if not np.all(pieces.matrices == pieces.matrices[0]):
@@ -231,7 +231,7 @@ class _Found:
 def _window_of_axis(
     window: Any, places: Indices, axis: int, pieces: Pieces, inside: Any
 ) -> tuple[Any, Indices]:
-    """Return the window of one axis and the places of its coefficients, from those that are left of both."""
+    """Return the window of one axis and the indices of its coefficients, from those remaining."""
     candidates = np.moveaxis(np.take(places, pieces.windows, axis=axis), axis, 0)
     n, *shape = candidates.shape
     flat = candidates.reshape(n, -1)
@@ -252,20 +252,20 @@ def table(
     Parameters
     ----------
     x : array (n,), sequence of arrays, or xarray.DataArray
-        The grid: one increasing array, or one per axis of ``values``. A DataArray brings its values and name along.
+        Grid: one increasing array, or one per axis of ``values``. A DataArray contains its values and name.
     values : array (n,) or (n_1, n_2, ...)
     method : {"bspline", "linear", "pchip"}
-        Cubic spline with two continuous derivatives (for optimisation); straight lines, with kinks; cubics
-        with one continuous derivative that never overshoot in one dimension.
+        Cubic spline with two continuous derivatives (recommended for optimisation); linear with kinks; cubic with one
+        continuous derivative, monotone in one dimension.
     outside : {"linear", "hold", "error"}
-        Continued with the end slope, held, or an error. Expressions with "error" are continued linearly,
-        since iterates of a solver may leave the table.
+        Linear extrapolation, constant extrapolation, or an error. Expressions with "error" extrapolate linearly,
+        because iterates of a solver may leave the table.
     name : str, optional
 
     Raises
     ------
     ArgumentError
-        A grid that does not increase, values of another shape or not finite, an unknown method.
+        A grid that is not increasing, values of a wrong shape or not finite, an unknown method.
 
     Examples
     --------
@@ -285,11 +285,11 @@ def table(
     name = read_label(name or "table", "table")
     if values is None:
         raise ArgumentError(f"table '{name}' got no values: write table(x, values).")
-    data = read_numbers(values, f"what table '{name}' holds")
+    data = read_numbers(values, f"the values of table '{name}'")
     for given, known, what in ((method, METHODS, "method"), (outside, get_args(Outside), "outside")):
         if given not in known:
             raise ArgumentError(
-                f"table '{name}' knows no {what} {shown(given)}: {did_you_mean(str(given), known)}"
+                f"table '{name}' has no {what} {shown(given)}: {did_you_mean(str(given), known)}"
             )
     return Table(_read_grids(x, data, name), data, method, outside, name)
 
@@ -310,7 +310,7 @@ def _read_grids(x: Any, data: Array, name: str) -> list[Array]:
             )
         if not np.all(np.isfinite(grid)) or not np.all(np.diff(grid) > 0):
             raise ArgumentError(
-                f"grid {i} of table '{name}' does not increase: sort it and drop what is double."
+                f"grid {i} of table '{name}' does not increase: sort it and remove duplicates."
             )
     if not np.all(np.isfinite(data)):
         place = ", ".join(f"{g[i]:g}" for g, i in zip(grids, np.argwhere(~np.isfinite(data))[0], strict=True))
@@ -334,18 +334,18 @@ def table_from_csv(
     ----------
     path : str or Path
     x : str or sequence of str
-        Column of the grid; several for several axes: then each row is one point of the full grid, in any order.
+        Column of the grid; for several axes several columns, and one row per point of the full grid, in any order.
     values : str
-        Column of the values; names the table.
+        Column of the values; also the name of the table.
     method, outside
         As in `table`.
 
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     ArgumentError
-        A missing column, an entry that is not numeric, or a grid with gaps or double points.
+        A missing column, an entry that is not numeric, or a grid with missing or duplicate points.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Tables: named quantities along one axis, as objects of other packages and as files; columns of a CSV file."""
+"""Export of quantities along one axis to other packages and files, and import of CSV columns."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from gnc_opt.text_formatting import json_text
 
 
 def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:
-    """Return columns (n_rows,) of a CSV file by their names in its first row; ``others`` are optional ones.
+    """Return columns (n_rows,) of a CSV file by their names in its first row; those in ``others`` are optional.
 
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     ArgumentError
         A missing column, no rows, or an entry that is not numeric.
     """
@@ -51,7 +51,7 @@ def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) 
 
 @dataclass(frozen=True)
 class Records:
-    """Quantities that have a value at each point of an axis: times, or the numbers of runs.
+    """Quantities with a value at each point of an axis: times, or indices of runs.
 
     Attributes
     ----------
@@ -59,9 +59,9 @@ class Records:
         Name and unit of the axis.
     points : array (n,)
     quantities : tuple of (Variable, array (size, n))
-        The values: numbers, or words such as an outcome.
+        Values: numbers, or strings such as an outcome.
     about : mapping
-        Attributes of the whole.
+        Attributes of the data set.
     """
 
     axis: Variable
@@ -71,7 +71,7 @@ class Records:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Every component by its label, (n,)."""
+        """Each component (n,) by its label."""
         return {
             label: row
             for variable, values in self.quantities
@@ -80,7 +80,7 @@ class Records:
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of the axis and of every component."""
+        """Units of the axis and of each component."""
         of = {label: variable.unit for variable, _ in self.quantities for label in variable.labels}
         return {self.axis.name: self.axis.unit, **of}
 
@@ -92,7 +92,7 @@ class Records:
         return frame
 
     def to_xarray(self) -> Any:
-        """Return a Dataset; vectors have a dimension for their components, each variable its unit."""
+        """Return a Dataset with units; vectors have a dimension for their components."""
         xarray = import_optional("xarray", "data")
         axis = self.axis.name
         variables = {}
@@ -107,17 +107,15 @@ class Records:
         return xarray.Dataset(variables, {axis: (axis, self.points, {"units": self.axis.unit})}, self.about)
 
     def write(self, path: str | Path) -> Path:
-        """Write a file of the kind that its suffix names, and return its path; raise `ArgumentError` for others.
+        """Write a file in the format of its suffix and return its path; raise `ArgumentError` for other suffixes.
 
-        ``.csv``: a column per component. ``.json``: with units and attributes. ``.mat``: a matrix (n, size)
+        ``.csv``: one column per component. ``.json``: with units and attributes. ``.mat``: a matrix (n, size)
         per quantity.
         """
         target = Path(path)
         if target.suffix not in _WRITERS:
             known = ", ".join(_WRITERS)
-            raise ArgumentError(
-                f"'{target}' cannot be exported: its suffix says the kind of file, one of {known}."
-            )
+            raise ArgumentError(f"'{target}' cannot be exported: its suffix must be one of {known}.")
         _WRITERS[target.suffix](self, target)
         return target
 
@@ -180,5 +178,5 @@ def _is_text(values: Any) -> bool:
 
 
 def _make_identifier(name: str) -> str:
-    """Return a name that MATLAB takes."""
+    """Return a valid MATLAB identifier."""
     return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

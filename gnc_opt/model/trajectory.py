@@ -1,4 +1,4 @@
-"""Trajectory: states and controls of a model over time, made by planning and followed by controllers."""
+"""Trajectory: interface between planning and control, states and controls of a model over time."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from gnc_opt.model.model import Model
 
 @dataclass(frozen=True)
 class TrajectoryPhase:
-    """States and controls of a model from an initial to a final time.
+    """States and controls of a model over a time interval.
 
     Attributes
     ----------
     model : Model
-        With the values of its parameters on this trajectory.
+        Model with the parameter values of this trajectory.
     initial_time, final_time : float
-        s.
+        Time interval, s.
     jumps : array (n_jumps,)
-        Times at which a control jumps, s.
+        Times of control jumps, s.
     x, u : callable
-        Of times (n_times,) in s: states (n_states, n_times) and controls (n_controls, n_times).
+        Functions of times (n_times,), s: states (n_states, n_times) and controls (n_controls, n_times).
     """
 
     name: str
@@ -37,7 +37,7 @@ class TrajectoryPhase:
 
 @runtime_checkable
 class Trajectory(Protocol):
-    """Anything that has a trajectory, phase by phase."""
+    """Object with a trajectory of one or more phases."""
 
     def trajectory_phases(self) -> tuple[TrajectoryPhase, ...]:
-        """Return the phases in the order of time."""
+        """Return the phases in order of time."""

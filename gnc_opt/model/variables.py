@@ -1,4 +1,4 @@
-"""The states, controls and parameters that a model declares, their symbols and their places in a stacked vector."""
+"""Variables of a model, their symbols, and their layout in a stacked vector."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Variable:
     size : int
         Number of components.
     unit : str
-        For printing and plotting.
+        Unit, for printing and plotting.
     nominal : tuple of float or None
-        Typical magnitude of each component, used for scaling; ``None`` lets gnc_opt choose.
+        Typical magnitude of each component, used for scaling; ``None``: automatic.
 
     Examples
     --------
@@ -103,13 +103,13 @@ class Layout:
         return next(v for v in self.variables if v.name == name)
 
     def slice(self, name: str) -> slice:
-        """Return the place of a variable in the stacked vector; raise `UnknownNameError` for others."""
+        """Return the slice of a variable in the stacked vector; raise `UnknownNameError` for others."""
         if name not in self:
             raise unknown_name(self.kind, name, self.owner or "it", self.names)
         return self._slices[name]
 
     def stack(self, values: Mapping[str, ArrayLike], default: float = np.nan) -> Array:
-        """Stack values by name into one vector of shape (size,); absent names get ``default``."""
+        """Stack values by name into one vector of shape (size,); missing names get ``default``."""
         out = np.full(self.size, default)
         for name, value in values.items():
             out[self.slice(name)] = as_vector(value, self[name].size, f"{self.kind} '{name}'")
@@ -122,7 +122,7 @@ def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Problem
     Raises
     ------
     ProblemError
-        Or the given class of error, if the value is not numeric or has another number of entries.
+        A subclass may be given: the value is not numeric or has another number of entries.
     """
     array = read_numbers(value, what, error).reshape(-1)
     if array.size == 1:
@@ -134,14 +134,14 @@ def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Problem
 
 
 def as_point(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
-    """Return what `as_vector` does of a state or a whole measurement: a list of one number is no list of several."""
+    """Return `as_vector` of a state or measurement; a list of one number is not accepted for several components."""
     if size != 1 and np.shape(read_numbers(value, what, error)) == (1,):
         raise error(f"{what} is given 1 value in a list: give {size} values.")
     return as_vector(value, size, what, error)
 
 
 def as_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
-    """Return typical magnitudes as `as_vector` does; they are positive and finite, or an error is raised."""
+    """Return typical magnitudes as `as_vector`; raise an error unless they are positive and finite."""
     vector = as_vector(value, size, what, error)
     if not np.all(np.isfinite(vector) & (vector > 0)):
         raise error(f"{what} is {vector}: give positive finite numbers.")
@@ -157,7 +157,7 @@ class Symbol(ca.SX):  # type: ignore[misc]
     ----------
     variable : Variable
     table_uses : list
-        Calls of tables with expressions of this symbol.
+        Table calls with expressions of this symbol.
 
     Examples
     --------
@@ -181,7 +181,7 @@ class Symbol(ca.SX):  # type: ignore[misc]
         )
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        """Evaluate ``np.linalg.norm(v)`` and similar calls as CasADi does for plain SX."""
+        """Evaluate ``np.linalg.norm(v)`` and similar calls as for a plain SX."""
         return function(
             *map(_replace_by_plain_symbols, args),
             **{name: _replace_by_plain_symbols(value) for name, value in kwargs.items()},
@@ -194,24 +194,24 @@ class Symbol(ca.SX):  # type: ignore[misc]
 
 
 def _replace_by_plain_symbols(value: Any) -> Any:
-    """Return a value with a plain SX for every symbol in it."""
+    """Return a value with every symbol replaced by a plain SX."""
     if isinstance(value, (list, tuple)):
         return type(value)(map(_replace_by_plain_symbols, value))
     return ca.SX(value) if isinstance(value, Symbol) else value
 
 
 _OWNERS: WeakValueDictionary[int, Symbol] = WeakValueDictionary()
-"""From scalar symbols to the declared symbol that they are part of."""
+"""Declared symbol of each scalar symbol."""
 
 
 def find_owners(scalars: Iterable[Any]) -> list[Symbol]:
-    """Return the declared symbols that scalar SX symbols are part of, each once."""
+    """Return the declared symbols of scalar SX symbols, without duplicates."""
     found = (_OWNERS.get(scalar.element_hash()) for scalar in scalars)
     return list({id(symbol): symbol for symbol in found if symbol is not None}.values())
 
 
 class VectorSymbols(tuple[Any, Any]):
-    """Vector control and its magnitude; arithmetic with the pair raises an error that says to unpack it.
+    """Vector control and its magnitude; arithmetic with the pair raises an error with the remedy.
 
     Examples
     --------
@@ -221,7 +221,7 @@ class VectorSymbols(tuple[Any, Any]):
 
     @property
     def remedy(self) -> str:
-        """What the pair is, and how to unpack it."""
+        """Description of the pair, with the statement that unpacks it."""
         name = self[1].variable.name.removesuffix("_magnitude")
         return (
             f"the pair that vector_control('{name}', ...) returns: unpack it, "
@@ -236,7 +236,7 @@ class VectorSymbols(tuple[Any, Any]):
 
 
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
-    """Return ``value`` (SX, number, list of both) as an SX column vector of ``size`` rows; else raise ``failure``."""
+    """Return ``value`` (SX, number, list of both) as an SX column with ``size`` rows; raise ``failure`` otherwise."""
     if isinstance(value, VectorSymbols):
         raise failure(f"{what} is {value.remedy}")
     try:
@@ -264,10 +264,10 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
 def call_user_function(
     function: Callable[..., Any], arguments: Sequence[Any], size: int, what: str, remedy: str
 ) -> Any:
-    """Return the SX column (size, 1) that a function of a user makes of its arguments; else raise `ArgumentError`."""
+    """Return the SX column (size, 1) of a user function; raise `ArgumentError` otherwise."""
     try:
         found = ca.SX(function(*arguments))
-    except Exception as error:  # whatever a function of the user's raises
+    except Exception as error:  # any exception of user code
         raise ArgumentError(f"{what} cannot be evaluated: {format_error(error)}; {remedy}.") from error
     if found.shape != (size, 1):
         raise ArgumentError(f"{what} returns the shape {found.shape} where ({size}, 1) is needed: {remedy}.")
@@ -275,7 +275,7 @@ def call_user_function(
 
 
 def find_foreign_symbols(expression: Any, known: list[Any]) -> list[str]:
-    """Return the names of the scalar symbols in ``expression`` that are not among ``known``."""
+    """Return the names of scalar symbols in ``expression`` that are not in ``known``."""
     allowed = {element.element_hash() for symbol in known for element in ca.vertsplit(ca.vec(symbol))}
     return [s.name() for s in ca.symvar(expression) if s.element_hash() not in allowed]
 
@@ -284,7 +284,7 @@ KINDS = ("state", "control", "parameter")
 
 
 class Variables:
-    """Symbols by kind and name, each kind in the order of its declarations."""
+    """Symbols by kind and name, in order of declaration."""
 
     def __init__(self, owner: str, symbols: dict[str, dict[str, Symbol]] | None = None) -> None:
         self._owner = owner
@@ -295,7 +295,7 @@ class Variables:
         return Variables(self._owner, {**self._symbols, "control": {c.variable.name: c for c in controls}})
 
     def with_states(self, states: Sequence[Symbol], controls: Sequence[Symbol]) -> Variables:
-        """Return variables with further states, which are no controls then, and further controls."""
+        """Return variables with additional states (no longer controls) and additional controls."""
         own = {
             "state": {**self._symbols["state"], **{s.variable.name: s for s in states}},
             "control": {**self._symbols["control"], **{c.variable.name: c for c in controls}},
@@ -304,7 +304,7 @@ class Variables:
         return Variables(self._owner, {**self._symbols, **own})
 
     def declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
-        """Add a variable of a name that is not taken; see `Model.state`."""
+        """Add a variable with a new name; see `Model.state`."""
         what = f"{kind} '{name}' of {self._owner}"
         size = read_integer(size, f"the size of {what}", 1, ModelError)
         expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
@@ -316,7 +316,7 @@ class Variables:
         return symbol
 
     def layout(self, kind: str) -> Layout:
-        """Return names, sizes and units of a kind."""
+        """Return the layout of a kind."""
         return Layout(kind, tuple(symbol.variable for symbol in self._symbols[kind].values()), self._owner)
 
     def stack_symbols(self, kind: str) -> Any:
@@ -334,14 +334,14 @@ class Variables:
         return [name for kind in KINDS for name in self._symbols[kind]]
 
     def get_symbol(self, name: str) -> Symbol:
-        """Return the symbol of a name; raise `UnknownNameError` if it has none."""
+        """Return the symbol with this name; raise `UnknownNameError` if there is none."""
         for kind in KINDS:
             if isinstance(name, str) and name in self._symbols[kind]:
                 return self._symbols[kind][name]
         raise unknown_name("variable", name, self._owner, self.names)
 
     def state_name(self, key: Symbol | str) -> str:
-        """Return the name of a state given by its symbol or its name; raise `ModelError` for others."""
+        """Return the name of a state given by symbol or name; raise `ModelError` otherwise."""
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", None)
         if name is None:
             raise ModelError(

@@ -1,4 +1,4 @@
-"""Figures of solutions, runs and campaigns: over time and in space; none opens a window."""
+"""Figures of solutions, runs and campaigns over time and in space; no window is opened."""
 
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.controls import plot_controls

@@ -1,4 +1,4 @@
-"""Elements of figures over time: dense samples with both limits at jumps, labels and lines of components, axes."""
+"""Elements of time plots: dense sampling with one-sided limits at jumps, labels, lines and axes."""
 
 from __future__ import annotations
 
@@ -19,47 +19,47 @@ from gnc_opt.text_formatting import derivative_unit
 from gnc_opt.tolerances import ROUNDING, nonzero_magnitude
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
-"""Look of a bound's line."""
+"""Line style of bounds."""
 
 HAMILTONIAN_ROUNDING_SHARE = 1e-7
-"""Shares of the Hamiltonian up to this are the solver's rounding."""
+"""Relative variation of the Hamiltonian that is solver rounding."""
 
 MOST_ROWS = 3
-"""Axes in one column: three fit the first page of a printed report."""
+"""Largest number of axes in one column; three fit the first page of a printed report."""
 
 
 def component_legend_labels(signal: Any) -> list[str]:
-    """Return what the legend calls each component of a signal."""
+    """Return the legend label of each component of a signal."""
     return [variable_name_text(label) for label in signal.labels]
 
 
 def cost_unit(solution: Solution) -> str:
-    """Return the unit of the cost of a solution with its problem, else ""."""
+    """Return the unit of the cost, or "" if the solution has no problem."""
     return "" if solution.problem is None else solution.problem.cost_unit
 
 
 def hamiltonian_unit(solution: Solution) -> str:
-    """Return the unit of the cost per second; "" for a time or without a unit."""
+    """Return the unit of cost per second; "" for a minimum time or without a unit."""
     unit = cost_unit(solution)
     return "" if unit in ("", time_unit(solution)) else derivative_unit(unit, time_unit(solution))
 
 
 def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
-    """Draw rows of ``values`` (n_components, n_times), each in its look; a label that the axis has is not repeated."""
+    """Draw the rows of ``values`` (n_components, n_times), each in its style; existing labels are not repeated."""
     known = set(ax.get_legend_handles_labels()[1])
     for i, row in enumerate(values):
         ax.plot(t, row, label=None if labels[i] in known else labels[i], **line_style(i))
 
 
 def set_minimum_y_range(ax: Axes, least: float) -> None:
-    """Show at least ``least`` to both sides of the data, lest rounding errors fill the axis."""
+    """Extend the y axis by at least ``least`` on both sides of the data, so that rounding errors do not fill it."""
     low, high = ax.get_ylim()
     if high - low < least:
         ax.set_ylim(low - least, high + least)
 
 
 def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
-    """Show all phases, with a dotted line between one and the next, and noise as zero."""
+    """Set the time range to all phases, with a dotted line between phases and rounding drawn as zero."""
     heights = (np.abs(np.asarray(line.get_ydata(), dtype=float)) for line in ax.lines)
     reach = max((float(np.nanmax(y, initial=0.0)) for y in heights), default=0.0)
     set_minimum_y_range(ax, ROUNDING * float(nonzero_magnitude(reach)))
@@ -69,7 +69,7 @@ def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
 
 
 def label_times(figure: Figure, unit: str) -> None:
-    """Label the time axis below the last axes of each column."""
+    """Add a time label to the lowest axes of each column."""
     columns: dict[int, list[Axes]] = {}
     for ax in figure.axes:
         columns.setdefault(ax.get_subplotspec().colspan.start, []).append(ax)
@@ -82,16 +82,16 @@ def label_times(figure: Figure, unit: str) -> None:
 def sample_densely(
     function: Callable[..., Any], breaks: Array, per_piece: int = 24, gaps: bool = False
 ) -> tuple[Array, Array]:
-    """Evaluate ``function(t, side=...)`` densely between breaks, with its one-sided limits at them.
+    """Return dense samples of ``function(t, side=...)`` between breaks, with both one-sided limits at the breaks.
 
     Parameters
     ----------
     function : callable
         Returns (n, n_times), or (n_times,) for a scalar quantity.
     breaks : array (K + 1,)
-        Where the function may jump, s.
+        Times of possible jumps, s.
     gaps : bool
-        Separate the pieces by NaN.
+        Whether to separate the pieces by NaN.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def select_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:
 
 
 def select_variable_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None) -> list[str]:
-    """Return the names of states ("states") or controls ("controls") to draw; raise for unknown ones."""
+    """Return the names of "states" or "controls" to draw; raise an error for unknown ones."""
     layouts = [getattr(leg, kind) for leg in legs]
     known = list(dict.fromkeys(name for layout in layouts for name in layout.names))
     for name in names or ():
@@ -125,7 +125,7 @@ def select_variable_names(legs: Sequence[PhaseSolution], kind: str, names: Seque
 
 
 def find_zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
-    """Return the times at which samples (n_times,) change sign; ``negligible`` ones have no sign."""
+    """Return the times at which samples (n_times,) change sign; values up to ``negligible`` have no sign."""
     clear = np.abs(values) > negligible
     t, values = t[clear], values[clear]
     k = np.flatnonzero(values[:-1] * values[1:] < 0)

@@ -1,4 +1,4 @@
-"""Figures of campaigns: where runs end, how measures are distributed, and quantities over time."""
+"""Figures of campaigns: final errors, distributions of measures, and quantities over time."""
 
 from __future__ import annotations
 
@@ -48,20 +48,19 @@ _PERCENTILE: dict[str, Any] = {"color": COLORS[1], "marker": "o", "markersize": 
 _BARS: dict[str, Any] = {"color": COLORS[5], "rwidth": 0.92}
 
 _FAR = 3.0
-"""Limits farther out than so many times the largest value, or range of values, do not widen the axes."""
+"""Limits farther out than this multiple of the largest value (or of the range) do not extend the axes."""
 
 
 def plot_dispersion(campaign: Campaign, name: str) -> Figure:
-    """Return a figure that shows where the runs end: the components of a state's error against each other.
+    """Return a figure of the final errors of all runs: the components of a state's error against each other.
 
-    Dots are runs that passed all limits, crosses the others; the circle is the limit on the length of the
-    error.
+    Dots are runs within all limits, crosses the others; the circle is the limit of the norm of the error.
 
     Parameters
     ----------
     campaign : Campaign
     name : str
-        A state with two components or more; of three, the first is drawn against each of the others.
+        State with at least two components; for three, the first is drawn against each of the others.
 
     Examples
     --------
@@ -73,12 +72,10 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     >>> runs = go.monte_carlo(to_rest, 5, **asked, dispersions={"initial.r": Normal([0.2, 0.1])})
     >>> figure = plot_dispersion(runs, "r")
     """
-    campaign.measure(name)  # refuses names that nothing is known of
+    campaign.measure(name)  # raises an error for an unknown name
     errors = campaign.error(name)
     if errors.shape[0] < 2:
-        raise ArgumentError(
-            f"the error of '{name}' has one component, which makes no plane: use plot_distributions()."
-        )
+        raise ArgumentError(f"the error of '{name}' has only one component: use plot_distributions().")
     others = range(1, min(errors.shape[0], 3))
     passed = campaign.passed()
     limit = campaign.limits.get(name)
@@ -121,7 +118,7 @@ def _dispersion_legend_handles(
 
 
 def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -> Figure:
-    """Return a figure that shows how measures are distributed: a histogram and the empirical distribution of each.
+    """Return a figure of the distribution of measures: a histogram and the empirical distribution of each.
 
     Percentiles are marked with bars for their confidence intervals.
 
@@ -129,7 +126,7 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     ----------
     campaign : Campaign
     names : sequence of str, optional
-        Measures; default those with limits, or the errors and efforts if there are none.
+        Measures; default: those with limits, or errors and efforts if there are none.
 
     Examples
     --------
@@ -139,7 +136,7 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
         list(names) if names is not None else list(campaign.limits) or list(select_printed_measures(campaign))
     )
     if not chosen:
-        raise ArgumentError("the campaign measures nothing: give target= or limits= to monte_carlo().")
+        raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
     with apply_style():
         figure = new_figure(0.5 + 2.0 * len(chosen))
         axes = figure.subplots(len(chosen), 2, squeeze=False)
@@ -201,9 +198,9 @@ def _draw_limit(ax: Axes, limit: float | None, finite: Any) -> None:
 
 
 def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01, 0.5, 0.99)) -> Figure:
-    """Return a figure that shows between which values a quantity of the loop stays over time, over all runs.
+    """Return a figure of the percentiles of a quantity over time, over all runs.
 
-    Lines are percentiles, areas about them the intervals of order statistics (95 % at each time).
+    Areas around the percentiles are pointwise 95 % confidence intervals.
 
     Parameters
     ----------
@@ -236,7 +233,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
 
 
 def measure_axis_label(name: str) -> str:
-    """Return the name of a measure for an axis: ``"final error of r_L"``, ``"effort of F_B"``."""
+    """Return the axis label of a measure: ``"final error of r_L"``, ``"effort of F_B"``."""
     kind, bracket, rest = name.partition("(")
     if bracket and rest.endswith(")"):
         words = {"angle": "final angle of", "saturation": "saturation time of"}.get(kind, f"{kind} of")

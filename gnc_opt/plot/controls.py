@@ -1,4 +1,4 @@
-"""Figures of the controls over time, each with its switching function."""
+"""Figure of the controls and their switching functions over time."""
 
 from __future__ import annotations
 
@@ -55,21 +55,21 @@ def plot_controls(
     *,
     phase: str | None = None,
 ) -> Figure:
-    """Return a figure that shows every control component and, next to it, its switching function.
+    """Return a figure of every control component and, next to it, its switching function.
 
-    Left: the applied signal (bold), the collocation polynomial with its nodes (thin), bounds dashed. Right:
-    the switching function dH/du; a bounded control is on its upper bound where it is negative; dotted lines
-    mark zeros.
+    Left: the applied signal (bold), the collocation polynomial with its nodes (thin), bounds dashed. Right: the
+    switching function dH/du; an optimal bounded control is at its upper bound where it is negative; dotted lines mark
+    zeros.
 
     Parameters
     ----------
     solution, names, phase
-        As in `plot_states`, of controls.
+        As in `plot_states`, for controls.
 
     Raises
     ------
     UnknownNameError
-        There is no such phase or control.
+        The phase or control does not exist.
     GncOptError
         The phase has no controls.
 
@@ -91,9 +91,7 @@ def plot_controls(
     sizes = {name: leg.controls[name].size for leg in legs for name in names if name in leg.controls}
     parts = [(name, i) for name in names for i in range(sizes[name])]
     if not parts and not composed:
-        raise GncOptError(
-            f"'{solution.problem_name}' has no controls to draw: draw its states by plot_states()."
-        )
+        raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     columns = 1 if solution.problem is None else 2
     with apply_style():
         figure, grid = _control_axes_grid(len(parts) + len(composed), columns)
@@ -119,7 +117,7 @@ def plot_controls(
 
 
 def _control_axes_grid(rows: int, columns: int) -> tuple[Figure, Any]:
-    """Return a figure and its axes (rows, columns) with a row for each control; more than three share two columns."""
+    """Return a figure with one row of axes per control, shape (rows, columns); more than three use two columns."""
     stacks = 1 if rows <= MOST_ROWS else 2
     height = -(-rows // stacks)
     figure = new_figure(0.9 + (1.75 if stacks == 1 else 1.35) * height)
@@ -144,19 +142,19 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
         if np.isfinite(level):
             ax.plot(leg.breaks[[0, -1]], [level, level], zorder=1.5, **BOUND)
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
-        margin = 0.125 * (upper - lower)  # shows the bounds, cuts off overshoot
+        margin = 0.125 * (upper - lower)  # shows the bounds, clips overshoot
         ax.set_ylim(lower - margin, upper + margin)
     ax.set_ylabel(axis_label(shown, signal.unit))
 
 
 def _is_declared_control(control: ComposedControl, others: Iterable[ComposedControl]) -> bool:
-    """Whether a control was stated as it is, and not as components that are drawn themselves."""
+    """Return whether a control was declared itself, and not as a part of a control that is drawn."""
     whole = isinstance(control, VectorControl)
     return not any(whole and isinstance(c, AssembledControl) and c.parts[:2] == control.parts for c in others)
 
 
 def _draw_composed_control(ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl) -> None:
-    """Draw all components of a control that is made of two, as flown."""
+    """Draw all components of a composed control, as applied."""
     for leg in legs:
         if control in leg.composed_controls:
             signal = leg.saturated_control(control.name)
@@ -169,7 +167,7 @@ def _draw_composed_control(ax: Axes, legs: Sequence[PhaseSolution], control: Com
 def _draw_switching_function(
     axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int, shown: str
 ) -> None:
-    """Draw into the second axis; mark changes of sign in both."""
+    """Draw the switching function on the second axes, and mark its sign changes on both."""
 
     def evaluate_switching_function(t: Array, side: Any) -> Any:
         return solution.switching_function(name, t, leg.name, side)
@@ -191,7 +189,7 @@ def _draw_switching_function(
 
 
 def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
-    """Return whether the applied control is on one of its bounds (n_times,)."""
+    """Return whether the applied control is at one of its bounds (n_times,)."""
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
     flown = leg.flown(t)[row]
     room = np.minimum(flown - lower, upper - flown)
@@ -199,7 +197,7 @@ def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
 
 
 def _compute_negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
-    """Return the switching function that changes H by 1e-7 of its terms over the control's range."""
+    """Return the switching function that changes H by 1e-7 of its terms over the range of the control."""
     t, rows = leg.point_times, leg.controls.slice(name)
     row = rows.start + i
     terms = leg.lam(t) * solution.functions(leg.name).rates(t, leg.x(t), leg.u(t))

@@ -1,4 +1,4 @@
-"""Figure of a loop in the frequency domain: Bode, Nyquist, sensitivity, or disk margins along a trajectory."""
+"""Figures of a loop in the frequency domain: Bode, Nyquist, sensitivity, disk margins along a trajectory."""
 
 from __future__ import annotations
 
@@ -25,27 +25,26 @@ from gnc_opt.plot.style import (
 Kind: TypeAlias = Literal["bode", "nyquist", "sensitivity", "margins"]
 
 _NYQUIST_RADIUS = 2.5
-"""How far from the origin a Nyquist plot shows at most: what matters happens about -1."""
+"""Largest distance from the origin in a Nyquist plot; the region around -1 is relevant."""
 
 
 def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | None = None) -> Figure:
-    """Return a figure of the loop in the frequency domain, a line for each instant.
+    """Return a frequency-domain figure of a loop, with one line per instant.
 
     Parameters
     ----------
     response : LoopResponse
     kind : {"bode", "nyquist", "sensitivity", "margins"}
-        Gain and phase of the open loop of a command, the others closed; the same in the complex plane about
-        -1, outside of the disk of the smallest disk margin (Seiler, Packard and Gahinet, An introduction to
-        disk margins (2020), figure 6); largest singular values of the sensitivity S and of T = 1 - S; or the
-        disk margin with its changes of gain and phase over many instants.
+        Gain and phase of the open loop of one command, the others closed; its Nyquist plot with the disk of the
+        smallest disk margin (Seiler, Packard and Gahinet, An introduction to disk margins (2020), figure 6); largest
+        singular values of the sensitivity S and of T = 1 - S; disk margin with its changes of gain and phase over time.
     command : str, optional
-        Of "bode" and "nyquist"; default the first.
+        Command for "bode" and "nyquist"; default: the first.
 
     Raises
     ------
     ArgumentError
-        Another kind, or more instants than lines can show.
+        Unknown kind, or more instants than available line colours.
 
     Examples
     --------
@@ -56,7 +55,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
         raise ArgumentError(f"a response is not drawn as {shown(kind)}: {did_you_mean(str(kind), _KINDS)}")
     if kind != "margins" and response.times.size > len(COLORS):
         raise ArgumentError(
-            f"{response.times.size} instants make too many lines: give loop_response() at= up to {len(COLORS)} "
+            f"{response.times.size} instants are too many for one figure: give loop_response() at= up to {len(COLORS)} "
             'times, or draw their "margins".'
         )
     draw, *size = _KINDS[kind]
@@ -92,7 +91,7 @@ def _draw_nyquist(figure: Figure, response: LoopResponse, label: str) -> None:
         loop = response.channel(response.frequencies, label, k)
         ax.plot(loop.real, loop.imag, **line_style(k))
     ax.plot(-1.0, 0.0, "+", color="black", markersize=9)
-    alpha = float(np.fmin.reduce(response.disk_margins))  # open instants have none
+    alpha = float(np.fmin.reduce(response.disk_margins))  # NaN for open loops
     if 0 < alpha < 2:
         low, high = (alpha - 2) / (alpha + 2), (alpha + 2) / (alpha - 2)
         middle, radius = 0.5 * (low + high), 0.5 * (low - high)
@@ -143,11 +142,11 @@ _KINDS: dict[str, Any] = {
     "sensitivity": (_draw_sensitivity, 3.2),
     "margins": (_draw_margins, 4.6),
 }
-"""What draws a figure, and its height and width (inch)."""
+"""Drawing function of each kind, with height and width (inch)."""
 
 
 def _unwrap_phase(loop: Any) -> Any:
-    """Return the phase (rad), continuous, that is nearest to a lag of half a turn where the gain is one."""
+    """Return the continuous phase (rad) that is closest to -180 degrees at unit gain."""
     phase = np.unwrap(np.angle(loop))
     at = int(np.argmin(np.abs(np.log(np.abs(loop) + 1e-300))))
     return phase - 2 * np.pi * np.round((phase[at] + np.pi) / (2 * np.pi))

@@ -1,4 +1,4 @@
-"""Figures of motion in space: the path, the vehicle along it, other bodies and keep-out volumes."""
+"""Figure of a motion in space: path, vehicle at several times, other bodies and keep-out volumes."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ from gnc_opt.plot.style import (
 )
 
 PATH_SAMPLES = 400
-"""Points of a drawn path."""
+"""Number of points of a path."""
 
 KILOMETRES_FROM = 1e5
 """Extent (m) from which axes count kilometres."""
 
 
 def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
-    """Return a figure that shows the path of a vehicle, the vehicle at equal intervals of time, and other bodies.
+    """Return a figure of the path of a vehicle, the vehicle at equal time intervals, and other bodies.
 
     Parameters
     ----------
     moved : Solution or Run
     view : View
-        With a position; the vehicle is drawn as a box with its axes if there is an attitude, else as a dot.
+        View with a position; the vehicle is a box with axes if the view has an attitude, else a dot.
     vehicles : int
-        How often the vehicle is drawn, start and end included.
+        Number of drawn vehicles, including start and end.
 
     Raises
     ------
     UnknownNameError, ArgumentError
-        As for `View`.
+        See `View`.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
 
 
 def _draw_box(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str) -> Array:
-    """Draw a vehicle as a box along its axes, the rows of ``dcm_BL``; return its corners (3, 8)."""
+    """Draw a vehicle as a box along its axes, the rows of ``dcm_BL``; return the corners (3, 8)."""
     edges = size * np.array(VEHICLE_HALF_EDGES)
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * edges
     points = corners @ dcm_BL + centre
@@ -107,11 +107,11 @@ def _draw_box(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str) ->
 
 
 _BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-"""Corners of each face, in the order of `itertools.product`."""
+"""Corner indices of each face, in the order of `itertools.product`."""
 
 
 def _set_equal_scales(ax: Any, points: Array, path: Motion, down: bool) -> None:
-    """Equal scales on all axes, limits around all points, labels with units; a plane is seen from its front."""
+    """Set equal scales on all axes, limits around all points, labels with units; a plane is viewed from its front."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))
     low, high = low - room, high + room

@@ -1,6 +1,6 @@
-"""Motion in three dimensions in a page: a vehicle, its path and its plume over a slider of time.
+"""Animated 3-D scene in an HTML page: vehicle, path and plume, with a time slider.
 
-Plotly, of the extra ``report``, draws it; the page needs no network.
+Plotly (extra ``report``) draws it; the page works offline.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from gnc_opt.plot.motion_view import (
 from gnc_opt.runtime_environment import import_optional
 
 _INSTANTS = (41, 241)
-"""Fewest and most instants of a motion."""
+"""Smallest and largest number of instants of a motion."""
 _SCENE_MAX_SAMPLES = 60_000
-"""Instants of all motions together: what keeps a page of a thousand runs below five megabytes."""
+"""Number of instants of all motions together; a page with 1000 runs stays below 5 MB."""
 _DIGITS = 4
-"""Of positions, relative to the extent of what is drawn; of axes and forces to the length of a unit vector."""
+"""Resolution of positions relative to the extent of the scene, and of axes and forces relative to a unit vector."""
 
 
 def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
-    """Return the scene as a piece of HTML, to be used once in a page; without Plotly, a line on how to get it.
+    """Return the scene as an HTML element, at most once per page; without Plotly, a line with the install command.
 
-    Motions that are not ``regular`` do not count for the limits of the axes.
+    Motions that are not ``regular`` do not affect the limits of the axes.
     """
     data = _serialise_scene(shown, view, regular or {})
     try:
@@ -103,7 +103,7 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
 
 
 def _serialise_motion(each: Motion, digits: int) -> dict[str, Any]:
-    """Numbers of one motion; of the body's axes the first two, the third stands upright on them."""
+    """Return the data of one motion; of the body axes the first two, since the third is their cross product."""
     axes = [] if each.dcm_BL is None else np.round(each.dcm_BL[:2], _DIGITS).tolist()
     return {
         "position": np.round(each.position, digits).tolist(),
@@ -113,7 +113,7 @@ def _serialise_motion(each: Motion, digits: int) -> dict[str, Any]:
 
 
 def _bounding_box(points: list[Array], view: View) -> tuple[Array, Array, float]:
-    """Return the lowest and highest corner of the drawing, with a margin, and its largest extent."""
+    """Return lower and upper corner of the scene with a margin, and its largest extent."""
     everything = np.hstack(points)
     low, high = everything.min(axis=1), everything.max(axis=1)
     size = float(np.max(high - low)) if view.position is not None else 1.0

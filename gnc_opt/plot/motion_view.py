@@ -1,4 +1,4 @@
-"""View of a motion in space: position, attitude and thrust of a vehicle, sampled from a solution or a run."""
+"""View of a motion in space: position, attitude and force of a vehicle, sampled from a solution or a run."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ Moved: TypeAlias = Solution | Run
 Names: TypeAlias = str | Sequence[str]
 
 VEHICLE_HALF_EDGES = (0.36, 0.26, 0.26)
-"""Of the box that stands for a vehicle, along its axes, in lengths of the axes as drawn."""
+"""Edges of the box for a vehicle along its axes, in lengths of the drawn axes."""
 
 AXIS, PLUME = 0.12, 0.2
-"""Lengths of the body's axes and of the plume at full thrust, shares of the largest extent of what is drawn."""
+"""Lengths of the body axes and of the plume at the largest force, as shares of the extent of the scene."""
 
 
 @dataclass(frozen=True)
 class View:
-    """View of a motion in space, by the names of states and controls.
+    """Definition of a 3-D view by the names of states and controls.
 
-    A name stands for a whole variable (``"r"``) or for one component (``"q[3]"``); several make one quantity.
+    A name is a whole variable (``"r"``) or one component (``"q[3]"``); several names form one vector.
 
     Attributes
     ----------
     position : str or sequence of str, optional
-        One to three components: x, y and z in the frame L. None leaves the body at the origin.
+        One to three components x, y and z in frame L. None: the body stays at the origin.
     attitude : str or sequence of str, optional
-        Of the body B relative to L: modified Rodrigues parameters (3) or a quaternion (4, scalar part first).
+        Attitude of body B relative to L: modified Rodrigues parameters (3) or a quaternion (4, scalar first).
     force : str or sequence of str, optional
-        The resultant force, in B if there is an attitude, else in L, whose plume is drawn.
+        Resultant force, in B if there is an attitude, else in L; drawn as a plume.
     keep_out : mapping of str to (centre, radius)
         Spheres, or ellipsoids with three semi-axes along those of L, in the unit of the position.
     down : bool
-        Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
+        Whether z points downward in the figure (and y towards the viewer), for a z axis towards the planet.
     bodies : mapping of str to array (3,)
-        Other vehicles, which rest in L: position by name.
+        Positions of other vehicles at rest in L, by name.
 
     Examples
     --------
@@ -62,20 +62,18 @@ class View:
 
     def __post_init__(self) -> None:
         if self.position is None and self.attitude is None:
-            raise ArgumentError(
-                "a view without position and attitude shows nothing that moves: name one of them."
-            )
+            raise ArgumentError("a view has neither position nor attitude: give at least one.")
         for name in self.keep_out:
             self.volume(name)
         for name, position in self.bodies.items():
             _read_three_numbers(position, f"the position of '{name}'")
 
     def volume(self, name: str) -> tuple[Array, Array]:
-        """Return centre (3,) and semi-axes (3,) of a volume to keep out of."""
+        """Return centre (3,) and semi-axes (3,) of a keep-out volume."""
         try:
             centre, radius = self.keep_out[name]
         except (TypeError, ValueError):
-            raise ArgumentError(f"'{name}' to keep out of is no (centre, radius): give both.") from None
+            raise ArgumentError(f"keep-out volume '{name}' is not a pair: give (centre, radius).") from None
         axes = read_numbers(radius, f"the radius of '{name}'").reshape(-1)
         axes = np.full(3, axes[0]) if axes.size == 1 else _read_three_numbers(axes, f"the radius of '{name}'")
         if not np.all(axes > 0):
@@ -85,9 +83,9 @@ class View:
 
 @dataclass(frozen=True)
 class Motion:
-    """Samples at times (n,): position (3, n), body's axes as rows (3, 3, n), force (3, n) as shares of its largest.
+    """Samples at times (n,): position (3, n), body axes as rows (3, 3, n), force (3, n) relative to its largest.
 
-    ``labels`` are the names of the axes, "" for one that no component has.
+    ``labels`` are the names of the axes, "" for axes without a component.
     """
 
     times: Array
@@ -99,13 +97,13 @@ class Motion:
 
 
 def motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
-    """Return the first and the last time (s) at which there is something to see."""
+    """Return the start and end time (s) of a motion."""
     parts = _trajectory_parts(moved, view)
     return parts[0].begin, parts[-1].end
 
 
 def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
-    """Return samples of a motion at times (n,), s; before its begin and after its end it stands still."""
+    """Return samples of a motion at times (n,), s; constant before its start and after its end."""
     parts = _trajectory_parts(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
     begins = [part.begin for part in parts]
@@ -136,12 +134,12 @@ def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
     return Motion(times, position, dcm, force, unit, labels)
 
 
-# --- where the numbers come from ------------------------------------------------------------------------
+# --- sources ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A phase, or a run: from begin to end (s), with its states and controls by name."""
+    """Phase or run: start and end (s), with states and controls by name."""
 
     begin: float
     end: float
@@ -149,7 +147,7 @@ class _Part:
     layouts: Mapping[str, Layout]
 
     def values(self, name: str, t: Array) -> Array:
-        """Of a variable (size, n), or of one component (1, n)."""
+        """Return the values of a variable (size, n), or of one component (1, n)."""
         whole, bracket, _ = name.partition("[")
         values = np.atleast_2d(self._find_signal(whole)(t))
         if not bracket:
@@ -164,7 +162,7 @@ class _Part:
         if name in self.layouts["state"]:
             return self.source.state(name)
         try:
-            return self.source.control(name)  # knows composed controls, which no layout lists
+            return self.source.control(name)  # composed controls are not in the layouts
         except UnknownNameError:
             known = [*self.layouts["state"].names, *self.layouts["control"].names]
             raise unknown_name("state or control", name, "the motion", known) from None
@@ -201,14 +199,14 @@ def _list_names(names: Names) -> list[str]:
 
 
 def ellipsoid_points(centre: Array, semi_axes: Array) -> Array:
-    """Return points of an ellipsoid, (3, 13, 25): from pole to pole, and around."""
+    """Return points of an ellipsoid, (3, 13, 25), on meridians and parallels."""
     around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 13))
     unit = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     return np.asarray(centre[:, None, None] + semi_axes[:, None, None] * unit)
 
 
 def _to_three_rows(values: Array, what: str) -> Array:
-    """Three rows: of two components the second is drawn upwards, and one is."""
+    """Return three rows; the second of two components is drawn upward, as is a single one."""
     nothing = np.zeros(values.shape[1])
     if len(values) == 1:
         return np.vstack([nothing, nothing, values[0]])

@@ -1,4 +1,4 @@
-"""Figure of a refinement: its error and its meshes."""
+"""Figure of a refinement: errors and meshes."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ _NUMBER: dict[str, Any] = {
 
 
 def plot_refinement(history: History) -> Figure:
-    """Return a figure that shows how a refinement went.
+    """Return a figure of the errors and meshes of a refinement.
 
-    Above, the estimated error of each iteration over its collocation points; failed solves are crossed out.
-    Below, one row of segments per iteration and phase, coloured by degree.
+    Top: the estimated error of each iteration over its number of collocation points; failed solves are crossed out.
+    Bottom: one row of segments per iteration and phase, coloured by degree.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figure of a closed-loop run: states with their reference, applied controls, or errors."""
+"""Figure of a closed-loop run: states with reference, applied controls, or errors."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ _FOLLOWED: dict[str, Any] = {"color": QUIET, "linestyle": "--", "linewidth": 1.0
 
 
 def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None) -> Figure:
-    """Return a figure that shows signals of a run over time, one axis per (vector) signal.
+    """Return a figure of signals of a run over time, with one axis per (vector) signal.
 
     Parameters
     ----------
     run : Run
     kind : {"states", "controls", "errors"}
-        States of the plant, their reference dashed grey; applied controls (means over control steps), commands
-        of the same name dashed grey; errors of the states relative to the reference.
+        States of the plant with reference (dashed grey); applied controls (means over control steps) with commands of
+        the same name (dashed grey); errors of the states relative to the reference.
     names : sequence of str, optional
-        Default all.
+        Names of signals; default: all.
 
     Raises
     ------
     UnknownNameError
-        There is no such signal.
+        The signal does not exist.
     ArgumentError
-        Another kind, or errors of a run whose controller follows no reference.
+        Unknown kind, or errors of a run without reference.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def _draw_reference(ax: Axes, run: Run, name: str) -> None:
 
 
 def _draw_signal(ax: Axes, signal: Logged, looks: Sequence[dict[str, Any]]) -> None:
-    """Draw the components of a signal, the last look for all further ones."""
+    """Draw the components of a signal; the last style is used for all further components."""
     for i, row in enumerate(signal.values):
         look = {"label": "_", **looks[min(i, len(looks) - 1)]}
         ax.plot(signal.times, row, drawstyle="steps-post" if signal.held else "default", **look)

@@ -1,4 +1,4 @@
-"""Reports: the summary, its JSON, progress, the report folder."""
+"""Reports: HTML pages and JSON summaries of solutions, runs and campaigns."""
 
 from gnc_opt.planning.solution.summary import summary
 from gnc_opt.report.flight_report import write_campaign_report, write_run_report

@@ -1,4 +1,4 @@
-"""Reports of simulations: a folder with one page about a run, or about a campaign and any of its runs."""
+"""Reports of simulations: a folder with an HTML page on a run or a campaign."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ def write_run_report(
     view: View | None = None,
     command: str | None = None,
 ) -> list[Path]:
-    """Write one page about a run of a closed loop, the run itself and its figures into a folder.
+    """Write an HTML page on a closed-loop run, the run and its figures to a folder.
 
     Parameters
     ----------
     run : Run
     directory : str or Path
-        Made if it does not exist. Files of an earlier report are replaced.
+        Output folder; created if missing. Files of an earlier report are replaced.
     title : str
     view : gnc_opt.plot.View, optional
-        What of the motion is shown in three dimensions, as in `write_report`.
+        View for the 3-D motion, as in `write_report`.
     command : str, optional
-        Command that writes this report, for the page.
+        Command that reproduces the report, printed on the page.
 
     Returns
     -------
@@ -100,15 +100,15 @@ def write_campaign_report(
     runs: int = 200,
     command: str | None = None,
 ) -> list[Path]:
-    """Write one page about a campaign, the campaign itself, its statistics as JSON and its figures into a folder.
+    """Write an HTML page on a campaign, the campaign, its statistics as JSON and its figures to a folder.
 
     Parameters
     ----------
     campaign : Campaign
     directory, title, view, command
-        As in `write_run_report`; the motion is that of any of the runs, simulated again.
+        As in `write_run_report`; the motion is shown for several runs, which are simulated again.
     runs : int
-        At most so many are shown there, those that did not pass first.
+        Largest number of runs shown in motion; runs that did not pass come first.
 
     Returns
     -------
@@ -118,9 +118,9 @@ def write_campaign_report(
     Raises
     ------
     GncOptError
-        ``directory`` is a file, no run has ended, or a view of a campaign that cannot fly.
+        ``directory`` is a file, no run is complete, or a view is given for a campaign without compiled loop.
     ArgumentError
-        ``runs`` is no positive number.
+        ``runs`` is not a positive integer.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def write_campaign_report(
     """
     runs = read_integer(runs, "the number of runs to show", 1)
     if not len(campaign):
-        raise GncOptError("no run of the campaign has ended: there is nothing to report.")
+        raise GncOptError("no run of the campaign is complete: run it longer.")
     folder = make_report_folder(directory)
     motion = "" if view is None else _sample_runs_section(campaign, view, runs)
     files = save_figures(folder, _draw_campaign_figures(campaign))
@@ -174,7 +174,7 @@ def _results_table(campaign: Campaign) -> str:
 
 
 def _drawn_parameters_table(campaign: Campaign) -> str:
-    """Return mean, standard deviation and range of the parameters over the runs; those without variation last."""
+    """Return mean, standard deviation and range of the parameters over the runs; constant parameters last."""
     layout, rows = campaign.layouts["parameter"], []
     for label, unit, drawn in zip(layout.labels, layout.units, campaign.parameters, strict=True):
         varies = float(np.ptp(drawn)) > 0.0
@@ -185,7 +185,7 @@ def _drawn_parameters_table(campaign: Campaign) -> str:
 
 
 def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str) -> str:
-    """Return all pictures whose names have a prefix."""
+    """Return all figures whose names start with a prefix."""
     stems = [stem for stem in files if stem.startswith(prefix)]
     return figures_html({files[stem]: f"{stem.removeprefix(prefix)}: {caption}" for stem in stems})
 

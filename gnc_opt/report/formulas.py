@@ -1,6 +1,6 @@
-"""CasADi expressions as MathML, for the problem statement of a report.
+"""Conversion of CasADi expressions to MathML, for the problem statement of a report.
 
-A subexpression that occurs twice, or is long, becomes an auxiliary quantity with a formula of its own, as in a paper.
+A subexpression that is repeated or long becomes an auxiliary quantity with its own formula.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import casadi as ca
 from gnc_opt.text_formatting import GREEK_NAMES
 
 FORMULA_MAX_NODES = 400
-"""Operations and symbols of all formulas of one phase; larger ones are described by their arguments."""
+"""Largest number of operations and symbols in the formulas of a phase; larger ones are described by their arguments."""
 
 AUXILIARY_MIN_NODES = 6
-"""Smallest repeated subexpression that gets a formula of its own."""
+"""Smallest repeated subexpression that gets its own formula."""
 
 AUXILIARY_LONG_NODES = 26
-"""Subexpressions from this size on get a formula of their own, which keeps lines short."""
+"""Size from which a subexpression gets its own formula, which limits the line length."""
 
 _GREEK = dict(zip(GREEK_NAMES, "αβγδεζηθικλμνξπρστφχψωΓΔΘΛΞΠΣΦΨΩ", strict=True))
 
 _SUM, _SIGNED, _PRODUCT, _ATOM = range(4)
-"""How tightly a formula binds: an operand that binds less than its operation needs is put in parentheses."""
+"""Operator precedence: an operand of lower precedence than its operation is put in parentheses."""
 
 _TIMES = '<mo>&#8290;</mo><mspace width="0.15em"/>'
 
@@ -45,7 +45,7 @@ _RELATIONS = {ca.OP_LT: "&lt;", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠",
 
 @dataclass
 class Formulas:
-    """Writes scalar expressions; collects the auxiliary quantities that they use."""
+    """Writer of scalar expressions, which collects their auxiliary quantities."""
 
     names: dict[int, str]
     auxiliary: list[tuple[str, str]] = field(default_factory=list)
@@ -54,7 +54,7 @@ class Formulas:
     _sizes: dict[int, int] = field(default_factory=dict)
 
     def is_short_enough(self, expressions: Any) -> bool:
-        """Return whether a column of expressions is short enough to be written; note what occurs in it twice."""
+        """Return whether a column of expressions is short enough to be written; records repeated subexpressions."""
         uses: Counter[int] = Counter()
         waiting = ca.vertsplit(ca.densify(expressions))
         while waiting:
@@ -70,7 +70,7 @@ class Formulas:
         return True
 
     def split_terms(self, expression: Any) -> list[str]:
-        """Return a formula as its terms, signs included, between which a line may break."""
+        """Return the signed terms of a formula, between which a line may break."""
         return list(self._split_terms(expression, ""))
 
     def _operands(self, node: Any) -> list[Any]:
@@ -91,7 +91,7 @@ class Formulas:
             return
         text, binding = self._to_mathml(node)
         if sign and binding == _SIGNED:
-            yield text  # its own minus
+            yield text  # unary minus
         else:
             yield (_operator_mathml(sign) if sign else "") + text
 
@@ -102,7 +102,7 @@ class Formulas:
         return self._sizes[place]
 
     def _operand_to_mathml(self, node: Any, least: int) -> str:
-        """Return an operand, in parentheses if it binds less than ``least``."""
+        """Return an operand, in parentheses if its precedence is below ``least``."""
         text, binding = self._to_mathml(node)
         size, place = self._expression_size(node), node.element_hash()
         long = size >= AUXILIARY_LONG_NODES or (place in self._repeated and size >= AUXILIARY_MIN_NODES)
@@ -117,7 +117,7 @@ class Formulas:
         return text if binding >= least else _add_parentheses(text)
 
     def _to_mathml(self, node: Any) -> tuple[str, int]:
-        """Return MathML and how tightly it binds."""
+        """Return MathML and its precedence."""
         place = node.element_hash()
         if place in self.names:
             return self.names[place], _ATOM
@@ -196,7 +196,7 @@ def component_names_mathml(symbols: Mapping[str, Any]) -> dict[int, str]:
 
 
 def name_mathml(label: str, *, dotted: bool = False) -> str:
-    """Return a name such as ``r_L[0]`` or ``omega`` as MathML, with subscript and index; dotted: its rate."""
+    """Return a name such as ``r_L[0]`` or ``omega`` as MathML, with subscript and index; dotted: its derivative."""
     name, _, index = label.partition("[")
     base, _, subscript = name.partition("_")
     if len(base) > 1 and base not in _GREEK:
@@ -213,7 +213,7 @@ def name_mathml(label: str, *, dotted: bool = False) -> str:
 
 
 def number_mathml(value: float) -> str:
-    """Return a number with six digits, its exponent typeset."""
+    """Return a number with six digits and a typeset exponent."""
     digits, _, exponent = f"{abs(value):.6g}".partition("e")
     text = f"<mn>{digits}</mn>"
     if exponent:

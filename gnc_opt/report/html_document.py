@@ -1,4 +1,4 @@
-"""Frame, style and elements of a report: one page that needs no network and no other file, on screens and in print."""
+"""HTML document of a report: frame, style and elements of a self-contained page for screen and print."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gnc_opt.runtime_environment import package_version
 
 
 def make_report_folder(directory: str | Path) -> Path:
-    """Make a folder for a report and return its path; refuse a file."""
+    """Create a folder for a report and return its path; raise an error if it is a file."""
     folder = Path(directory)
     if folder.exists() and not folder.is_dir():
         raise GncOptError(f"cannot write the report to '{folder}', which is a file: name a folder.")
@@ -23,7 +23,7 @@ def make_report_folder(directory: str | Path) -> Path:
 
 
 def write_page(folder: Path, text: str) -> Path:
-    """Write ``report.html`` into a folder and return its path."""
+    """Write ``report.html`` to a folder and return its path."""
     path = folder / "report.html"
     path.write_text(text, encoding="utf-8")
     return path
@@ -37,7 +37,7 @@ def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, 
 
 
 def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str:
-    """Return a page: sections of HTML below their titles, empty ones left out."""
+    """Return a page with titled sections of HTML; empty sections are omitted."""
     shown = {name: body for name, body in sections.items() if body}
     anchors = {name: name.lower().replace(" ", "-") for name in shown}
     links = "".join(f'<a href="#{anchor}">{name}</a>' for name, anchor in anchors.items())
@@ -56,7 +56,7 @@ def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str
 
 
 def figures_html(figures: Mapping[Path, str]) -> str:
-    """Return SVG files with their captions as part of a page."""
+    """Return SVG files with captions as HTML elements."""
     text = ""
     for path, caption in figures.items():
         source = f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
@@ -66,17 +66,17 @@ def figures_html(figures: Mapping[Path, str]) -> str:
 
 
 def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:
-    """Return the figure of a stem with its caption; nothing if there is no such figure."""
+    """Return a figure with its caption; "" if it does not exist."""
     return figures_html({files[stem]: caption}) if stem in files else ""
 
 
 def status_label_html(word: str, tone: str) -> str:
-    """Return a word that stands out; tones: good, bad, open or none."""
+    """Return an emphasised word; tones: good, bad, open or none."""
     return f'<span class="chip {tone}">{escape(word)}</span>'
 
 
 def command_html(command: str | None) -> str:
-    """Return the command that writes the same page."""
+    """Return the command that reproduces the page."""
     return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""
 
 

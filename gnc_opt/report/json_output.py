@@ -1,4 +1,4 @@
-"""Summaries of solutions and searches as JSON, see docs/reference/json_summary.md."""
+"""JSON summaries of solutions and searches, see docs/reference/json_summary.md."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gnc_opt.text_formatting import convert_to_json, json_text
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
-    """Return the result of a search as plain JSON values; each minimum with the summary of its solution.
+    """Return the result of a search as JSON values; each minimum has the summary of its solution.
 
     Parameters
     ----------
@@ -49,17 +49,17 @@ def search_dict(found: Multistart) -> dict[str, Any]:
 
 
 SCHEMA = 2
-"""Raised when a key is removed or changes its meaning; new keys may come at any time."""
+"""Version, raised when a key is removed or changes its meaning; new keys do not raise it."""
 
 
 def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str, Any]:
-    """Return the summary as plain JSON values; values that are not finite or not measured are None.
+    """Return the summary as JSON values; values that are not finite or not available are None.
 
     Parameters
     ----------
     solution : Solution
     verdict : Verdict, optional
-        None leaves ``verdict`` null.
+        None: ``verdict`` is null.
 
     Examples
     --------
@@ -105,7 +105,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
 
 
 def write_json(path: str | Path, found: Solution | Multistart, verdict: Verdict | None = None) -> Path:
-    """Return the path of a file to which the summary of a solution or search is written as UTF-8 JSON.
+    """Return the path of a UTF-8 JSON file with the summary of a solution or search.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def write_json(path: str | Path, found: Solution | Multistart, verdict: Verdict 
     found : Solution or Multistart
         Written by `summary_dict` or `search_dict`.
     verdict : Verdict, optional
-        Of a solution; None leaves ``verdict`` null.
+        Verdict of a solution; None: ``verdict`` is null.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The problem of a solution in full: cost, dynamics, boundary values, limits and parameters, as formulas and tables."""
+"""Problem statement of a report: cost, dynamics, boundary conditions, limits and parameters as formulas and tables."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TIME = "<mi>t</mi>"
 
 
 def problem_statement_html(problem: Problem) -> str:
-    """Return the cost, the constraints at the ends, the free parameters and every phase as HTML."""
+    """Return the cost, the boundary constraints, the free parameters and all phases as HTML."""
     writer = Formulas(_name_boundaries(problem))
     shown: dict[str, str] = {}
     phases = "".join(_phase_section(problem, leg, shown) for leg in problem.phases.values())
@@ -43,7 +43,7 @@ def problem_statement_html(problem: Problem) -> str:
 
 
 def _name_boundaries(problem: Problem) -> dict[int, str]:
-    """Return the names of end states, times, integrals and free parameters."""
+    """Return the names of boundary states, times, integrals and free parameters."""
     names = component_names_mathml({s.variable.name: s for s in problem.free_symbols()})
     several = len(problem.phases) > 1
     for leg in problem.phases.values():
@@ -106,7 +106,7 @@ def _free_parameters_section(problem: Problem) -> str:
 
 
 def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
-    """Return a phase; parts that an earlier one has, too, are referred to by the name of that phase."""
+    """Return a phase; parts equal to those of an earlier phase are replaced by a reference."""
 
     def refer_if_repeated(part: str) -> str:
         earlier = shown.setdefault(part, leg.name)
@@ -214,7 +214,7 @@ def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
 
 
 def _find_variable_name(leg: Phase, expression: Any) -> str:
-    """Return the name of the variable whose components a vector consists of, in order; "" if there is none."""
+    """Return the name of the variable that a vector consists of, component by component; "" if there is none."""
     places = [element.element_hash() for element in ca.vertsplit(expression)]
     for layout in (leg.model.states, leg.model.controls):
         for v in layout.variables:
@@ -234,7 +234,7 @@ def _pair_rows_with_limits(
 
 
 def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interval]]) -> str:
-    """Return constraints as names with formulas between their limits."""
+    """Return constraints as named formulas with their limits."""
     if not writer.is_short_enough(ca.vertcat(*[element for _, element, _ in rows])):
         return _omitted_expressions_note(rows)
     lines = []
@@ -253,7 +253,7 @@ def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interv
 
 
 def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
-    """Return equations; a right side is an expression, or MathML."""
+    """Return equations; each right side is an expression or MathML."""
     expressions = ca.vertcat(*[value for _, value in rows if not isinstance(value, str)])
     if expressions.numel() and not writer.is_short_enough(expressions):
         return _omitted_expressions_note(rows)
@@ -269,7 +269,7 @@ def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str
 
 
 def _auxiliary_formulas(writer: Formulas) -> str:
-    """Return the auxiliary quantities that are new since the last call."""
+    """Return the auxiliary quantities since the last call."""
     found = [
         (inline_formula(name), inline_formula("<mo>=</mo>" + formula))
         for name, formula in writer.auxiliary[writer.shown :]
@@ -289,7 +289,7 @@ def _omitted_expressions_note(rows: Sequence[Sequence[Any]]) -> str:
 
 
 def _join_breakable_terms(terms: Iterable[str]) -> str:
-    """Return terms as formulas of their own: a line may break between two of them."""
+    """Return terms as separate formulas, between which a line may break."""
     return " ".join(inline_formula(term) for term in terms)
 
 

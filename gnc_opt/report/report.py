@@ -1,4 +1,4 @@
-"""The folder of a report on one solution: page, summary, solution and figures."""
+"""Report folder of a solution: page, summary, solution and figures."""
 
 from __future__ import annotations
 
@@ -25,29 +25,28 @@ def write_report(
     view: View | None = None,
     command: str | None = None,
 ) -> list[Path]:
-    """Write a page for a design review, the solution, its summary as JSON, and the figures into a folder.
+    """Write a design review page, the solution, its JSON summary and the figures to a folder.
 
-    The page begins with the trajectory, the controls and the optimality check, then states the problem in
-    full.
+    The page contains the trajectory, the controls and the optimality check, followed by the complete problem statement.
 
     Parameters
     ----------
     solution : Solution
-        Without its problem, there is no figure of the Hamiltonian.
+        Without its problem, the figure of the Hamiltonian is omitted.
     verdict : Verdict or None
-        None writes no optimality check.
+        None: no optimality check in the report.
     directory : str or Path
-        Made if it does not exist. Files of an earlier report are replaced.
+        Output folder; created if missing. Files of an earlier report are replaced.
     view : gnc_opt.plot.View, optional
-        Vehicles and motion: a figure of the trajectory and a scene (plotly of the extra ``report``).
+        View for a figure of the trajectory and a 3-D scene (plotly of the extra ``report``).
     command : str, optional
-        Command that writes this report, for the page.
+        Command that reproduces the report, printed on the page.
 
     Returns
     -------
     list of Path
-        ``report.html``, ``summary.json``, ``solution.npz`` and the figures (SVG). The page needs no other
-        file.
+        ``report.html``, ``summary.json``, ``solution.npz`` and the figures (SVG). The page is
+        self-contained.
 
     Raises
     ------
@@ -75,7 +74,7 @@ def write_report(
 
 
 def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
-    """Yield file stem and figure of what every solution has, all phases one after the other."""
+    """Yield file stem and figure of each plot of a solution with all phases."""
     from gnc_opt.plot import trajectory
     from gnc_opt.plot.controls import plot_controls
     from gnc_opt.plot.motion_path import plot_motion

@@ -1,4 +1,4 @@
-"""The page about one solution, for a design review."""
+"""HTML page on one solution, for a design review."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def solution_page_html(
 
 
 def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
-    """Return the status of solver and optimality check, and the objective, in one line."""
+    """Return a line with solver status, result of the optimality check and objective."""
     solved = solution.status.solved
     chips = status_label_html(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")
     if verdict is not None:
@@ -92,7 +92,7 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
 
 
 def verdict_table_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
-    """Return group, result, largest violation and its place of three groups of conditions."""
+    """Return group, result, largest violation and its location for three groups of conditions."""
     lines = []
     for group, found in verdict.groups.items():
         worst = most_severe(found)
@@ -102,7 +102,7 @@ def verdict_table_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
 
 
 def open_conditions_html(verdict: Verdict) -> list[str]:
-    """Return place, size, meaning and remedy of each condition that fails or is inconclusive though necessary."""
+    """Return location, size, meaning and remedy of each condition that fails, or is necessary and inconclusive."""
     return [
         f"{c.name} {c.result.value.lower()} at {c.location_text}. {c.meaning} {REMEDIES.get(c.name, '')}".rstrip()
         for c in verdict.open

@@ -1,6 +1,4 @@
-"""Template problem files, one per kind, that ``gnc-opt new`` copies; each can be solved and verified
-unchanged.
-"""
+"""Template problem files for ``gnc-opt new``, one per kind; each can be solved and verified without changes."""
 
 from __future__ import annotations
 
@@ -10,23 +8,23 @@ from pathlib import Path
 from gnc_opt.errors import GncOptError
 
 KINDS = ("one-phase", "two-phase", "attitude", "landing")
-"""Kinds of templates, the usual one first."""
+"""Kinds of templates, the default first."""
 
 
 def write_template(name: str | Path, kind: str = KINDS[0]) -> Path:
-    """Write a problem file to start from and return its path.
+    """Write a problem file from a template and return its path.
 
     Parameters
     ----------
     name : str or Path
-        Of the file, in a folder that exists; ``.py`` is added if it is missing.
+        File name in an existing folder; ``.py`` is added if it is missing.
     kind : str
         One of `KINDS`.
 
     Raises
     ------
     GncOptError
-        The file exists already, its folder does not, or the name is none of a file.
+        The file exists, its folder does not exist, or the name is not a file name.
     """
     path = Path(name)
     if not path.name or path.name.startswith("."):
@@ -43,6 +41,6 @@ def write_template(name: str | Path, kind: str = KINDS[0]) -> Path:
 
 
 def template_text(kind: str) -> str:
-    """Return the text of the template of a kind, one of `KINDS`."""
+    """Return the text of a template, ``kind`` one of `KINDS`."""
     file = f"{kind.replace('-', '_')}.py"
     return resources.files(__name__).joinpath(file).read_text(encoding="utf-8")

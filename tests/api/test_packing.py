@@ -179,12 +179,12 @@ class Shade(Enum):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (Stranger(1.0), "'names.x' cannot be saved: files do not hold a Stranger"),
-        (Shade.DARK, "'names.x' cannot be saved: files do not hold a Shade"),
+        (Stranger(1.0), "'names.x' cannot be saved: files cannot store a Stranger"),
+        (Shade.DARK, "'names.x' cannot be saved: files cannot store a Shade"),
         ({1: 2.0}, "'names.x' cannot be saved: its keys are not all names"),
-        (object(), "files do not hold a object"),
-        (1j, "files do not hold a complex"),
-        ([lambda: 1], r"'names.x.0' cannot be saved: files do not hold a function"),
+        (object(), "files cannot store a object"),
+        (1j, "files cannot store a complex"),
+        ([lambda: 1], r"'names.x.0' cannot be saved: files cannot store a function"),
         (np.array([Stranger(1.0)], dtype=object), "an array of Python objects"),
     ],
 )

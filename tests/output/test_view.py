@@ -121,8 +121,8 @@ def test_views_that_do_not_fit_are_refused(solution, view, message):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({}, "shows nothing that moves"),
-        ({"position": "r", "keep_out": {"rock": 1.0}}, "'rock' to keep out of is no"),
+        ({}, "has neither position nor attitude"),
+        ({"position": "r", "keep_out": {"rock": 1.0}}, "keep-out volume 'rock' is not a pair"),
         ({"position": "r", "keep_out": {"rock": ((0, 0), 1.0)}}, "the centre of 'rock' .* three finite"),
         (
             {"position": "r", "keep_out": {"rock": ((0, 0, 0), (1, 1, 0))}},

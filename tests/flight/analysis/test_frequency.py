@@ -188,7 +188,7 @@ def test_mistakes_are_refused():
     with pytest.raises(go.ArgumentError, match="is unstable"):
         wild.margins()
     assert wild.disk_margins.tolist() == [0.0]
-    with pytest.raises(go.ArgumentError, match="too many lines"):
+    with pytest.raises(go.ArgumentError, match="too many for one figure"):
         plot_response(loop_response(loop_of(), **HERE, at=[0.1 * k for k in range(8)]))
     with pytest.raises(go.ArgumentError, match="give a ClosedLoop"):
         loop_response(model, **HERE)

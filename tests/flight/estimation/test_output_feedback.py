@@ -253,7 +253,7 @@ def test_what_does_not_fit_is_refused(right):
         output_feedback(law, filter_(model, dt=0.2))
     other, *_ = dynamics("other", "p", "b", lambda p, b: {p: b})
     stranger = design_ekf(other, [0], [Measurement("p", 1)], sigma0={"p": 1}, dt=DT)
-    with pytest.raises(go.ArgumentError, match="needs the state 'q', which 'EKF' does not give"):
+    with pytest.raises(go.ArgumentError, match="needs the state 'q', which 'EKF' does not have"):
         output_feedback(law, stranger)
     third = go.design_lqr(other, [0.0], Q={"p": 1}, R={"b": 1}, dt=DT)
     with pytest.raises(go.ArgumentError, match="needs the state 'p'"):

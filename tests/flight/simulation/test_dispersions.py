@@ -115,7 +115,7 @@ def test_draws_depend_on_seed_run_and_name_alone():
         ({"plant.mass": Normal(1.0)}, "did you mean 'plant.m'"),
         ({"a": 0.1}, "the dispersion of 'a' is a float"),
         ({"a": Normal([1.0, 2.0])}, "'a' is given 2 values"),
-        ({"b": Normal(0.1, relative=True)}, "nominally zero"),
+        ({"b": Normal(0.1, relative=True)}, "the nominal value 0"),
         ({"m": RandomRotation(0.1)}, "neither a quaternion"),
         ({"m": Choice([[1.0, 2.0]])}, "a choice of 'm'"),
         ([("a", Normal(1.0))], "is a list"),

@@ -166,7 +166,7 @@ def test_xarray() -> None:
         ([0, 1], [1, np.nan], {}, r"no finite value at \(1\)"),
         ([0, 1], [[1, 2], [3, 4]], {}, "one grid per axis"),
         ([0, 1], None, {}, "got no values"),
-        ([0, 1], [1, 2], {"method": "cubic"}, "knows no method 'cubic'"),
+        ([0, 1], [1, 2], {"method": "cubic"}, "has no method 'cubic'"),
         ([0, 1], [1, 2], {"outside": "holt"}, "did you mean 'hold'"),
         ([0, 1], ["a", "b"], {}, "not a number"),
         (np.arange(300000), np.zeros(300000), {}, "thin it out"),
