@@ -40,7 +40,7 @@ class OutsideTable:
         first, last = self.span
         when = f"{first:.4g} s" if first == last else f"{first:.4g} to {last:.4g} s"
         return (
-            f"'{self.table.name}' flown outside at t = {when} in phase {self.phase}: {argument}{self.value:.6g} "
+            f"'{self.table.name}' evaluated outside at t = {when} in phase {self.phase}: {argument}{self.value:.6g} "
             f"at t = {self.time:.4g} s, beyond {grid[0]:g} to {grid[-1]:g}"
         )
 

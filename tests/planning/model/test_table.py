@@ -208,12 +208,12 @@ def hop(method: Any = "bspline", outside: Any = "linear", top: float = 0.5) -> g
 
 
 def test_a_solution_outside_of_its_table_is_reported() -> None:
-    with pytest.warns(go.ProblemWarning, match="guess leaves a table .*'price' flown outside"):
+    with pytest.warns(go.ProblemWarning, match="guess leaves a table .*'price' evaluated outside"):
         solution = go.solve(hop(), tol=None)
     (found,) = solution.outside_tables()
     assert found.value == pytest.approx(1.0, abs=1e-6) and found.time == pytest.approx(1.0)
     assert found.span[0] == pytest.approx(0.5, abs=0.05)  # x(0.5) = 0.5 but for the small price
-    assert "table        'price' flown outside at t = 0.5" in str(solution)
+    assert "table        'price' evaluated outside at t = 0.5" in str(solution)
     assert summary_dict(solution)["outside_tables"] == [str(found)]
 
 

@@ -158,7 +158,7 @@ def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:
     assert told.result is go.ConditionResult[result]
     assert verdict.ok and verdict.minimum is (result == "PASS")
     assert told.value == pytest.approx(max(0.0, 1.0 - top) / top, abs=1e-9)
-    assert ("'price' flown outside" in told.where) is (result != "PASS")
+    assert ("'price' evaluated outside" in told.where) is (result != "PASS")
 
 
 @pytest.mark.parametrize("reach", [1.0, 1e3])
