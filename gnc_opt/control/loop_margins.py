@@ -177,7 +177,7 @@ def _loop_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[c
 
 
 def _frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
-    """Return a logarithmic frequency grid (rad/s) around the poles, with grid points beside each resonance."""
+    """Return a logarithmic frequency grid (rad/s) around the poles, with grid points next to each resonance."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
         poles = to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)

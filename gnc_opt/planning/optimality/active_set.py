@@ -237,7 +237,7 @@ def _find_pushing_constraints(rows: StateConstraints, boundaries: Sequence[int])
 def with_movable_touches(solution: Solution) -> Solution:
     """Return a solution with variable times where limits are touched, if other times of the mesh vary.
 
-    A mesh stretches between its variable times: a touch that it carries along would be held beside the peak.
+    A mesh stretches between its variable times: a touch that it carries along would be held next to the peak.
     """
     phases = dict(solution.phases)
     for name, s in solution.samples().items():

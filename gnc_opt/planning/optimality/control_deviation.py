@@ -51,7 +51,7 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
 
 
 def _constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:
-    """Return the deviation of controls that are constant (m,): their size, unless that is nothing beside the cost."""
+    """Return the deviation of constant controls (m,): their size, unless that is negligible relative to the cost."""
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
     worth = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))

@@ -222,7 +222,7 @@ def find_cost_curvature(s: PhaseSamples) -> Mask:
 def _compute_second_changes(s: PhaseSamples, moves: Array) -> Array:
     """Return half second differences of the integral of H along moves (n,), by small steps.
 
-    They grow with the step at a kink, and with its square elsewhere: ratios of two steps tell which.
+    They grow with the step at a kink, and with its square elsewhere: ratios of two steps show which.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
     coarse, fine = (replace_nonfinite(second_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps)

@@ -1,4 +1,4 @@
-"""Interval arithmetic: ranges and signs of expressions of a problem, as far as its numbers tell.
+"""Interval arithmetic: ranges and signs of expressions of a problem, as far as its numbers show.
 
 After Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5, without outward rounding.
 Repeated terms count as independent, so a range may be wider than necessary.

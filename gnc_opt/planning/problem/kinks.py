@@ -43,7 +43,7 @@ class Kinks:
 
 
 def has_kinks(expression: Any) -> bool:
-    """Whether an expression holds an operation whose value or slope jumps; its derivatives do not tell."""
+    """Whether an expression holds an operation whose value or slope jumps; its derivatives do not show."""
     return bool(find_operations(expression) & _WORDS.keys())
 
 

@@ -96,7 +96,7 @@ def is_stagnating(errors: Sequence[float], tol: float) -> bool:
     Parameters
     ----------
     errors : sequence of float
-        Of all passes so far. Fewer than `CONVERGENCE_WINDOW` after the first tell nothing.
+        Of all passes so far. Fewer than `CONVERGENCE_WINDOW` after the first show nothing.
     tol : float
         What the error should come down to.
     """

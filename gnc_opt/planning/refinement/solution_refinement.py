@@ -112,7 +112,7 @@ def _check_solution(solution: Solution) -> None:
 
 
 def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
-    """Return the solution of the problem that holds no arcs: those are told segment by segment of one mesh.
+    """Return the solution of the problem that holds no arcs: those are stated segment by segment of one mesh.
 
     What is best with them need not be without: it is solved anew, on the mesh as it was found.
     """

@@ -22,7 +22,7 @@ _SATURATION_SAMPLES = 33
 class SaturatedControl:
     """A control signal that never leaves its bounds.
 
-    Where a channel's collocation polynomial stays within its bounds over a segment, it is flown as it is.
+    Where a channel's collocation polynomial stays within its bounds over a segment, it is applied as it is.
     Where it overshoots (it does through bang-bang nodes), each node's value is held over a cell as long as
     the node's quadrature weight: within bounds, and with the same impulse as the polynomial.
 

@@ -290,7 +290,7 @@ def _directional_derivatives(transcription: Transcription) -> Any:
 
 
 def tighten_solution(solution: Solution) -> Solution:
-    """Return the solution on its own mesh, sharp enough to tell active limits from others; itself if that fails."""
+    """Return the solution on its own mesh, sharp enough to separate active limits from others; itself if that fails."""
     problem = solution.need_problem("solve")
     options = SolverOptions(tolerance=SENSITIVITY_SOLVE_TOLERANCE)
     again = solve_mesh(problem, scheme=solution.scheme, guess=solution, options=options)

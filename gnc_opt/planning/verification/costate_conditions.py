@@ -84,7 +84,7 @@ def add_end_constraints(
 
 
 def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
-    """Path constraints without controls that are at a limit at an end of the phase, and not at the point beside it."""
+    """Path constraints without controls that are at a limit at an end of the phase, and not at the next point."""
     leg, pure = s.leg, s.pure_paths
     if not pure.size:
         return pure

@@ -133,7 +133,7 @@ class CriticalCone:
     unit : sparse (n_variables, n_variations) or None
         Scaled variables per variation of size 1, if it is not one for each (module `goh_transformation`).
     further : sparse (n, n_variables) or None
-        What is held beside rows of the program (module `arc_starts`).
+        What is active besides rows of the program (module `arc_starts`).
     """
 
     point: ProgramPoint

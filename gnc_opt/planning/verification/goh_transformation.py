@@ -9,7 +9,7 @@ transformation, in
 Along arcs of the first order that meet the strengthened generalised Legendre-Clebsch condition it is a Legendre form in
 :math:`(y, h)`, and where it is positive a strict minimum follows (Goh, SIAM J. Control 4, 1966; Aronna, Bonnans,
 Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are bang elsewhere; Aronna, Discrete
-Contin. Dyn. Syst. S 11(6), 2018, beside others that H determines). y may jump where a singular arc begins or ends, in
+Contin. Dyn. Syst. S 11(6), 2018, with others that H determines). y may jump where a singular arc begins or ends, in
 the place of moving that time. If the end depends on h, the form has to curve in it by itself
 (`find_gaining_end_control`).
 

@@ -50,7 +50,7 @@ class Gain:
     gain : array (n_times,)
         Cost per second.
     share : array (n_times,)
-        The gain beside what half the range is worth in H in the direction of the better control.
+        The gain relative to the change of H over half the range in the direction of the better control.
     """
 
     times: Array
@@ -116,7 +116,7 @@ def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Controls of one group at some samples, by their shares of the range (group, n); the others are as flown."""
+    """Controls of one group at some samples, by their shares of the range (group, n); the others are as applied."""
 
     s: PhaseSamples
     group: Indices
@@ -137,7 +137,7 @@ class _Search:
 
     @cached_property
     def _path_limits(self) -> Array:
-        """Room that path constraints leave: their limits, or the flown value if that is beyond (n_paths, n) each."""
+        """Limits of the path constraints, or the applied value if that is beyond (n_paths, n) each."""
         s, bounds = self.s, self.s.leg.path_bounds
         values = s.functions.paths(s.times, s.x, s.u)[:, self.chosen]
         slack = EQUAL * (s.path_scale[:, None] + np.abs(values))
@@ -223,7 +223,7 @@ class _Search:
         return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
 
     def minima_near_applied(self) -> Array:
-        """Return the minima that descents from the flown controls reach (group, n_times)."""
+        """Return the minima that descents from the applied controls reach (group, n_times)."""
         return self.descend(self._applied_shares, np.arange(self.chosen.size))[0]
 
     def vector_minima(self, vector: VectorControl) -> Array:
@@ -243,7 +243,7 @@ class _Search:
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
     def controls_of_shares(self, shares: Array) -> Array:
-        """Return the controls (group, n_times) for shares of their range; as flown where they have none."""
+        """Return the controls (group, n_times) for shares of their range; as applied where they have none."""
         lower, span = self._box
         return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
 

@@ -40,7 +40,7 @@ def recompute_from_problem(solution: Solution) -> Solution:
     """Return the solution with names, limits, model parameters, integrals and their weights from its problem.
 
     Times, states, controls, costates, multipliers and free parameters are the solution's own. Integrals are
-    quadratures along the flown control, their weights gradients of cost and constraints at the trajectory's ends.
+    quadratures along the applied control, their weights gradients of cost and constraints at the trajectory's ends.
 
     Raises
     ------

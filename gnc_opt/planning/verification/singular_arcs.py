@@ -58,7 +58,7 @@ class SingularArc:
     least : float
         Smallest eigenvalue of K along the arc; or the largest derivative that should vanish, reversed.
     why : str
-        Why nothing can be told (or what fails, by a coupling), or empty.
+        Why the result is inconclusive (or what fails, by a coupling), or empty.
     channels : tuple of int
         Its controls.
     samples : (int, int)

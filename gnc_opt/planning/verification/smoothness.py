@@ -82,7 +82,7 @@ def kink_condition(found: Roughness | None, fails: bool, *, falls: bool = False)
 
 
 def mark_theorem_inapplicable(condition: Condition, found: Roughness) -> Condition:
-    """A failure of what supposes smoothness tells nothing where there is none.
+    """A failed condition that supposes smoothness shows nothing without it.
 
     The minimum principle compares values of H: it supposes nothing of how H depends on the controls.
     """
@@ -122,7 +122,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
 
 
 def _largest_decrease(coarse: Array, fine: Array, cost: float) -> float:
-    """Return the largest fall at a kink, beside the cost scale (at most 1); zero if there is none."""
+    """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero if there is none."""
     ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
     kink = (ratio >= SAME_RATIO) & _may_decrease(coarse, cost) & np.all(np.isfinite(fine), axis=0)
     fall = float(np.max(np.where(kink, -coarse[1], 0.0), initial=0.0))

@@ -150,7 +150,7 @@ def _constant_matrix(expression: Any) -> Array | None:
 
 
 def is_convex(problem: Problem) -> bool:
-    """Whether a problem is convex in its trajectory, as far as constant Hessians tell."""
+    """Whether a problem is convex in its trajectory, as far as constant Hessians show."""
     return (
         all(map(_has_fixed_times, problem.phases.values()))
         and _are_ends_convex(problem)

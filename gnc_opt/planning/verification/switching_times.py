@@ -124,7 +124,7 @@ def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
 
 
 def _is_held(s: PhaseSamples, i: int, time: float) -> bool:
-    """Whether an active path constraint, or one of the states, holds a control beside a time."""
+    """Whether an active path constraint, or one of the states, determines a control next to a time."""
     beside = int(np.argmin(np.abs(s.times - time)))
     at = np.unique(np.clip([beside - 3, beside + 3], 0, s.times.size - 1))
     u = s.u[:, at]

@@ -127,7 +127,7 @@ def verify_trajectory(
     problem : Problem
     t : array (n_times,), s
         Not decreasing; where a control jumps, give the time twice, with the values before and after it. A jump
-        between two samples is placed where the states tell. Several phases: a mapping from their names.
+        between two samples is placed where the states show it. Several phases: a mapping from their names.
     x, u : array (n_states, n_times), (n_controls, n_times), or a mapping from names to (n_times,) or (size, n_times)
         States and controls; split and vector controls by their own name or by those of their parts. Several phases: a
         mapping from their names to such.

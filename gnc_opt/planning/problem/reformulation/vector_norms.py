@@ -376,7 +376,7 @@ def _remove_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
 
 
 def _allows_shorter(expression: Any, size: Any, limits: Interval) -> bool:
-    """Whether what a scalar expression is limited to is kept by any shorter vector, as numbers tell."""
+    """Whether what a scalar expression is limited to is kept by any shorter vector, as numbers show."""
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
     function = ca.Function("row", [size, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])
     rest = np.random.default_rng(20).uniform(0.5, 1.5, (len(others), 5))

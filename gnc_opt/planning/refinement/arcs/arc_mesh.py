@@ -158,10 +158,10 @@ class Plan:
         segment. Pieces of a fine mesh start with more than the coarsest resolution: oscillations that are many times
         shorter than a piece are otherwise aliased, and the loop settles on a structure that is none.
     loose : bool
-        Whether state constraints may be left beside their touches, too. The barrier of an interior-point method pushes
+        Whether state constraints may be left next to their touches, too. The barrier of an interior-point method pushes
         where points come close to a limit; but without limits a structure that lacks a contact may have no solution.
     firm : bool
-        Whether they may be left beside arcs that do not move only; see `PhaseStructure.mask_beside_contacts`.
+        Whether they may be left next to arcs that do not move only; see `PhaseStructure.mask_beside_contacts`.
     """
 
     structure: PhaseStructure
@@ -237,7 +237,7 @@ class Plan:
 
     @property
     def may_leave_limits(self) -> bool:
-        """Whether state constraints may be left beside arcs that move."""
+        """Whether state constraints may be left next to arcs that move."""
         loose, firm = (self.structure.mask_beside_contacts(self.loose, firm) for firm in (self.firm, True))
         return bool(np.any(loose != firm))
 
@@ -316,7 +316,7 @@ class Plan:
         )
 
     def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
-        """Where segments end along an arc on a limit of first order that a singular control holds beside regular ones.
+        """Where segments end along an arc on a limit of first order that a singular control holds next to regular ones.
 
         Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
         that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of

@@ -45,7 +45,7 @@ def compute_dynamics_defects(samples: PhaseSamples) -> Array:
 
 
 def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
-    """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing.
+    """Raise what is worse: finer states do not help a polynomial that cannot be the control.
 
     Parameters
     ----------

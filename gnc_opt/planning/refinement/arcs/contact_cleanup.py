@@ -2,7 +2,7 @@ r"""Corrections of contacts that a mesh shows and no trajectory has.
 
 Where a control jumps inside a segment its polynomial swings, and so does the switching function, as multipliers of the
 limit make up for it. What is read from their signs are bangs within a segment and gaps in an arc. Let S have order one,
-and a bang be beside an arc on S = 0: before the arc it leads to the limit, :math:`\dot S \ge 0`, and after it away,
+and a bang be next to an arc on S = 0: before the arc it leads to the limit, :math:`\dot S \ge 0`, and after it away,
 :math:`\dot S \le 0`. (It is zero where a limit of the control takes over without a jump.) A bang that does neither is
 of the arc. In the segment in which one limit takes over from another both seem to be held by one control.
 """
@@ -51,7 +51,7 @@ def _short_pieces(structure: PhaseStructure, constraints: StateConstraints, segm
 
 
 def _leaves_limits_without_bang(structure: PhaseStructure, piece: int, arc: int) -> bool:
-    """Whether nothing but limits of first order are left beside an arc, by controls that are on no bound there."""
+    """Whether nothing but limits of first order are left next to an arc, by controls that are on no bound there."""
     rows = structure.row_changes(max(piece, arc))
     return bool(rows) and all(
         structure.is_first_order(row)

@@ -85,7 +85,7 @@ class ContactNodes:
     def _touched_end(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
         """Return the end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
 
-        A mesh of Gauss points has no row there, so that its points beside the end push for it.
+        A mesh of Gauss points has no row there, so that its points next to the end push for it.
         """
         leg, path = samples.leg, self.row - len(structure.controls)
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
@@ -100,12 +100,12 @@ class ContactNodes:
         return None
 
     def is_end_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
+        """Whether it is what the barrier of an interior-point method leaves next to an end that is touched already."""
         end = self._touched_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def beside_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether it is in the segments beside a touch of its own: the barrier pushes where points come close to it.
+        """Whether it is in the segments next to a touch of its own: the barrier pushes where points come close to it.
 
         What begins or ends with the phase is more than that.
         """

@@ -5,7 +5,7 @@ the controls that
 :math:`S^{(q)}` depends on. Then the control is continuous where an arc on the limit begins and ends (Jacobson, Lele &
 Speyer, J. Math. Anal. Appl. 35, 1971; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995): there :math:`S^{(q)}` comes to
 zero, with a kink, from the side of the interior arc. As with the kinks of module `junctions`, the cost hardly depends
-on the time; so an entry is kept where it is during a solve, in which the constraint may be left beside the arc, and
+on the time; so an entry is kept where it is during a solve, in which the constraint may be left next to the arc, and
 then moves to where :math:`S^{(q)}` of the interior arc vanishes. Since states and costates are wrong in second order
 only, repeating this converges quadratically.
 

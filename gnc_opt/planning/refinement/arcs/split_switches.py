@@ -82,7 +82,7 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, P
 
 
 def _release_split_intervals(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
-    """The problem as a plan holds it, but for the instants beside shared boundaries, and its mesh."""
+    """The problem as a plan holds it, but for the instants next to shared boundaries, and its mesh."""
     problem = plan.hold_arcs(problem, name)
     cuts, mesh, held = _SplitMesh.from_plan(plan), plan.mesh(), problem.phases[name].numbers.arcs
     assert held is not None, "just held"

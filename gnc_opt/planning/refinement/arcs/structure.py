@@ -233,7 +233,7 @@ class PhaseStructure:
         return held
 
     def mask_beside_exchanges(self) -> Mask:
-        """Return where rows are off their limit beside a boundary at which one takes over, (n_rows, A)."""
+        """Return where rows are off their limit next to a boundary at which one takes over, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
         for k in range(1, self.pieces):
             given_out = [row for row in self.row_changes(k) if self.has_saturated_control(row, k)]
@@ -248,11 +248,11 @@ class PhaseStructure:
         return bool(self.orders[row]) and not linear
 
     def mask_beside_contacts(self, touches: bool, firm: bool = False) -> Mask:
-        """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A).
+        """Return where state constraints are next to an arc on their limit or, with touches, off them, (n_rows, A).
 
         But not where the direction of a vector could hold them, whose magnitude is at its limit: it would lead far
-        beyond. Firm: only beside arcs that stay where they are during a solve; others may move to where their limit is
-        worth nothing.
+        beyond. Firm: only next to arcs that stay where they are during a solve; others may move to where their limit
+        has no value.
         """
         held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
         beside = np.zeros_like(held)

@@ -52,7 +52,7 @@ def detect_phase_structure(
 
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
-    constraint). Short bangs beside those are taken for noise, unless the structure is to be sharp. Other controls are
+    constraint). Short bangs next to those are taken for noise, unless the structure is to be sharp. Other controls are
     checked by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
     """
     leg, regular, affine = samples.leg, convex_controls(samples), affine_controls(samples)
@@ -157,7 +157,7 @@ def _compute_hamiltonian_gain(samples: PhaseSamples, gradient: Array, i: int) ->
 
 
 def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
-    """Give short bangs beside a singular arc to it that are noise or chatter.
+    """Give short bangs next to a singular arc to it that are noise or chatter.
 
     Along those the switching function stays small, or the control is nowhere near the bound that its sign asks for. But
     where the arc keeps a state on its bound, a bang that brings it there or takes it away is neither.

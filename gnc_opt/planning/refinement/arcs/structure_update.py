@@ -269,7 +269,7 @@ def _correct_contacts(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
 
-    A touch may pull because another is missing beside it.
+    A touch may pull because another is missing next to it.
     """
     added, action = add_missing_contact(constraints, structure)
     wrong = find_wrong_touch(constraints, structure)

@@ -193,7 +193,7 @@ class _StructureLoop:
     def run(
         self, solution: Solution, plans: dict[str, Plan], flown: Solution | None = None
     ) -> RefinementStatus:
-        """Solve, but for the first pass where its solution has been flown, and mend until nothing is left to mend.
+        """Solve, except in the first pass if its solution is integrated, and update until nothing changes.
 
         Every pass is added to ``tries``.
         """
@@ -257,7 +257,7 @@ def _propose_alternative_plans(
 ) -> dict[str, Plan] | None:
     """Return what to try where a structure had no solution, or None.
 
-    Without limits beside them arcs may have left for where these are worth nothing; else a piece that vanished on the
+    Without limits next to them arcs may have moved to where these have no value; else a piece that vanished on the
     way is in the way.
     """
     if any(plan.may_leave_limits for plan in plans.values()):
