@@ -180,6 +180,8 @@ PHRASES = {
     "not optimal": "howto/when_it_does_not_solve",
     "infeasible": "reference/statuses",
     "linear solver": "reference/solver_options",
+    "another linear solver": "reference/solver_options",
+    "bounds on states": "stating_problems",
     "lower bound": "theory/lower_bounds",
     "LQR": "control/linear",
     "MPC": "control/predictive",
