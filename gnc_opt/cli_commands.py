@@ -109,7 +109,6 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
 
 
 def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
-    """Build the problem of a file, in this or another process."""
     return load_problem_file(path).build(options)
 
 

@@ -195,7 +195,6 @@ def load_problem_file(path: str | Path) -> ProblemFile:
 
 
 def _resolve_source_path(path: Path) -> Path:
-    """Return the file, or the package folder, of a path."""
     if path.is_file():
         return path.parent if path.name == _INIT else path
     folder = path.with_suffix("") if path.suffix == ".py" else path

@@ -97,7 +97,7 @@ def _draw_controls(figure: Any, solution: go.Solution) -> None:
     t = np.linspace(leg.initial_time, leg.final_time, 1500)
     for column, (name, labels) in enumerate(NAMES.items()):
         rows = leg.controls.slice(name)
-        applied = leg.flown(t)[rows] / leg.control_bounds.upper[rows][:, None]
+        applied = leg.applied(t)[rows] / leg.control_bounds.upper[rows][:, None]
         switching = solution.switching_function(name, t)
         for i, label in enumerate(labels):
             ax = axes[i, column]

@@ -198,19 +198,19 @@ def integrated(s: PhaseSamples) -> tuple[Array, Array, Array] | None:
     leg, pieces = s.leg, []
     x = leg.x(leg.breaks[0])
     absolute = 1e-13 * np.maximum(np.max(np.abs(s.x), axis=1), 1e-30)
-    for left, right in itertools.pairwise(leg.flown.jumps):
+    for left, right in itertools.pairwise(leg.applied.jump_times):
         inside = np.linspace(left, right, 65)
         if not right - left > 1e-12 * s.span:
             continue
 
         def rate(t: float, x: Array, left: float = left, right: float = right) -> Array:
             at = np.clip([t], left + 1e-12 * (right - left), right - 1e-12 * (right - left))
-            return s.functions.rates(at, x[:, None], leg.flown(at))[:, 0]
+            return s.functions.rates(at, x[:, None], leg.applied(at))[:, 0]
 
         run = solve_ivp(rate, (left, right), x, "DOP853", inside, rtol=1e-12, atol=absolute)
         if not run.success or not np.all(np.isfinite(run.y)):
             return None
-        u = leg.flown(np.clip(inside, left, right - 1e-12 * (right - left)))
+        u = leg.applied(np.clip(inside, left, right - 1e-12 * (right - left)))
         pieces.append((inside, run.y, u))
         x = run.y[:, -1]
     times, states, controls = (np.concatenate(part, axis=-1) for part in zip(*pieces, strict=True))

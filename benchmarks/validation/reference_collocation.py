@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.planning.problem.guess.initial_guess import phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.problem_file import example
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def collocate(
         (first, last), states, controls = _guess(
             leg, np.r_[0.0, fractions], None if before is None else before.phases[name]
         )
-        numbers, (starts, stops) = leg.numbers, leg.times()
+        numbers, (starts, stops) = leg.numbers, leg.time_ranges()
         clock = np.array([max(abs(first), abs(last), 1e-9)])
         t_0 = program.variable("t_0", starts.lower, starts.upper, np.array([first]), clock)
         t_f = program.variable("t_f", stops.lower, stops.upper, np.array([last]), clock)
@@ -228,7 +228,7 @@ def _parameters(program: Program, problem: go.Problem, before: Collocated | None
 def _guess(leg: Any, fractions: Array, before: Trajectory | None) -> tuple[Array, Array, Array]:
     """Return times (2,), states and controls at fractions of a phase."""
     if before is None:
-        start = phase_guess(leg, fractions, perturbed=False)
+        start = build_phase_guess(leg, fractions, perturbed=False)
         return start.times, start.states, start.controls
     at = before.times[0] + fractions * (before.times[-1] - before.times[0])
 
@@ -260,7 +260,7 @@ def _ends(problem: go.Problem, ends: list[Any], parameters: Any) -> tuple[Any, A
     cost, constraints = problem.cost, problem.constraint_expression()
     for leg, (x_0, x_f, t_0, t_f, integrals) in zip(problem.phases.values(), ends, strict=True):
         cost, constraints = problem.bind(leg, cost), problem.bind(leg, constraints)
-        symbols += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+        symbols += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
         values += [x_0, x_f, t_0, t_f]
         symbols.append(leg.integral_symbols())
         values.append(ca.vertcat(integrals) if leg.integrands else ca.SX(0, 1))

@@ -55,7 +55,6 @@ class Scatter:
 
     @property
     def size(self) -> int:
-        """Size n of the column."""
         return int(self.by_parameters.shape[0])
 
     @property

@@ -113,7 +113,7 @@ class LinearCovariance(Strict, Printed):
 
     def std(self, signal: str) -> Array:
         """Return the standard deviations (1 sigma) of a signal over time, (size, n_times)."""
-        return _compute_standard_deviations(self.covariance(signal))
+        return np.sqrt(np.maximum(np.diagonal(self.covariance(signal), axis1=1, axis2=2).T, 0.0))
 
     def by_source(self, signal: str) -> Array:
         """Return the covariances of a signal due to each of `sources`, (n_sources, n_times, size, size)."""
@@ -246,7 +246,6 @@ class _Pass:
 
     @cached_property
     def _error_jacobian(self) -> Any:
-        """Jacobian of the errors in the state, on the nominal run."""
         x, x_ref = (ca.SX.sym(n, self.flight.states.size) for n in ("x", "x_ref"))
         jacobian = ca.jacobian(self.flight.errors(x, x_ref), x)
         return ca.Function("by_x", [x_ref], [ca.substitute(jacobian, x, x_ref)])
@@ -265,8 +264,3 @@ class _Pass:
             flight=flight,
             dispersions=self.dispersions,
         )
-
-
-def _compute_standard_deviations(covariance: Array) -> Array:
-    """Return the standard deviations (size, n_times) from covariances (n_times, size, size)."""
-    return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).T, 0.0))

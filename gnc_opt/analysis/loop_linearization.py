@@ -203,7 +203,6 @@ class Linearization:
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
     def _known_inputs(self) -> Iterator[Array]:
-        """Yield the known inputs of each step, without noise."""
         for _, rows in self.flight.legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):

@@ -36,12 +36,10 @@ class ProgrammeCode:
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns."""
         return self.count * (self.rows.lower.size + self.roots.size)
 
     @property
     def limits(self) -> int:
-        """Number of limits."""
         return self.count * self._unknown_kinds
 
     @property
@@ -123,7 +121,6 @@ class ProgrammeCode:
 
     @property
     def _row_limits(self) -> tuple[Array, Array]:
-        """Return lower and upper limits of the scaled rows of a step."""
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
@@ -152,7 +149,6 @@ def limit_command(u: Any, previous: Any, rows: Rows) -> Any:
 def build_flight_law(
     code: ProgrammeCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> FlightLaw:
-    """Return the law of a predictive controller for C export, with the QP solver as a C function."""
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
     signals = reference_signal_layout(reference, Variable("row", 1))
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)

@@ -49,7 +49,6 @@ class Memory:
 
     @property
     def variable(self) -> Variable:
-        """Name, size and unit."""
         return Variable(self.name, self.symbol.numel(), self.unit)
 
 
@@ -141,7 +140,6 @@ def build_guarded_controller(
     dt: float | None,
     explanation: DesignReport,
 ) -> Controller:
-    """Return the controller of a guarded law."""
     memory, nominal = guarded.memory, guarded.nominal
     last = ca.SX.sym("u_last", pair.u.numel())
     singular, regular = ca.SX.sym(SINGULAR), guarded.regular

@@ -157,7 +157,6 @@ def _write_law_header(controller: Controller, code: CCode, guid: str) -> str:
 
 
 def _write_model_description(controller: Controller, code: CCode, guid: str) -> bytes:
-    """Return ``modelDescription.xml``."""
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",

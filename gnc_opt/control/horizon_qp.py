@@ -34,7 +34,6 @@ class Rows:
 
     @property
     def count(self) -> int:
-        """Number of rows of one step."""
         return (
             self.lower.size * (1 if self.change is None else 2)
             + len(self.lower_limited)
@@ -48,12 +47,10 @@ class Rows:
 
     @property
     def lower_limited(self) -> list[int]:
-        """Indices of the limited states with a lower limit."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_lower))]
 
     @property
     def upper_limited(self) -> list[int]:
-        """Indices of the limited states with an upper limit."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_upper))]
 
     @property
@@ -108,7 +105,6 @@ class Horizon:
 
     @property
     def count(self) -> int:
-        """Number of steps."""
         return len(self.matrices[0])
 
     @property
@@ -118,7 +114,6 @@ class Horizon:
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns."""
         return self.free + self.count * len(self.rows.soft_limited)
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
@@ -169,12 +164,10 @@ class Horizon:
         return self._sparse_rows(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
     def _sparse_rows(self, begin: int, block: Any) -> Any:
-        """Return sparse rows with a block whose first column is ``begin``."""
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.unknowns - end))
 
     def _state_limit_rows(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
-        """Return the rows of the limited states."""
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
         found = []
         for side, which, limit in (

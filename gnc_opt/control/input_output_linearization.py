@@ -100,7 +100,6 @@ class OutputErrors:
 
     @property
     def size(self) -> int:
-        """Number of components."""
         return len(self.labels)
 
     @property
@@ -325,7 +324,6 @@ def component_value(label: str, given: Mapping[str, Any], errors: OutputErrors, 
 
 
 def _output_of_component(label: str) -> str:
-    """Return the name of the output that a component belongs to."""
     return label.partition("[")[0]
 
 

@@ -61,7 +61,6 @@ def report_regulator(
 
 
 def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
-    """Return the report entries of the margins at the plant input."""
     found = stability_margins(a, b, gain, dt)
     alpha = found.disk
     both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"

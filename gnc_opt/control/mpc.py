@@ -433,7 +433,6 @@ def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layo
 
 
 def _report_limits(rows: Rows, states: Layout) -> list[ReportEntry]:
-    """Return the report entries of hard and soft limits."""
     soft = [states.labels[rows.states[i]] for i in rows.soft_limited]
     hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited]
     rates = ["rates of controls"] if rows.change is not None else []

@@ -61,7 +61,6 @@ def _sliding_mode_command(
     switching: Switching,
     observer: SuperTwistingObserver | None,
 ) -> tuple[list[Memory], Any]:
-    """Return the memory entries and the command of the law."""
     n, dt = errors.size, switching.dt
     wanted, twist = switching.required_input(s, drift)
     memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.alarm_memory(s)]

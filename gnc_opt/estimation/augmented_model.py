@@ -38,7 +38,6 @@ class Channel:
 
     @property
     def name(self) -> str:
-        """Name of the measurement."""
         return self.measurement.of
 
     @property
@@ -47,7 +46,6 @@ class Channel:
         return f"{self.name}_bias"
 
     def delayed_name(self, steps: int) -> str:
-        """Return the name of the measurement delayed by ``steps`` control steps."""
         return f"{self.name}_{steps}_ago"
 
     @property
@@ -159,7 +157,6 @@ class AugmentedModel:
 
     @property
     def has_delay_lines(self) -> bool:
-        """Whether a measurement is delayed."""
         return any(channel.delay for channel in self.channels)
 
     def shift_delay_lines(self) -> Any:

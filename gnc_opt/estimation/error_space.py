@@ -50,12 +50,10 @@ class Space:
 
 
 def euclidean_space(size: int) -> Space:
-    """Return the space whose errors are differences."""
     return Space(size, size, lambda x, ref: x - ref, lambda ref, e: ref + e)
 
 
 def product_space(spaces: Sequence[Space]) -> Space:
-    """Return the product space, for stacked columns."""
     sizes = [0, *_compute_offsets(s.size for s in spaces)]
     errors = [0, *_compute_offsets(s.errors for s in spaces)]
 

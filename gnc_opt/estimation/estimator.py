@@ -216,7 +216,6 @@ def _combined_law_functions(
 
 
 def _match_variables(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
-    """Return the row indices of all wanted variables in another layout."""
     rows: list[int] = []
     for v in wanted.variables:
         if v.name not in there:

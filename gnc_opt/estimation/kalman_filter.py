@@ -72,11 +72,9 @@ class Tally:
         self._any_due, self._any_taken = ca.SX(0), ca.SX(0)
 
     def is_sample_due(self, channel: Channel) -> Any:
-        """Return whether a sample is due at this step."""
         return self.entries[f"{channel.name}_next"] < 0.5 if channel.is_sample_counted else ca.SX(1)
 
     def is_sample_valid(self, channel: Channel, sample: Any) -> Any:
-        """Return whether a sample is due and finite."""
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
         return ca.logic_and(whole, self.is_sample_due(channel)) if channel.is_sample_counted else whole
 
@@ -165,12 +163,10 @@ class KalmanFilter:
             P = new
 
     def _unpack_memory(self, z: Any) -> tuple[Any, Any]:
-        """Return the augmented state and its covariance from a memory."""
         half = ca.SX(self.pattern, z[self.memory.slice(COVARIANCE)])
         return z[: self.augmented.states.size], ca.tril2symm(half)
 
     def _pack_memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
-        """Return the memory with a new state and covariance."""
         new = dict(entries)
         for name in self.augmented.states.names:
             new[f"{name}_hat"] = x[self.augmented.states.slice(name)]
@@ -209,7 +205,6 @@ class KalmanFilter:
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
     def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_View]:
-        """Return the linearised measurements at t for the state x."""
         augmented, views = self.augmented, []
         for channel in augmented.channels:
             observed, space = augmented.delayed_output(channel), channel.space
@@ -300,7 +295,6 @@ def _copy_upper_to_lower(matrix: Any, j: int) -> Any:
 
 
 def _flow_with_held_command(flow: Any, t: Any, u: Any) -> Map:
-    """Return the flow from t with constant command, as a function of the state."""
     return lambda x: flow(t, x, u)
 
 

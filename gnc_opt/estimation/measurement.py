@@ -51,7 +51,6 @@ class FilterOptions:
 
 
 def read_options(options: FilterOptions | None, name: str) -> FilterOptions:
-    """Return the options with a name."""
     told = FilterOptions() if options is None else options
     expect(told, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
     return replace(told, name=name) if told.name is None else told

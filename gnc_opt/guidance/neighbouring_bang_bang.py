@@ -336,7 +336,6 @@ class _Guidance:
         return ca.vertcat(*found)
 
     def law_functions(self, n_signals: int) -> tuple[Any, Any]:
-        """Return the law and its initial memory."""
         n, inner = self.optimum.tau.size, self.regulator
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
@@ -355,7 +354,6 @@ class _Guidance:
     # --- design report ------------------------------------------------------------------------------------
 
     def facts(self) -> list[ReportEntry]:
-        """Return the entries of the design report."""
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
         return [

@@ -30,7 +30,7 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, format_error, shown
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.measured_start import with_start_on_bounds
+from gnc_opt.planning.problem.measured_start import clip_start_to_bounds
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
@@ -43,7 +43,7 @@ def remaining_problem(problem: Problem, began: float, begin: float, start: dict[
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
     left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
-    return with_start_on_bounds(problem.with_time(initial=begin, duration=left).with_initial(**start))[0]
+    return clip_start_to_bounds(problem.with_time(initial=begin, duration=left).with_initial(**start))[0]
 
 
 def check_remaining_problem(problem: Problem) -> None:
@@ -55,7 +55,7 @@ def check_remaining_problem(problem: Problem) -> None:
             f"parameter '{names[0]}' of model '{leg.model.name}' is optimised in the plan of the Replanner, but "
             "is constant in flight: fix it with Model.parameter(name, number)."
         )
-    whole = ca.vertcat(leg.ends("initial"), leg.initial_time, leg.integral_symbols())
+    whole = ca.vertcat(leg.end_states("initial"), leg.initial_time, leg.integral_symbols())
     for constraint in problem.constraints.values():
         if ca.depends_on(constraint.expression, whole):
             raise ArgumentError(
@@ -72,8 +72,10 @@ def check_remaining_problem(problem: Problem) -> None:
 
 def _is_cost_additive(problem: Problem, leg: Phase) -> bool:
     """Return whether the optimal remainder is independent of the past: the cost gradient keeps its direction."""
-    rest = ca.vertcat(leg.ends("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols())
-    before = ca.vertcat(leg.ends("initial"), leg.initial_time)
+    rest = ca.vertcat(
+        leg.end_states("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols()
+    )
+    before = ca.vertcat(leg.end_states("initial"), leg.initial_time)
     gradient = ca.Function("gradient", [before, rest], [ca.gradient(problem.cost, rest)])
     numbers = np.random.default_rng(0)
     n = leg.model.states.size

@@ -64,7 +64,6 @@ def express_derivative(
 
 
 def _make_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
-    """Return an expression as a function of t, x, u, p."""
     if any(symbol is None for stack in symbols.values() for symbol in stack):
         raise ModelError(f"{what} is an expression: give the symbols that it is written in, not their sizes.")
     names = [name for name, stack in symbols.items() if stack]
@@ -107,7 +106,6 @@ def _stack_input(value: Any, what: str) -> Any:
 
 
 def _name_variables(column: Any) -> Iterator[Declared]:
-    """Yield the variables of a column by the names of its symbols."""
     if isinstance(column, ca.MX):
         for part in column.primitives():
             yield Declared(part.name(), part.shape[0], part)

@@ -68,7 +68,6 @@ def find_operations(expression: Any) -> set[int]:
 
 
 def contains_nan(expression: Any) -> bool:
-    """Return whether a constant in an expression is NaN."""
     function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
     places = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
     return any(math.isnan(function.instruction_constant(i)) for i in places)
@@ -146,7 +145,6 @@ class NormNodes:
 
 
 def _find_smooth_nodes(expression: Any, vector: Any) -> list[Any]:
-    """Return the nodes that depend on a vector through smooth operations only."""
     leaves = {s.element_hash() for s in ca.vertsplit(vector)}
     depends: dict[int, bool] = {}
     smooth: dict[int, bool] = {}
@@ -162,7 +160,6 @@ def _find_smooth_nodes(expression: Any, vector: Any) -> list[Any]:
 
 
 def _sort_operands_first(expression: Any) -> list[Any]:
-    """Return all nodes, operands before results."""
     nodes = {node.element_hash(): node for node in list_nodes(expression)}
     done: dict[int, Any] = {}
     for root in nodes.values():

@@ -618,7 +618,6 @@ class Model(Strict):
             )
 
     def _read_finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
-        """Return a parameter value as a vector of finite numbers."""
         what = f"parameter '{name}' of model '{self.name}'"
         given = read_numbers(value, what, ModelError).size if size is None else size
         vector = as_vector(value, given, what, ModelError)

@@ -36,7 +36,6 @@ class TableUse:
 
     @cached_property
     def hashes(self) -> frozenset[int]:
-        """Hashes of the comparisons."""
         return frozenset(node.element_hash() for node in ca.vertsplit(self.comparisons))
 
 

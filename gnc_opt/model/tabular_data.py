@@ -178,5 +178,4 @@ def _is_text(values: Any) -> bool:
 
 
 def _make_identifier(name: str) -> str:
-    """Return a valid MATLAB identifier."""
     return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

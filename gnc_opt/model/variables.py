@@ -194,7 +194,6 @@ class Symbol(ca.SX):  # type: ignore[misc]
 
 
 def _replace_by_plain_symbols(value: Any) -> Any:
-    """Return a value with every symbol replaced by a plain SX."""
     if isinstance(value, (list, tuple)):
         return type(value)(map(_replace_by_plain_symbols, value))
     return ca.SX(value) if isinstance(value, Symbol) else value

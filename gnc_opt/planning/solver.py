@@ -12,9 +12,9 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.measured_start import with_start_on_bounds
+from gnc_opt.planning.problem.measured_start import clip_start_to_bounds
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_check import check_numbers
+from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, recover_initial_meshes
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine, refine_by_stages
@@ -83,7 +83,7 @@ class Resolver:
         self.solution, self.cold = solution, cold
         flight = KnownSwitches.from_solution(solution)
         self._flight = None if flight is None else flight.with_newton_step()
-        self._arcs = KnownArcs.of(solution) if solution.structure or self.tol is not None else None
+        self._arcs = KnownArcs.from_solution(solution) if solution.structure or self.tol is not None else None
 
     @one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
@@ -107,9 +107,9 @@ class Resolver:
             No method has led to a solution.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
-        within, moved = with_start_on_bounds(problem)
+        within, moved = clip_start_to_bounds(problem)
         if moved:
-            return _noted(self.solve(within, near=near), MOVED_START, moved)
+            return _with_provenance(self.solve(within, near=near), MOVED_START, moved)
         stated, problem = problem, reformulate(problem)
         if not stated.has_variation(self._problem):
             raise ProblemError(
@@ -118,13 +118,15 @@ class Resolver:
             )
         if near is not None:
             expect(near, Solution, "the start of Resolver.solve()", "give near=resolver.solve(...), say")
-            if _variables(near) != _variables(self.solution):
+            if _variable_names(near) != _variable_names(self.solution):
                 raise ProblemError(
                     f"the solution of '{near.problem_name}' has other phases, states or controls than what the "
                     "resolver knows: give near= a solution of a variation."
                 )
-        check_numbers(stated)  # the guess of a variation is used by the last way only, which looks at it
-        found = self._nearby(stated, problem, near) if problem.builds is self._problem.builds else None
+        check_bounds_and_times(
+            stated
+        )  # the guess of a variation is used by the last way only, which looks at it
+        found = self._solve_nearby(stated, problem, near) if problem.builds is self._problem.builds else None
         if found is not None:
             return found
         if not self.cold:
@@ -132,9 +134,9 @@ class Resolver:
                 f"problem '{problem.name}' was not solved next to the known solution, and the resolver is not to begin "
                 "from the start: vary it less, or leave out cold=False."
             )
-        return said(solve(problem, tol=self.tol), SolveMethod.COLD)
+        return with_method(solve(problem, tol=self.tol), SolveMethod.COLD)
 
-    def _nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
+    def _solve_nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
         flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
         found = solve_by_switching_times(problem, flight)
@@ -142,8 +144,8 @@ class Resolver:
             return found
         stated.check()
         if self._arcs is not None:
-            arcs = self._arcs if near is None else KnownArcs.of(near)
-            tol = reached(self.solution) if self.tol is None else self.tol
+            arcs = self._arcs if near is None else KnownArcs.from_solution(near)
+            tol = reached_tolerance(self.solution) if self.tol is None else self.tol
             return solve_by_known_arcs(problem, arcs, tol, "changed")
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
@@ -155,11 +157,10 @@ class Resolver:
         found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return said(found, SolveMethod.WARM) if found.status.solved else None
+        return with_method(found, SolveMethod.WARM) if found.status.solved else None
 
 
-def _variables(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
-    """Names of states and controls by phase."""
+def _variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
     return {
         name: (tuple(leg.states.labels), tuple(leg.controls.labels)) for name, leg in solution.phases.items()
     }
@@ -248,13 +249,13 @@ def solve(
     get_family(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
-        within_bounds, moved = with_start_on_bounds(problem)
+        within_bounds, moved = clip_start_to_bounds(problem)
         if moved:
             found = solve(
                 within_bounds, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
                 options=options, limits=limits, progress=progress, throw=throw,
             )  # fmt: skip
-            return _noted(found, MOVED_START, moved)
+            return _with_provenance(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
     expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
@@ -272,19 +273,19 @@ def solve(
         limits = replace(limits, max_wall_time=wall)
     budget = WorkBudget.from_limits(limits)
     if guess is not None and as_usual and scheme == guess.scheme:
-        nearby = _varied(problem, guess, tol, in_a_loop)
+        nearby = _solve_variation(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
         if in_a_loop and _is_refined(guess) and _is_variation(problem, guess):
-            tol = reached(guess)
+            tol = reached_tolerance(guess)
         if tol is not None and _is_refined(guess):
-            return _refined_again(problem, guess, tol, progress, throw)
+            return _solve_again(problem, guess, tol, progress, throw)
     within = SolveLimits() if tol is None else SolveLimits(cpu_deadline=budget.cpu_deadline)
     solution = solve_mesh(
         problem, mesh, scheme=scheme, guess=guess, options=options, limits=within, progress=progress
     )
     if guess is not None:
-        solution = said(solution, SolveMethod.WARM)
+        solution = with_method(solution, SolveMethod.WARM)
     if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
         raise SolveError(format_failure(solution), solution)
     if tol is None or not solution.status.solved:
@@ -294,21 +295,22 @@ def solve(
         solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
     )
     final = refine_by_stages(solution, stages, structure)
-    return final if guess is None else said(final, SolveMethod.WARM)
+    return final if guess is None else with_method(final, SolveMethod.WARM)
 
 
-def said(solution: Solution, way: SolveMethod) -> Solution:
+def with_method(solution: Solution, way: SolveMethod) -> Solution:
     """Return a solution that says how it was found."""
-    return _noted(solution, "way", way.value)
+    return _with_provenance(solution, "way", way.value)
 
 
-def _noted(solution: Solution, key: str, text: str) -> Solution:
-    """Return a solution with an entry of its provenance."""
+def _with_provenance(solution: Solution, key: str, text: str) -> Solution:
     noted = replace(solution, provenance={**solution.provenance, key: text})
     return noted.with_verdict(solution.verdict)
 
 
-def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:
+def _solve_variation(
+    problem: Problem, known: Solution, tol: float | None, in_a_loop: bool
+) -> Solution | None:
     """Return the solution of a variation of a known one, or None; in a loop checked only if arcs or mesh changed."""
     if not _is_variation(problem, known):
         return None
@@ -316,16 +318,18 @@ def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: boo
         found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
         if found is not None:
             return found
-        tol = reached(known) if known.structure or _is_refined(known) else None
+        tol = reached_tolerance(known) if known.structure or _is_refined(known) else None
     if tol is None or not (known.structure or known.history is not None):
         return None
-    return solve_by_known_arcs(problem, KnownArcs.of(known), tol, "changed" if in_a_loop else "always")
+    return solve_by_known_arcs(
+        problem, KnownArcs.from_solution(known), tol, "changed" if in_a_loop else "always"
+    )
 
 
 def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> Solution | None:
     """Return the solution of a variation by Newton's method on known switching times, or None."""
     found = None if known is None else known.solve_variation(problem)
-    return None if found is None else said(found, SolveMethod.SWITCH_TIMES)
+    return None if found is None else with_method(found, SolveMethod.SWITCH_TIMES)
 
 
 def solve_by_known_arcs(
@@ -333,7 +337,7 @@ def solve_by_known_arcs(
 ) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
     found = known.solve_variation(problem, tol, checked)
-    return None if found is None else said(found, SolveMethod.WARM)
+    return None if found is None else with_method(found, SolveMethod.WARM)
 
 
 def _is_refined(known: Solution) -> bool:
@@ -347,16 +351,16 @@ def _is_variation(problem: Problem, known: Solution) -> bool:
     return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
 
 
-def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
+def _solve_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
     """Return the refinement from the mesh that the known solution was refined from, or else a cold solution."""
     meshes, start = recover_initial_meshes(known), truncate_solution(known, problem)
     warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
     if warm.status is Status.INTERRUPTED:
-        return said(warm, SolveMethod.WARM)
+        return with_method(warm, SolveMethod.WARM)
     if warm.status.solved:
         warm = refine(warm, tol=tol, progress=progress)
-        if warm.converged or _stopped(warm):
-            return said(warm, SolveMethod.WARM)
+        if warm.converged or _is_interrupted(warm):
+            return with_method(warm, SolveMethod.WARM)
     cold = solve(
         problem,
         mesh=meshes,
@@ -365,20 +369,22 @@ def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool
         progress=progress,
         throw=throw and not warm.status.solved,
     )
-    return said(warm, SolveMethod.WARM) if _is_nearer(warm, cold) else said(cold, SolveMethod.COLD)
+    return (
+        with_method(warm, SolveMethod.WARM) if _is_better(warm, cold) else with_method(cold, SolveMethod.COLD)
+    )
 
 
-def _is_nearer(warm: Solution, cold: Solution) -> bool:
+def _is_better(warm: Solution, cold: Solution) -> bool:
     """Whether the one that did not settle is still the better of two."""
     if cold.converged or warm.history is None:
         return False
     return cold.history is None or warm.history.final.error < cold.history.final.error
 
 
-def reached(known: Solution) -> float:
+def reached_tolerance(known: Solution) -> float:
     """Return the tolerance that a solution was refined to."""
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
 
 
-def _stopped(refined: Solution) -> bool:
+def _is_interrupted(refined: Solution) -> bool:
     return refined.history is not None and refined.history.status is RefinementStatus.INTERRUPTED

@@ -134,7 +134,7 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
     ax.plot(t, polynomial[i], zorder=2, **_POLYNOMIAL)
     nodes = np.atleast_2d(signal(leg.point_times))[i]
     ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=1.8, zorder=4)
-    t, flown = sample_densely(leg.saturated_control(name), leg.flown.jumps)
+    t, flown = sample_densely(leg.saturated_control(name), leg.applied.jump_times)
     ax.plot(t, flown[i], zorder=3, **_FLOWN)
     row = leg.controls.slice(name).start + i
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
@@ -154,11 +154,12 @@ def _is_declared_control(control: ComposedControl, others: Iterable[ComposedCont
 
 
 def _draw_composed_control(ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl) -> None:
-    """Draw all components of a composed control, as applied."""
     for leg in legs:
         if control in leg.composed_controls:
             signal = leg.saturated_control(control.name)
-            draw_components(ax, *sample_densely(signal, leg.flown.jumps), component_legend_labels(signal))
+            draw_components(
+                ax, *sample_densely(signal, leg.applied.jump_times), component_legend_labels(signal)
+            )
     ax.set_ylabel(axis_label(variable_name_text(control.name), control.variable.unit))
     if control.variable.size > 1:
         legend_above(ax)
@@ -191,7 +192,7 @@ def _draw_switching_function(
 def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
     """Return whether the applied control is at one of its bounds (n_times,)."""
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
-    flown = leg.flown(t)[row]
+    flown = leg.applied(t)[row]
     room = np.minimum(flown - lower, upper - flown)
     return room <= AT_LIMIT * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
 

@@ -140,7 +140,9 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     """
     legs = select_phases(solution, phase)
     at_points = [np.asarray(solution.hamiltonian(leg.point_times, leg.name)) for leg in legs]
-    along = [sample_densely(_applied_hamiltonian_function(solution, leg), leg.flown.jumps) for leg in legs]
+    along = [
+        sample_densely(_applied_hamiltonian_function(solution, leg), leg.applied.jump_times) for leg in legs
+    ]
     low, high = data_range(np.concatenate(at_points))
     with apply_style():
         figure = new_figure(3.4)
@@ -199,7 +201,7 @@ def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
 
 def _applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
     hamiltonian = solution.functions(leg.name).hamiltonian
-    return lambda t, side: hamiltonian(t, leg.x(t, side), leg.flown(t, side), leg.lam(t, side))
+    return lambda t, side: hamiltonian(t, leg.x(t, side), leg.applied(t, side), leg.lam(t, side))
 
 
 def _hamiltonian_legend_handles(low: float, high: float) -> list[Any]:

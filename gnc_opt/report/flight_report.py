@@ -185,7 +185,6 @@ def _drawn_parameters_table(campaign: Campaign) -> str:
 
 
 def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str) -> str:
-    """Return all figures whose names start with a prefix."""
     stems = [stem for stem in files if stem.startswith(prefix)]
     return figures_html({files[stem]: f"{stem.removeprefix(prefix)}: {caption}" for stem in stems})
 

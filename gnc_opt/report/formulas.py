@@ -180,7 +180,6 @@ class Formulas:
 
 
 def function_call_mathml(name: str, arguments: Iterable[str]) -> str:
-    """Return a function with its arguments."""
     return f"<mi>{escape(name)}</mi>{_add_parentheses('<mo>,</mo>'.join(arguments))}"
 
 
@@ -223,7 +222,6 @@ def number_mathml(value: float) -> str:
 
 
 def inline_formula(content: str) -> str:
-    """Return an inline formula."""
     return f"<math>{content}</math>"
 
 

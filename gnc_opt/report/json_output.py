@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import known_quality, left_tables
+from gnc_opt.planning.solution.summary import exited_tables, find_known_quality
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart import Multistart
 from gnc_opt.text_formatting import convert_to_json, json_text
@@ -67,7 +66,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     >>> print(summary_dict(solution)["status"])
     optimal
     """
-    quality = known_quality(solution)
+    quality = find_known_quality(solution)
     spent = solution.statistics
     return dict(
         convert_to_json(
@@ -91,10 +90,13 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "propagation_error": quality and quality.propagation_error,
                 "terminal_error_where": quality and quality.propagation_location,
                 "bound": _lower_bound_dict(solution),
-                "outside_tables": [str(found) for found in left_tables(solution)],
+                "outside_tables": [str(found) for found in exited_tables(solution)],
                 "verdict": None if verdict is None else _verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
-                "structure": [_arc_dict(arc) for arc in solution.structure],
+                "structure": [
+                    {**_select_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
+                    for arc in solution.structure
+                ],
                 "refinement": None if solution.history is None else _refinement_dict(solution.history),
                 "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
                 "phases": [_phase_dict(leg) for leg in solution.phases.values()],
@@ -148,10 +150,6 @@ def _verdict_dict(verdict: Verdict) -> dict[str, Any]:
     members = ("name", "value", "tolerance", "where", "meaning", "sufficient", "loss", "unit")
     conditions = [{**_select_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
     return {**_select_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
-
-
-def _arc_dict(arc: Arc) -> dict[str, Any]:
-    return {**_select_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
 
 
 def _refinement_dict(history: History) -> dict[str, Any]:

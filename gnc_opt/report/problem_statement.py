@@ -44,7 +44,7 @@ def problem_statement_html(problem: Problem) -> str:
 
 def _name_boundaries(problem: Problem) -> dict[int, str]:
     """Return the names of boundary states, times, integrals and free parameters."""
-    names = component_names_mathml({s.variable.name: s for s in problem.free_symbols()})
+    names = component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
     several = len(problem.phases) > 1
     for leg in problem.phases.values():
         of_phase = f"<mtext>{escape(leg.name)}</mtext>" if several else ""
@@ -54,7 +54,7 @@ def _name_boundaries(problem: Problem) -> dict[int, str]:
         }
         for end, time in times.items():
             labels = [name_mathml(label) for label in leg.model.states.labels]
-            for label, element in zip(labels, ca.vertsplit(leg.ends(end)), strict=True):
+            for label, element in zip(labels, ca.vertsplit(leg.end_states(end)), strict=True):
                 names[element.element_hash()] = f"<mrow>{label}<mo>(</mo>{time}<mo>)</mo></mrow>"
         for time, symbol in zip(times.values(), (leg.initial_time, leg.final_time), strict=True):
             names[symbol.element_hash()] = time
@@ -112,7 +112,7 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
         earlier = shown.setdefault(part, leg.name)
         return part if earlier == leg.name else f"<p>As in phase {escape(earlier)}.</p>"
 
-    initial, final = leg.times()
+    initial, final = leg.time_ranges()
     span = leg.numbers.duration
     times = [
         ("initial time", interval_text(initial, [0]), problem.time_unit),
@@ -147,7 +147,6 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
 
 
 def _iterate_variables(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
-    """Yield name, rows and unit of each variable."""
     for v in layout.variables:
         place = layout.slice(v.name)
         yield (
@@ -204,7 +203,7 @@ def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
         {v.name: model.symbol(v.name) for layout in layouts for v in layout.variables}
     )
     names[model.time.element_hash()] = _TIME
-    names |= component_names_mathml({s.variable.name: s for s in problem.free_symbols()})
+    names |= component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)
     for use in model.table_uses():
         if use.value.numel() == 1 and writer.is_short_enough(use.arguments):
@@ -234,7 +233,6 @@ def _pair_rows_with_limits(
 
 
 def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interval]]) -> str:
-    """Return constraints as named formulas with their limits."""
     if not writer.is_short_enough(ca.vertcat(*[element for _, element, _ in rows])):
         return _omitted_expressions_note(rows)
     lines = []

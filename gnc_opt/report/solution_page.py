@@ -8,8 +8,14 @@ from pathlib import Path
 
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import left_tables, mesh_text, objective_text, time_unit
-from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe, violation_text
+from gnc_opt.planning.solution.summary import exited_tables, mesh_text, objective_text, time_unit
+from gnc_opt.planning.solution.verdict import (
+    REMEDIES,
+    ConditionResult,
+    Verdict,
+    violation_text,
+    worst_condition,
+)
 from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.text_formatting import derivative_unit, html_table
@@ -38,7 +44,6 @@ def solution_page_html(
     motion: str = "",
     command: str | None = None,
 ) -> str:
-    """Return the page as HTML."""
 
     def join_figures(*stems: str) -> str:
         return "".join(figure_html(files, stem, CAPTIONS[stem]) for stem in stems)
@@ -95,7 +100,7 @@ def verdict_table_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
     """Return group, result, largest violation and its location for three groups of conditions."""
     lines = []
     for group, found in verdict.groups.items():
-        worst = most_severe(found)
+        worst = worst_condition(found)
         place = f"{worst.name}: {worst.location_text}"
         lines.append((group, worst.result.value.lower(), violation_text(worst.value), place))
     return lines
@@ -119,7 +124,7 @@ def _solve_facts_table(solution: Solution) -> str:
     if solution.problem is not None and solution.status.solved:
         rows.append(("accuracy", solution.accuracy.text))
     rows.append(("mesh", mesh_text(solution)))
-    rows += [("table left", str(found)) for found in left_tables(solution)]
+    rows += [("table left", str(found)) for found in exited_tables(solution)]
     return html_table(("", ""), rows)
 
 

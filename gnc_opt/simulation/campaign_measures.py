@@ -116,7 +116,6 @@ class Measures:
         return self._known[name]
 
     def unit(self, name: str) -> str:
-        """Return the unit of a measure."""
         if name in self._runs.measured or name in REPLANS:
             return ""
         kind, subject = self._parse_name(name)

@@ -71,7 +71,6 @@ def campaign_notes(campaign: CampaignStatistics) -> list[str]:
 
 
 def _event_lines(campaign: CampaignStatistics) -> list[str]:
-    """Return one line on the events; empty for a loop without events."""
     text = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
     return [f"events: {text}"] if text else []
 

@@ -377,7 +377,6 @@ class ClosedLoop:
 
 
 def _as_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
-    """Return one or several elements of a loop as a tuple."""
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
         raise ArgumentError(f"the {name} of a closed loop are {shown(given)}: give a list; {remedy}.")

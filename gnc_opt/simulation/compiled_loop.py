@@ -383,7 +383,6 @@ class CompiledLoop:
             log["errors"].append(self._state_errors(states, followed))
 
     def _is_ended_by_event(self, X: Array) -> bool:
-        """Whether an event has ended the run."""
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
     def _end_times(self, parts: dict[str, Array]) -> Array:

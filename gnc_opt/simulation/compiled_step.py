@@ -56,7 +56,6 @@ class StepExecutor:
         return X, C
 
     def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """Execute the steps with CasADi's interpreter; arguments as in `execute_steps`."""
 
         def leg() -> Any:
             return self._leg_function(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
@@ -99,7 +98,6 @@ class StepExecutor:
 
     @property
     def machine_code_step(self) -> Any:
-        """Step function that is compiled to machine code."""
         return self.kernel.easy or self.step
 
     @cached_property
@@ -181,7 +179,11 @@ def build_step_library(step: Any) -> str:
         return ""
     compiled = (platform.machine(), os.path.realpath(compiler), step.serialize())
     key = (ca.__version__, *FLAGS, _LOOP, *compiled)
-    place = _find_cache_folder() / f"{hashlib.sha256(chr(0).join(key).encode()).hexdigest()}.so"
+    place = (
+        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        / "gnc_opt"
+        / f"{hashlib.sha256(chr(0).join(key).encode()).hexdigest()}.so"
+    )
     try:
         if not place.exists():
             _compile_library(step, compiler, place)
@@ -208,12 +210,7 @@ def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], in
     return call_library
 
 
-def _find_cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gnc_opt"
-
-
 def _append_leg_source(source: str, step: Any) -> str:
-    """Return the C code of a step, followed by the function of a leg."""
     sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
     loop = _LOOP
     for name, size in sizes.items():
@@ -222,7 +219,6 @@ def _append_leg_source(source: str, step: Any) -> str:
 
 
 def _generate_step_source(step: Any, folder: str) -> str:
-    """Return CasADi's C code of a step and of a leg; "" if it cannot be generated."""
     generator = ca.CodeGenerator("kernel.c")
     with redirect_stderr(io.StringIO()) as messages:
         generator.add(step)
@@ -232,7 +228,6 @@ def _generate_step_source(step: Any, folder: str) -> str:
 
 
 def _compile_library(step: Any, compiler: str, place: Path) -> None:
-    """Compile the library."""
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")

@@ -359,7 +359,6 @@ def _draw_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
 
 
 def _magnitude_mean_square(value: Magnitude) -> float:
-    """Return the mean square of a magnitude."""
     if not isinstance(value, Dispersion):
         return float(value) ** 2
     mean, variance = value.moments(np.zeros(1))

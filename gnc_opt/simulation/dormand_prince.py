@@ -93,12 +93,8 @@ def integrate_dormand_prince(
 @cache
 def _build_stage_function(row: tuple[float, ...], n: int) -> Any:
     """Return the function of a stage's argument from x (n,), h and previous rates; CasADi inlines it fast."""
-    x, h, *k = _stage_symbols(n, len(row))
+    x, h, *k = (ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(len(row))))
     return ca.Function("stage", [x, h, *k], [x + h * _sum_weighted(row, k)])
-
-
-def _stage_symbols(n: int, rates: int) -> list[Any]:
-    return [ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(rates))]
 
 
 def _sum_weighted(weights: tuple[float, ...], k: list[Any]) -> Any:

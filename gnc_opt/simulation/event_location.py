@@ -249,7 +249,6 @@ class _Passage:
                 yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), event_occurred[j])
 
     def _root_search_step(self) -> Any:
-        """Return one iteration of the root search, inactive after convergence."""
         r, x, armed, s, crossing = symbols = [
             ca.MX.sym(name, size)
             for name, size in (
@@ -321,7 +320,6 @@ class _Passage:
 
 
 def _replace_entry(column: Any, place: int, condition: Any, value: Any) -> Any:
-    """Return the SX column with the entry at ``place`` replaced if the condition is true."""
     entries = ca.vertsplit(column)
     entries[place] = ca.if_else(condition, value, entries[place])
     return ca.vertcat(*entries)

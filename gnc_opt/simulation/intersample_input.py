@@ -62,7 +62,6 @@ class Wave:
 
 
 def concatenate_waves(waves: Sequence[Wave]) -> Wave:
-    """Return several waves stacked into one column."""
     mean = ca.vertcat(*[wave.mean for wave in waves])
     if all(wave.at is None for wave in waves):
         return Wave(mean)

@@ -178,7 +178,6 @@ class _Builder(ControlStep):
     """Assembly of the kernel functions."""
 
     def kernel(self) -> Kernel:
-        """Return the kernel."""
         constants, act = self._act_functions()
         step, easy = self._step_function(constants, act), self._fast_step_function(constants, act)
         measure = self._measure_function(constants)

@@ -71,7 +71,6 @@ class OutcomeClassifier:
         return Outcome(RunStatus.OK, name, time)
 
     def _terminal_event(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
-        """Return the event that ended a run, and its time."""
         code = int(parts["stop"][0, i]) if self.events else 0
         names = (*self.events, _ZENO, *(_UNKEPT.format(event) for event in self.events))
         return (names[code - 1], float(parts["stop time"][0, i])) if code else ("", np.nan)

@@ -23,12 +23,10 @@ class Places:
 
     @property
     def size(self) -> int:
-        """Length of the column."""
         return sum(n for _, n in self.parts)
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Slice of each part."""
         out, at = {}, 0
         for name, n in self.parts:
             out[name], at = slice(at, at + n), at + n
@@ -41,7 +39,6 @@ class Places:
         return {name: column[place] for name, place in self.slices.items()}
 
     def join(self, values: Mapping[str, Any]) -> Any:
-        """Return the column of all parts."""
         return ca.vertcat(*[values[name] for name, _ in self.parts])
 
 
@@ -61,7 +58,6 @@ class Link:
 
 
 def list_sizes_and_units(layout: Layout) -> Kinds:
-    """Return sizes and units of a layout's variables by name."""
     return {v.name: (v.size, v.unit) for v in layout.variables}
 
 

@@ -151,7 +151,6 @@ def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: V
 
 
 def _multiply_inertia(matrix: ArrayLike | Matrix, vector: Vector) -> Vector:
-    """Return matrix times vector for any number of columns."""
     if is_symbolic(matrix, vector):
         return ca.mtimes(ca.DM(np.asarray(matrix)) if not is_symbolic(matrix) else matrix, vector)
     return np.asarray(matrix, dtype=float) @ np.asarray(vector, dtype=float)

@@ -297,7 +297,6 @@ def _make_result(item: Item, future: Future[Answer], error: BaseException | None
 
 
 def _get_error(future: Future[Any]) -> BaseException | None:
-    """Return the exception of a future; waits for its end."""
     try:
         return future.exception()
     except CancelledError as error:

@@ -111,7 +111,7 @@ def descent(plan: go.Solution) -> Reference:
     def u(times: Array) -> Array:
         return np.where(times > end, weight[:, None], thrust(np.minimum(times, end)))
 
-    jumps = leg.flown.jumps[leg.flown.jumps > leg.initial_time]
+    jumps = leg.applied.jump_times[leg.applied.jump_times > leg.initial_time]
     with warnings.catch_warnings():  # after the plan the mass is held: no law follows it
         warnings.simplefilter("ignore", go.ProblemWarning)
         return Reference.from_functions(

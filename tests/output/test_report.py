@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from testing.internals import overshooting_controls
+from testing.internals import find_overshooting_controls
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -135,7 +135,7 @@ def test_unit_of_the_objective_is_that_of_its_terms_or_as_stated() -> None:
 
 def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) -> None:
     text = summary(smeared)
-    (over,) = overshooting_controls(smeared.phase()).values()
+    (over,) = find_overshooting_controls(smeared.phase()).values()
     times = np.linspace(0.0, smeared.phase().final_time, 20001)
     truth = np.max(np.abs(smeared.control("a")(times))) - 1.0
     assert truth > 0.1

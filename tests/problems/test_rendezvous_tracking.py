@@ -130,7 +130,7 @@ def followed(tracking):
 
 def test_plan_keeps_its_reserve(tracking):
     """A rest-to-rest translation takes 1 / sqrt(share) as long; here the turn and the orbit change that by < 0.5 %."""
-    flown = tracking.solution.phase().flown(np.linspace(0.0, tracking.reference.final_time, 500))
+    flown = tracking.solution.phase().applied(np.linspace(0.0, tracking.reference.final_time, 500))
     largest = np.repeat([50.0, 320.0], 3) * RESERVE
     assert np.all(np.abs(flown) <= largest[:, None] * (1 + 1e-9))
     fastest = plan(reserve=1.0).objective

@@ -19,9 +19,9 @@ from testing.internals import (
     Scheme,
     Statistics,
     collocation_rule,
-    free,
     interpolate_points,
     phase_functions,
+    unbounded,
 )
 from testing.models import one_phase
 
@@ -129,11 +129,11 @@ def phase(
         "integrals": np.zeros(len(leg.integrands)),
         "integral_weights": np.ones(len(leg.integrands)),
         "parameters": model.parameter_values,
-        "state_bounds": free(n),
-        "control_bounds": free(m),
+        "state_bounds": unbounded(n),
+        "control_bounds": unbounded(m),
         "path_bounds": leg.path_interval(),
-        "initial_bounds": free(n),
-        "final_bounds": free(n),
+        "initial_bounds": unbounded(n),
+        "final_bounds": unbounded(n),
         "initial_time_bounds": interval(edges[0], edges[0]),
         "final_time_bounds": interval(edges[-1], edges[-1]),
         "duration_bounds": interval(-np.inf, np.inf),
@@ -142,7 +142,7 @@ def phase(
 
 
 def samples(problem: go.Problem, *arguments: Any, weights: Any = (0.5,), **changes: Any) -> PhaseSamples:
-    return PhaseSamples.of(phase(problem, *arguments, **changes), functions(problem, weights))
+    return PhaseSamples.from_phase(phase(problem, *arguments, **changes), functions(problem, weights))
 
 
 def solution(problem: go.Problem, *legs: PhaseSolution, **changes: Any) -> Solution:

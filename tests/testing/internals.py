@@ -56,10 +56,15 @@ from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.guess import simulation as guess_simulation
-from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED, guess_ends, guess_times, phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import (
+    SUSTAINED,
+    build_phase_guess,
+    guess_boundary_states,
+    guess_phase_times,
+)
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.interval import Interval, unbounded
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate
@@ -75,7 +80,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
-from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switches
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
@@ -83,32 +88,32 @@ from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
+from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.summary import overshooting_controls
+from gnc_opt.planning.solution.summary import find_overshooting_controls
 from gnc_opt.planning.solution.variation_scales import control_spans
 from gnc_opt.planning.solution.warm_start import start_from_guess
-from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution
+from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
-    check_segments,
-    hold_controls,
-    hold_paths,
-    hold_states,
+    check_arc_segments,
+    fix_controls,
+    fix_paths,
+    fix_states,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import collocation_rule
-from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
+from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, get_family
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.planning.verification.bang_bang_second_order import (
-    check_strict_switches,
-    explain_inapplicability,
+    check_strict_bang_bang_property,
+    explain_inapplicable_theorem,
 )
-from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_parts
-from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, second_order_conditions
+from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
 from gnc_opt.planning.verification.verify_trajectory import _build_solution
 from gnc_opt.plot.motion_scene import scene_html
 from gnc_opt.plot.motion_view import motion_time_span, sample_motion

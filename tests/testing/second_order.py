@@ -11,9 +11,9 @@ from testing.internals import (
     Magnitudes,
     Samples,
     _build_solution,
-    check_second_order_parts,
-    evaluate_ends,
+    boundary_gradients,
     recompute_from_problem,
+    second_order_conditions,
 )
 
 Array = NDArray[np.float64]
@@ -23,9 +23,9 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
     """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
     solution = recompute_from_problem(solution)
     samples = list(solution.samples().values())
-    magnitude = Magnitudes.of(solution, samples).cost
+    magnitude = Magnitudes.from_solution(solution, samples).cost
     samples = [s.with_cost_magnitude(magnitude) for s in samples]
-    return {c.name: c for c in check_second_order_parts(solution, samples, evaluate_ends(solution), tol)}
+    return {c.name: c for c in second_order_conditions(solution, samples, boundary_gradients(solution), tol)}
 
 
 def of_samples(problem: go.Problem, t: Array, x: Array, u: Array) -> go.Solution:

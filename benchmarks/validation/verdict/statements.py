@@ -154,8 +154,8 @@ def trajectory(solution: go.Solution, n: int = SAMPLES) -> Trajectory:
     apart = np.min(np.abs(even[:, None] - np.append(jumps, np.inf)), axis=1) > 1e-9 * leg.duration
     t = np.sort(np.concatenate([even[apart], jumps, jumps]))
     first = np.append(np.diff(t) == 0, False)
-    x, u = leg.x(t), leg.flown(t)
-    x[:, first], u[:, first] = leg.x(t[first], "left"), leg.flown(t[first], "left")
+    x, u = leg.x(t), leg.applied(t)
+    x[:, first], u[:, first] = leg.x(t[first], "left"), leg.applied(t[first], "left")
     return Trajectory(t, x, u)
 
 

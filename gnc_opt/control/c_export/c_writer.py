@@ -30,7 +30,6 @@ class CNumbers:
 
     @property
     def size(self) -> int:
-        """Size in bytes."""
         return int(np.dtype(self.dtype).itemsize)
 
     def __call__(self, value: float) -> str:
@@ -81,7 +80,6 @@ FLOAT = CNumbers("float", "f", np.float32, 1e-4, 1e-5)
 
 
 def wrap_initializer(entries: Iterable[str]) -> str:
-    """Return the entries of an initializer, wrapped over lines."""
     return textwrap.fill(", ".join(entries), 110, subsequent_indent="    ", break_on_hyphens=False)
 
 
@@ -184,7 +182,6 @@ def write_c_statements(
 
 
 def _input_expressions(function: Any, inputs: list[str]) -> list[list[str]]:
-    """Return the C expression of each nonzero of each input."""
     names = []
     for k, name in enumerate(inputs):
         rows = function.sparsity_in(k).row()

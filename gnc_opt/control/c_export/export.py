@@ -142,7 +142,6 @@ def export_c(
 
 
 def _format_comparison(count: int, missed: Array) -> str:
-    """Return the header comment on the comparison with the law."""
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
@@ -162,7 +161,6 @@ def flight_controller(controller: Controller) -> FlightLaw:
 
 
 def _expand_to_scalar_operations(function: Any, form: FlightLaw) -> Any:
-    """Return the function expanded to scalar operations."""
     what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
     remedy = "write it with functions of its own symbols, or take a law of a design function."
     try:
@@ -315,7 +313,6 @@ class FlightFiles:
         return self.numbers.typed("\n".join(lines))
 
     def write_source(self) -> str:
-        """Return the C source of the law and its tables."""
         upper, prefix = self.prefix.upper(), self.prefix
         lines = [
             f'#include "{prefix}.h"',
@@ -379,5 +376,4 @@ def _write_layout_comments(layout: Layout) -> list[str]:
 
 
 def _escape_comment(text: str) -> str:
-    """Return text that is valid in a C comment."""
     return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

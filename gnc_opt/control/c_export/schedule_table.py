@@ -29,7 +29,6 @@ class FlightTable:
     layout: Layout
 
     def size(self, numbers: CNumbers) -> int:
-        """Return the size in bytes."""
         return self.rows.size * numbers.size
 
     def text(self, numbers: CNumbers) -> list[str]:
@@ -57,7 +56,6 @@ class FlightTable:
 
 
 def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, float] | None) -> FlightTable:
-    """Return the schedule of a controller as a table of its control steps."""
     if controller.signals.size == 0:
         return FlightTable(0.0, np.zeros((1, 0)), controller.signals)
     found = controller.span if span is None else span

@@ -21,7 +21,7 @@ from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap
 from gnc_opt.planning.solution.violation_diagnosis import find_violations
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_variables
+from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.scheme import Scheme
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.runtime_environment import package_version
@@ -56,7 +56,7 @@ class Attempt:
     progress: bool = False
 
     @classmethod
-    def prepare(
+    def from_problem(
         cls,
         problem: Problem,
         meshes: Mapping[str, Mesh],
@@ -75,16 +75,18 @@ class Attempt:
         """
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
-        suited = _with_careful_pivoting(options, transcription)
+        suited = _with_high_pivot_tolerance(options, transcription)
         reused = repr(suited) in transcription.built
-        solver = _make_solver(transcription, suited)
+        solver = _make_nlp_solver(transcription, suited)
         start = program_start(transcription, problem, guess)
-        scales = scale_variables(transcription, problem, start.x)
-        scaling = Scaling(scales, *scale_rows(transcription, problem, start.x, scales))
+        scales = choose_variable_scales(transcription, problem, start.x)
+        scaling = Scaling(scales, *choose_row_scales(transcription, problem, start.x, scales))
         build_s = time.perf_counter() - begin
         return cls(transcription, problem, solver, options, scaling, start, build_s, reused, progress)
 
-    def point(self, start: ProgramStart, *, held: Indices | None = None, with_cost: bool = True) -> NlpPoint:
+    def build_point(
+        self, start: ProgramStart, *, held: Indices | None = None, with_cost: bool = True
+    ) -> NlpPoint:
         """Return the scaled numbers of the program: from a start, some variables held, with or without the cost."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
         variables, rows = transcription.variable_interval(problem), transcription.row_interval(problem)
@@ -103,7 +105,7 @@ class Attempt:
         )
 
     @contextmanager
-    def meter(self, *, with_cost: bool = True) -> Iterator[ShowIteration | None]:
+    def show_progress(self, *, with_cost: bool = True) -> Iterator[ShowIteration | None]:
         """While open, iterations can be shown by the function that it yields, if they are to be shown."""
         if not self.progress:
             yield None
@@ -114,7 +116,7 @@ class Attempt:
         with solve_meter(self.problem.name) as show:
             yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
 
-    def solution(self, result: NlpResult) -> Solution:
+    def build_solution(self, result: NlpResult) -> Solution:
         """Return what a result means in the problem's own terms; its problem is a frozen copy."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
         iterate = Iterate(
@@ -141,12 +143,12 @@ class Attempt:
             constraint_values=gradients.constraints,
             constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
             violations=find_violations(transcription, problem, result, scaling, phases, iterate.x[places]),
-            statistics=self._statistics(result),
-            provenance=_provenance(problem, transcription, self.options),
+            statistics=self._build_statistics(result),
+            provenance=_software_versions(problem, transcription, self.options),
             problem=problem.frozen(),
         )
 
-    def _statistics(self, result: NlpResult) -> Statistics:
+    def _build_statistics(self, result: NlpResult) -> Statistics:
         return Statistics(
             result.iterations,
             self.build_s,
@@ -157,7 +159,7 @@ class Attempt:
         )
 
 
-def _with_careful_pivoting(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+def _with_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
     """Pivot with care where switch times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
     if options.careful_pivoting is None and movable:
@@ -165,7 +167,7 @@ def _with_careful_pivoting(options: SolverOptions, transcription: Transcription)
     return options
 
 
-def _make_solver(transcription: Transcription, options: SolverOptions) -> NlpSolver:
+def _make_nlp_solver(transcription: Transcription, options: SolverOptions) -> NlpSolver:
     key = repr(options)
     if key not in transcription.built:
         transcription.built[key] = NlpSolver(transcription.nlp, options)
@@ -173,7 +175,9 @@ def _make_solver(transcription: Transcription, options: SolverOptions) -> NlpSol
     return solver
 
 
-def _provenance(problem: Problem, transcription: Transcription, options: SolverOptions) -> dict[str, str]:
+def _software_versions(
+    problem: Problem, transcription: Transcription, options: SolverOptions
+) -> dict[str, str]:
     meshes = ", ".join(f"{name} {part.collocation.mesh}" for name, part in transcription.parts.items())
     return {
         "gnc_opt": package_version("gnc_opt"),

@@ -47,13 +47,13 @@ def format_failure(solution: Solution) -> str:
     return (
         f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"
-        + (suggest_guess(problem) if problem and solution.status in GUESS_HELPS else "")
+        + (suggest_better_guess(problem) if problem and solution.status in GUESS_HELPS else "")
         + "".join(f" And {text}." for text in norms)
         + (f" And {missing}" if problem and (missing := missing_bounds_text(problem)) else "")
     )
 
 
-def suggest_guess(problem: Problem) -> str:
+def suggest_better_guess(problem: Problem) -> str:
     """Return which kind of guess can help, and the states of unknown size; empty where a trajectory is given."""
     if has_trajectory_guess(problem):
         return ""

@@ -187,23 +187,23 @@ class _Task:
 
     def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from one guess; the effort and the wall time of an earlier try (after) count."""
-        attempt = Attempt.prepare(
+        attempt = Attempt.from_problem(
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
         )
-        point = attempt.point(attempt.start)
+        point = attempt.build_point(attempt.start)
         attempt.solver.create_solver(point)  # the limit is on solving, not on setting up
         earlier_s = after.statistics.solve_s if after else 0.0
-        deadline = min(self.limits.deadline, attempt.solver.deadline() - earlier_s)
+        deadline = min(self.limits.deadline, attempt.solver.solve_deadline() - earlier_s)
         allowance = _Allowance(None, self.limits)
         tries = _Tries(attempt, allowance, deadline)
         tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
-        result = tries.result()
-        if allowance.spent and result.status is Status.INTERRUPTED:
+        result = tries.select_result()
+        if allowance.is_spent and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = minimum_norm_multipliers(attempt.transcription, point, result)
-        found = attempt.solution(result)
-        return replace(found, statistics=found.statistics.after(after.statistics)) if after else found
+        found = attempt.build_solution(result)
+        return replace(found, statistics=found.statistics.add_earlier(after.statistics)) if after else found
 
 
 # --- the same program, other starts ---------------------------------------------------------------------
@@ -233,48 +233,50 @@ class _Tries:
         ipopt = options.solver == "ipopt"
         cold = ipopt and point.start_kind == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
         search = search and cold
-        first = self._solve(point, most=WARM_MAX_ITERATIONS if search else None)
+        first = self._solve_program(point, most=WARM_MAX_ITERATIONS if search else None)
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
             there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
-            self._solve(there, "careful", most=TRY_MAX_ITERATIONS)
-        if self._ended or not (cold or (ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED))):
+            self._solve_program(there, "careful", most=TRY_MAX_ITERATIONS)
+        if self._is_finished or not (
+            cold or (ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED))
+        ):
             return
         lost = first.status is Status.ITERATION_LIMIT
         most = TRY_MAX_ITERATIONS if search else None
-        self._solve(point.drop_multipliers(), "adaptive", most=most if lost else None)
-        if self._ended or not search or not (lost or first.status in CONSTRAINTS_FIRST):
+        self._solve_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
+        if self._is_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
-        for start in self._simulate_guess():
-            self._solve(self.attempt.point(start), most=most)
-        if not self._ended:
+        for start in self._start_from_simulation():
+            self._solve_program(self.attempt.build_point(start), most=most)
+        if not self._is_finished:
             self._solve_constraints_first()
-        if lost and not self._ended:
-            self._solve(point)
+        if lost and not self._is_finished:
+            self._solve_program(point)
 
-    def result(self) -> NlpResult:
+    def select_result(self) -> NlpResult:
         """Return the solution; without one the first ending that says why, or else the first failure.
 
         Constraints that are not met from one point say nothing of the problem.
         """
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
-            return (last if last.status.solved else first).with_effort(self.spent)
+            return (last if last.status.solved else first).with_total_effort(self.spent)
         explained = [r for r in self.whole if r.status not in UNEXPLAINED]
         otherwise = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
         if last.status is Status.INTERRUPTED and not explained:
-            return last.with_effort(self.spent)
-        return (explained[0] if explained else otherwise).with_effort(self.spent)
+            return last.with_total_effort(self.spent)
+        return (explained[0] if explained else otherwise).with_total_effort(self.spent)
 
     @property
-    def _ended(self) -> bool:
-        over = self.allowance.spent or time.perf_counter() > self.deadline
+    def _is_finished(self) -> bool:
+        over = self.allowance.is_spent or time.perf_counter() > self.deadline
         solved = self.spent[-1].status.solved or self.spent[0].status.solved
         return over or solved or self.spent[-1].status is Status.INTERRUPTED
 
-    def _solve(
+    def _solve_program(
         self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
     ) -> NlpResult:
-        with self.attempt.meter(with_cost=with_cost) as self.allowance.show:
+        with self.attempt.show_progress(with_cost=with_cost) as self.allowance.show:
             patience = _Patience(self.allowance, most)
             found = self.attempt.solver.solve(point, way, callback=patience, deadline=self.deadline)
         if patience.lost and found.status is Status.INTERRUPTED:
@@ -284,7 +286,7 @@ class _Tries:
             self.whole.append(found)
         return found
 
-    def _simulate_guess(self) -> Iterator[ProgramStart]:
+    def _start_from_simulation(self) -> Iterator[ProgramStart]:
         flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
             yield program_start(self.attempt.transcription, flown, None)
@@ -293,14 +295,14 @@ class _Tries:
         """Solve from points that meet the constraints, until an ending is none of `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
         for place in generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
-            point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
-            met = self._solve(point, most=TRY_MAX_ITERATIONS, with_cost=False)
+            point = attempt.build_point(ProgramStart(place.variables), held=place.held, with_cost=False)
+            met = self._solve_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
-                there = attempt.point(ProgramStart(met.x * attempt.scaling.variables))
-                self._solve(there, most=TRY_MAX_ITERATIONS)
+                there = attempt.build_point(ProgramStart(met.x * attempt.scaling.variables))
+                self._solve_program(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return
-            if self._ended:
+            if self._is_finished:
                 return
 
 
@@ -316,11 +318,10 @@ class _Allowance:
         if self.show is not None:
             self.show(info)
         self.count += info.iteration > 0
-        return self.spent
+        return self.is_spent
 
     @property
-    def spent(self) -> bool:
-        """Whether none is left."""
+    def is_spent(self) -> bool:
         most = self.limits.iterations
         return (most is not None and self.count >= most) or time.thread_time() > self.limits.cpu_deadline
 
@@ -340,7 +341,6 @@ class _Patience:
 
 
 def _find_free_times(transcription: Transcription) -> Indices:
-    """Return the places of the times among the variables."""
     places = np.concatenate([part.times for part in transcription.parts.values()])
     return np.unique(places[places < transcription.n_variables])
 

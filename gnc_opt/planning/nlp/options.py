@@ -121,7 +121,7 @@ def nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) ->
     if options.solver in _WITHOUT_NLP_GRAD:
         quiet |= {"calc_lam_p": False, "no_nlp_grad": True}
     size = problem.n_variables + problem.n_constraints
-    plugin = _ipopt_options(options, start, size) if options.solver == "ipopt" else _other_options(options)
+    plugin = _ipopt_options(options, start, size) if options.solver == "ipopt" else _plugin_options(options)
     return (
         quiet
         | plugin
@@ -136,7 +136,7 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
         "sb": "yes",
         "linear_solver": options.linear_solver,
         "tol": float(options.tolerance),
-        "compl_inf_tol": _complementarity_options(options.tolerance),
+        "compl_inf_tol": _complementarity_tolerance(options.tolerance),
         "max_iter": int(options.max_iterations),
         "bound_relax_factor": float(options.bound_relax),
         "diverging_iterates_tol": DIVERGING_MAGNITUDE,
@@ -157,17 +157,17 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
     return {f"ipopt.{name}": value for name, value in chosen.items()}
 
 
-def _complementarity_options(tolerance: float) -> float:
+def _complementarity_tolerance(tolerance: float) -> float:
     """Return IPOPT's `compl_inf_tol`, which also ends the barrier's descent: smaller, for accurate multipliers."""
     return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
 def final_barrier_parameter(tolerance: float) -> float:
     """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10."""
-    return _complementarity_options(tolerance) / (10.0 + 1.0)
+    return _complementarity_tolerance(tolerance) / (10.0 + 1.0)
 
 
-def _other_options(options: SolverOptions) -> dict[str, Any]:
+def _plugin_options(options: SolverOptions) -> dict[str, Any]:
     """The same wishes for another plugin, as far as it has options for them."""
     quiet_qp = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     wishes: dict[str, Any] = {

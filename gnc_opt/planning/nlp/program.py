@@ -47,32 +47,29 @@ class NlpProblem:
 
     def __post_init__(self) -> None:
         nx, ng = self.n_variables, self.n_constraints
-        _check_function("grad_f", self.grad_f, 2, ((1, 1), (nx, 1)))
-        _check_function("jac_g", self.jac_g, 2, ((ng, 1), (ng, nx)))
-        _check_function("hess_lag", self.hess_lag, 4, ((nx, nx),))
+        _check_function_shape("grad_f", self.grad_f, 2, ((1, 1), (nx, 1)))
+        _check_function_shape("jac_g", self.jac_g, 2, ((ng, 1), (ng, nx)))
+        _check_function_shape("hess_lag", self.hess_lag, 4, ((nx, nx),))
         if self.hess_lag is not None and not self.hess_lag.sparsity_out(0).is_triu():
             raise ArgumentError("hess_lag must return only the upper triangle of the Hessian (casadi.triu)")
 
     @property
     def n_variables(self) -> int:
-        """Number of variables nx."""
         return int(self.x.numel())
 
     @property
     def n_constraints(self) -> int:
-        """Number of constraints ng."""
         return int(self.g.numel())
 
     @property
     def n_parameters(self) -> int:
-        """Number of parameters np."""
         return int(self.p.numel())
 
     @cached_property
     def lagrangian(self) -> Any:
         """Function `(x, p, lam_g) -> (f, g, gradient of f + lam_g . g)`; the gradient is (nx, 1)."""
         if self.grad_f is not None and self.jac_g is not None:
-            x, p, lam_g = nlp_symbols(self, "x", "p", "lam_g")
+            x, p, lam_g = create_nlp_symbols(self, "x", "p", "lam_g")
             f, gradient = self.grad_f(x, p)
             g, jacobian = self.jac_g(x, p)
             total = gradient + ca.mtimes(jacobian.T, lam_g)
@@ -87,7 +84,7 @@ def joint_jacobian(problem: NlpProblem) -> Any:
     """`(x, p) -> (f, grad_f_x, g, jac_g_x)`, the `jac_fg` of sqpmethod; None without derivatives."""
     if problem.grad_f is None or problem.jac_g is None:
         return None
-    x, p = nlp_symbols(problem, "x", "p")
+    x, p = create_nlp_symbols(problem, "x", "p")
     return ca.Function("nlp_jac_fg", [x, p], [*problem.grad_f(x, p), *problem.jac_g(x, p)])
 
 
@@ -95,16 +92,16 @@ def full_hessian(problem: NlpProblem) -> Any:
     """`(x, p, lam_f, lam_g) -> (hess_gamma_x_x)`, both triangles, as sqpmethod wants it; or None."""
     if problem.hess_lag is None:
         return None
-    inputs = nlp_symbols(problem, "x", "p", "lam_f", "lam_g")
+    inputs = create_nlp_symbols(problem, "x", "p", "lam_f", "lam_g")
     return ca.Function("nlp_hess_l", inputs, [ca.triu2symm(problem.hess_lag(*inputs))])
 
 
-def nlp_symbols(problem: NlpProblem, *names: str) -> list[Any]:
+def create_nlp_symbols(problem: NlpProblem, *names: str) -> list[Any]:
     rows = {"x": problem.n_variables, "p": problem.n_parameters, "lam_f": 1, "lam_g": problem.n_constraints}
     return [ca.MX.sym(name, rows[name]) for name in names]
 
 
-def _check_function(name: str, function: Any, n_in: int, shapes: tuple[tuple[int, int], ...]) -> None:
+def _check_function_shape(name: str, function: Any, n_in: int, shapes: tuple[tuple[int, int], ...]) -> None:
     if function is None:
         return
     found = tuple(tuple(function.size_out(i)) for i in range(function.n_out()))

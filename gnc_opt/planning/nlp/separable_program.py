@@ -43,7 +43,7 @@ class PointFunction:
     hessian_pattern: tuple[Indices, Indices]
 
     @classmethod
-    def build(cls, name: str, z: Any, d: Any, expression: Any) -> PointFunction:
+    def differentiate(cls, name: str, z: Any, d: Any, expression: Any) -> PointFunction:
         """Differentiate an SX expression in z; d is data that is not differentiated."""
         expression = ca.cse(expression)  # models write the same rotation more than once
         multiplier = ca.SX.sym("multiplier", expression.shape[0])
@@ -52,15 +52,14 @@ class PointFunction:
         value = ca.densify(expression)
         return cls(
             ca.Function(name, [z, d], [value]),
-            ca.Function(f"{name}_jacobian", [z, d], [value, _count_nonzeros(jacobian)]),
-            ca.Function(f"{name}_hessian", [z, d, multiplier], [_count_nonzeros(hessian)]),
+            ca.Function(f"{name}_jacobian", [z, d], [value, _nonzero_entries(jacobian)]),
+            ca.Function(f"{name}_hessian", [z, d, multiplier], [_nonzero_entries(hessian)]),
             _sparsity_pattern(jacobian),
             _sparsity_pattern(hessian),
         )
 
     @property
-    def rows(self) -> int:
-        """Number of rows of F."""
+    def n_rows(self) -> int:
         return int(self.value.size1_out(0))
 
 
@@ -84,8 +83,7 @@ class PointBlock:
     weights: Any
 
     @property
-    def points(self) -> int:
-        """Number of points."""
+    def n_points(self) -> int:
         return int(self.variables.shape[1])
 
 
@@ -98,15 +96,13 @@ class SeparableProgram:
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
         return int(self.linear.shape[0])
 
     @property
     def n_variables(self) -> int:
-        """Number of variables."""
         return int(self.linear.shape[1])
 
-    def rows(self, first: int, end: int) -> SeparableProgram:
+    def select_rows(self, first: int, end: int) -> SeparableProgram:
         """Return the rows from ``first`` to ``end`` alone, without the blocks that do not enter them."""
         parts = [
             replace(b, weights=scipy.sparse.csc_array(b.weights.tocsr()[first:end])) for b in self.blocks
@@ -114,43 +110,45 @@ class SeparableProgram:
         linear = scipy.sparse.coo_array(self.linear.tocsr()[first:end])
         return SeparableProgram(linear, tuple(part for part in parts if part.weights.nnz))
 
-    def values(self, x: Any, constants: Any) -> Any:
+    def evaluate_rows(self, x: Any, constants: Any) -> Any:
         """Return the MX column vector of the rows at x; ``constants`` extends x for indices beyond it."""
         extended = ca.vertcat(x, constants)
-        linear, weights = self._matrices
+        linear, weights = self._coefficient_matrices
         total = linear @ x
         for block, weight in zip(self.blocks, weights, strict=True):
-            outputs = block.function.value.map(block.points)(_gather_entries(extended, block), block.data)
+            outputs = block.function.value.map(block.n_points)(
+                _gather_point_variables(extended, block), block.data
+            )
             total += weight @ ca.vec(outputs)
         return ca.densify(total)
 
-    def values_and_jacobian(self, x: Any, constants: Any) -> tuple[Any, Any]:
+    def evaluate_rows_and_jacobian(self, x: Any, constants: Any) -> tuple[Any, Any]:
         """Return the rows and the MX vector of the nonzeros of dr/dx, in the order of `jacobian_pattern`."""
         extended = ca.vertcat(x, constants)
         _, constant, scatters = self._jacobian_structure
-        linear, weights = self._matrices
+        linear, weights = self._coefficient_matrices
         values, entries = linear @ x, ca.MX(ca.DM(constant))
         for block, weight, scatter in zip(self.blocks, weights, scatters, strict=True):
-            outputs, nonzeros = block.function.jacobian.map(block.points)(
-                _gather_entries(extended, block), block.data
+            outputs, nonzeros = block.function.jacobian.map(block.n_points)(
+                _gather_point_variables(extended, block), block.data
             )
             values += weight @ ca.vec(outputs)
-            entries += _sparse_matrix(scatter) @ ca.vec(nonzeros)
+            entries += _to_casadi_matrix(scatter) @ ca.vec(nonzeros)
         return ca.densify(values), entries
 
-    def hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
+    def evaluate_hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
         """Return the MX nonzeros of the upper triangle of the Hessian of ``multipliers . r``."""
         extended = ca.vertcat(x, constants)
         pattern, scatters = self._hessian_structure
         total = ca.MX(pattern[0].size, 1)
         for block, scatter in zip(self.blocks, scatters, strict=True):
             local = ca.reshape(
-                _sparse_matrix(block.weights.T) @ multipliers, block.function.rows, block.points
+                _to_casadi_matrix(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
             )
-            nonzeros = block.function.hessian.map(block.points)(
-                _gather_entries(extended, block), block.data, local
+            nonzeros = block.function.hessian.map(block.n_points)(
+                _gather_point_variables(extended, block), block.data, local
             )
-            total += _sparse_matrix(scatter) @ ca.vec(nonzeros)
+            total += _to_casadi_matrix(scatter) @ ca.vec(nonzeros)
         return ca.densify(total)
 
     @property
@@ -164,9 +162,9 @@ class SeparableProgram:
         return self._hessian_structure[0]
 
     @cached_property
-    def _matrices(self) -> tuple[Any, list[Any]]:
+    def _coefficient_matrices(self) -> tuple[Any, list[Any]]:
         """C and W of each block as CasADi matrices."""
-        return _sparse_matrix(self.linear), [_sparse_matrix(block.weights) for block in self.blocks]
+        return _to_casadi_matrix(self.linear), [_to_casadi_matrix(block.weights) for block in self.blocks]
 
     @cached_property
     def _jacobian_structure(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
@@ -178,7 +176,8 @@ class SeparableProgram:
         constant = np.zeros(unique.size)
         np.add.at(constant, np.searchsorted(unique, linear_keys), linear.data)
         scatters = [
-            e.scatter(np.searchsorted(unique, k), unique.size) for e, k in zip(entries, keys, strict=True)
+            e.scatter_matrix(np.searchsorted(unique, k), unique.size)
+            for e, k in zip(entries, keys, strict=True)
         ]
         pattern = (unique % self.n_rows, unique // self.n_rows)
         return pattern, constant, scatters
@@ -189,7 +188,8 @@ class SeparableProgram:
         keys = [e.rows + self.n_variables * e.columns for e in entries]
         unique = _merge_patterns(keys)
         scatters = [
-            e.scatter(np.searchsorted(unique, k), unique.size) for e, k in zip(entries, keys, strict=True)
+            e.scatter_matrix(np.searchsorted(unique, k), unique.size)
+            for e, k in zip(entries, keys, strict=True)
         ]
         return (unique % self.n_variables, unique // self.n_variables), scatters
 
@@ -204,15 +204,15 @@ class _Entries:
     factors: Array
     n_sources: int
 
-    def scatter(self, places: Indices, size: int) -> Any:
+    def scatter_matrix(self, places: Indices, size: int) -> Any:
         """Return the sparse matrix (size, n_sources) that maps local nonzeros to global ones."""
         return scipy.sparse.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
 
 def _jacobian_entries(block: PointBlock, n_variables: int) -> _Entries:
     rows, columns = block.function.jacobian_pattern
-    n_points, n_local = block.points, rows.size
-    outputs = (rows[:, None] + block.function.rows * np.arange(n_points)[None, :]).ravel(order="F")
+    n_points, n_local = block.n_points, rows.size
+    outputs = (rows[:, None] + block.function.n_rows * np.arange(n_points)[None, :]).ravel(order="F")
     variables = block.variables[columns, :].ravel(order="F")
     keep = np.flatnonzero(variables < n_variables)
     starts, ends = block.weights.indptr[outputs[keep]], block.weights.indptr[outputs[keep] + 1]
@@ -237,7 +237,7 @@ def _hessian_entries(block: PointBlock, n_variables: int) -> _Entries:
     keep = np.flatnonzero((first < n_variables) & (second < n_variables))
     low, high = np.minimum(first, second)[keep], np.maximum(first, second)[keep]
     # Two arguments fed by one variable: both off-diagonal entries land on the diagonal.
-    off_diagonal = np.tile(rows != columns, block.points)[keep]
+    off_diagonal = np.tile(rows != columns, block.n_points)[keep]
     factors = np.where((low == high) & off_diagonal, 2.0, 1.0)
     return _Entries(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
 
@@ -248,12 +248,12 @@ def _merge_patterns(keys: list[Indices]) -> Indices:
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
 
 
-def _gather_entries(extended: Any, block: PointBlock) -> Any:
+def _gather_point_variables(extended: Any, block: PointBlock) -> Any:
     n_z, n_points = block.variables.shape
     return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
 
 
-def _sparse_matrix(matrix: Any) -> Any:
+def _to_casadi_matrix(matrix: Any) -> Any:
     """Convert a scipy sparse matrix to a CasADi DM of the same sparsity."""
     csc = scipy.sparse.csc_array(matrix)
     csc.sum_duplicates()
@@ -262,7 +262,7 @@ def _sparse_matrix(matrix: Any) -> Any:
     return ca.DM(pattern, csc.data.tolist())  # an array is converted entry by entry
 
 
-def _count_nonzeros(expression: Any) -> Any:
+def _nonzero_entries(expression: Any) -> Any:
     """Return the nonzeros of an SX matrix as a dense column vector."""
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 

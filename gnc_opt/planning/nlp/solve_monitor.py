@@ -49,7 +49,7 @@ class Box:
     upper: Array
 
     @classmethod
-    def of(cls, name: str, lower: Array, upper: Array) -> Box:
+    def from_scalars(cls, name: str, lower: Array, upper: Array) -> Box:
         box = cls(lower, upper)
         wrong = ~(box.lower <= box.upper) | (box.lower == np.inf) | (box.upper == -np.inf)
         if wrong.any():
@@ -60,10 +60,10 @@ class Box:
         return box
 
     @property
-    def fixed(self) -> Mask:
+    def is_fixed(self) -> Mask:
         return np.asarray(self.lower == self.upper, dtype=np.bool_)
 
-    def violation(self, value: Array) -> float:
+    def largest_violation(self, value: Array) -> float:
         return max(
             0.0,
             float(np.max(self.lower - value, initial=0.0)),
@@ -87,7 +87,7 @@ class SolveWatch:
         """Note one iterate; sets `stop`, never raises."""
         try:
             if self.callback is not None:
-                infeasibility = max(self.box_x.violation(x), self.box_g.violation(g))
+                infeasibility = max(self.box_x.largest_violation(x), self.box_g.largest_violation(g))
                 if self.callback(IterationInfo(self.count, f, infeasibility)):
                     self.stop = True
         except BaseException as error:  # must not travel through the solver; raised again after it

@@ -84,10 +84,9 @@ class NlpPoint:
         return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
 
     def drop_multipliers(self) -> NlpPoint:
-        """Return the point without its multipliers."""
         return replace(self, lam_x0=None, lam_g0=None)
 
-    def arguments(self, problem: NlpProblem) -> dict[str, Array]:
+    def nlpsol_arguments(self, problem: NlpProblem) -> dict[str, Array]:
         """Return vectors of the right lengths by the names that `nlpsol` gives them."""
         sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
         given = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -130,7 +129,7 @@ class NlpResult:
     function_time: float
     linear_solver_time: float
 
-    def with_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
+    def with_total_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
         """Return this result with the iterations and times of all attempts that led to it."""
         return replace(
             self,
@@ -191,25 +190,25 @@ class NlpSolver:
         ArgumentError
             If a length is wrong, bounds are crossed or NaN, or the plugin refuses its options.
         """
-        arguments = point.arguments(self.problem)
-        box_x = Box.of("x", arguments["lbx"], arguments["ubx"])
-        box_g = Box.of("g", arguments["lbg"], arguments["ubg"])
+        arguments = point.nlpsol_arguments(self.problem)
+        box_x = Box.from_scalars("x", arguments["lbx"], arguments["ubx"])
+        box_g = Box.from_scalars("g", arguments["lbg"], arguments["ubg"])
         self.create_solver(point, way)  # the limit is on solving, not on setting up
-        end = self.deadline() if deadline is None else deadline
+        end = self.solve_deadline() if deadline is None else deadline
         return self._run_solver(way or point.start_kind, arguments, SolveWatch(box_x, box_g, callback, end))
 
     def create_solver(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for such a start, if it has not been needed before."""
         self._solver_for_start(way or point.start_kind)
 
-    def deadline(self) -> float:
+    def solve_deadline(self) -> float:
         """Return when a solve that starts now has to end, as `time.perf_counter` counts."""
         limit = self.options.max_wall_time
         return math.inf if limit is None else time.perf_counter() + limit
 
     def _run_solver(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
         solver = self._solver_for_start(start)
-        overdetermined = int(run.box_x.fixed.sum() + run.box_g.fixed.sum()) > self.problem.n_variables
+        overdetermined = int(run.box_x.is_fixed.sum() + run.box_g.is_fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
         begin = time.perf_counter()
         try:
@@ -251,7 +250,7 @@ class NlpSolver:
         f, g = float(raw["f"]), _flat_vector(raw["g"])
         if not started:  # the plugin's outputs are then whatever was in memory
             x, lam_x, lam_g = arguments["x0"].copy(), np.zeros_like(x), np.zeros_like(lam_g)
-        fixed = run.box_x.fixed
+        fixed = run.box_x.is_fixed
         if fixed.any() or not status.solved:
             f_dm, g_dm, gradient = self.problem.lagrangian(x, arguments["p"], lam_g)
             f, g = float(f_dm), _flat_vector(g_dm)
@@ -259,7 +258,7 @@ class NlpSolver:
         doubtful = status in _MAY_HIDE_UNBOUNDED and _has_diverged(x, f, RUNAWAY)
         if started and (doubtful or (status is Status.ACCEPTABLE and _has_diverged(x, f, SUSPICIOUS))):
             status = Status.UNBOUNDED
-        function_time = _timed_seconds(stats, "t_wall_nlp_")
+        function_time = _sum_timings(stats, "t_wall_nlp_")
         return NlpResult(
             x=x,
             f=f,
@@ -271,7 +270,7 @@ class NlpSolver:
             iterations=int(stats.get("iter_count", 0)) if started else 0,
             wall_time=wall,
             function_time=function_time,
-            linear_solver_time=max(0.0, wall - function_time - _timed_seconds(stats, "t_wall_callback_fun")),
+            linear_solver_time=max(0.0, wall - function_time - _sum_timings(stats, "t_wall_callback_fun")),
         )
 
 
@@ -294,7 +293,7 @@ def _has_diverged(x: Array, f: float, limit: float) -> bool:
     return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
 
 
-def _timed_seconds(stats: Mapping[str, Any], prefix: str) -> float:
+def _sum_timings(stats: Mapping[str, Any], prefix: str) -> float:
     return float(sum(value for name, value in stats.items() if name.startswith(prefix)))
 
 

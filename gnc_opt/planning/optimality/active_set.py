@@ -75,11 +75,11 @@ def undetermined_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float)
     whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
     hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     for j in np.flatnonzero(~whole):
-        bases[j] = _flat_directions(bases[j], hessian[:, :, j], flat)
+        bases[j] = _directions_without_curvature(bases[j], hessian[:, :, j], flat)
     return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), whole
 
 
-def _flat_directions(basis: Array, hessian: Array, flat: float) -> Array:
+def _directions_without_curvature(basis: Array, hessian: Array, flat: float) -> Array:
     """Return the directions of a basis in which a quadratic form is flat, or no number."""
     reduced = basis.T @ hessian @ basis
     if not reduced.size or not np.all(np.isfinite(reduced)):
@@ -109,7 +109,7 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
     beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
     chosen = np.flatnonzero(np.any(beside, axis=1))
     if chosen.size:
-        gradients = _order_gradients(s.functions, chosen)
+        gradients = _control_gradients_of_derivatives(s.functions, chosen)
         numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
         flat = evaluate_columns(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
         rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
@@ -122,7 +122,7 @@ def _is_at_limit(values: Array, box: Any, scale: Array) -> Mask:
     return np.asarray(at_lower | at_upper)
 
 
-def _order_gradients(functions: PhaseFunctions, chosen: Indices) -> Any:
+def _control_gradients_of_derivatives(functions: PhaseFunctions, chosen: Indices) -> Any:
     """Gradients, with respect to u, of the first time derivatives that contain u: states, paths (n * m, by rows)."""
     rates = functions.functions["rates"]
     t, x, u, lam, mu = (ca.SX.sym("v", rates.size1_in(i)) for i in range(5))
@@ -150,7 +150,7 @@ def add_touch_points(solution: Solution) -> Problem:
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
-            problem = _hold_constraints(
+            problem = _constrain_touches_and_arcs(
                 problem, s, _find_touch_points(problem, s, StateConstraints(problem, s)), []
             )
     return problem
@@ -161,11 +161,11 @@ def add_constraint_contacts(solution: Solution) -> Problem:
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
-            arcs = [found for arc in solution.structure for found in _state_constraint_arcs(problem, s, arc)]
+            arcs = [found for arc in solution.structure for found in _find_high_order_arcs(problem, s, arc)]
             ends = {(arc.row, k) for arc in arcs for k in (arc.first, arc.last)}
             touches = _find_touch_points(problem, s, StateConstraints(problem, s))
             alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
-            problem = _hold_constraints(problem, s, alone, arcs)
+            problem = _constrain_touches_and_arcs(problem, s, alone, arcs)
     return problem
 
 
@@ -180,7 +180,7 @@ class _HeldArc:
     last: int
 
 
-def _state_constraint_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
+def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
     """Return [arc on this phase's mesh]; empty unless it is a state-constraint arc of order two or more."""
     leg = s.leg
     labels = (*leg.path_labels, *leg.states.labels)
@@ -194,7 +194,7 @@ def _state_constraint_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[
     return [_HeldArc(row, arc.kind, order, first, last)]
 
 
-def _hold_constraints(
+def _constrain_touches_and_arcs(
     problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[_HeldArc]
 ) -> Problem:
     leg, n_paths = s.leg, len(s.leg.path_labels)
@@ -202,7 +202,7 @@ def _hold_constraints(
         return problem
     rows = StateConstraints(problem, s)
     kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
-    along = np.any(rows.is_near_limits(rows.values(s.times, s.x, s.u)), axis=0)
+    along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u)), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
             if not np.all(along[junction.constraint, s.segments == k]):  # no arc that begins or ends there
@@ -222,19 +222,19 @@ def _hold_constraints(
     )
 
 
-def _find_pushing_constraints(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
+def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
     """Which constraints are at their limits, and which push there (2, n_rows, n_boundaries): lower and upper ones."""
     s = rows.samples
     times = s.leg.breaks[list(boundaries)]
-    point = times, s.leg.x(times), s.leg.flown(times)
-    near, pushes = rows.is_near_limits(rows.values(*point)), rows.pushes(*point)
+    point = times, s.leg.x(times), s.leg.applied(times)
+    near, pushes = rows.is_near_limits(rows.evaluate_rows(*point)), rows.costate_jumps(*point)
     pushing = [
         here & (sign * pushes > ACTIVE * s.cost_scale) for here, sign in zip(near, (-1, 1), strict=True)
     ]
     return np.array(near, dtype=bool), np.array(pushing, dtype=bool)
 
 
-def with_movable_touches(solution: Solution) -> Solution:
+def with_free_touch_times(solution: Solution) -> Solution:
     """Return a solution with variable times where limits are touched, if other times of the mesh vary.
 
     A mesh stretches between its variable times: a touch that it carries along would be held next to the peak.
@@ -245,7 +245,7 @@ def with_movable_touches(solution: Solution) -> Solution:
         if not mesh.movable or mesh.segments < 3:
             continue
         rows = StateConstraints(solution.need_problem("linearise"), s)
-        near, pushing = _find_pushing_constraints(rows, range(1, mesh.segments))
+        near, pushing = _find_active_constraints(rows, range(1, mesh.segments))
         near = np.pad(near, ((0, 0), (0, 0), (1, 1)))
         alone = pushing & ~near[:, :, :-2] & ~near[:, :, 2:]
         touched = 1 + np.flatnonzero(np.any(alone, axis=(0, 1)))
@@ -258,13 +258,13 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
     """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
     boundaries, found = s.leg.mesh.movable, []
     for kind, here in zip(
-        (ArcKind.LOWER, ArcKind.UPPER), _find_pushing_constraints(rows, boundaries)[1], strict=True
+        (ArcKind.LOWER, ArcKind.UPPER), _find_active_constraints(rows, boundaries)[1], strict=True
     ):
         for row, k in np.argwhere(here):
             order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-            elif order == 1 and (side := _find_departure_side(rows, int(row), boundaries[k])):
+            elif order == 1 and (side := _find_constraint_exit_side(rows, int(row), boundaries[k])):
                 found.append(Junction(int(row), boundaries[k], kind, 0, side))
     return tuple(found) + _find_limit_changes(problem, rows)
 
@@ -277,7 +277,7 @@ def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junct
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
     if not paths or not leg.mesh.movable:
         return ()
-    at_path = rows.is_near_limits(rows.values(s.times, s.x, s.u))
+    at_path = rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))
     at_bound = np.any(s.at_control_bounds, axis=0)
     found: dict[int, Junction] = {}
     for row in paths:
@@ -300,15 +300,15 @@ def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], b
     return 0
 
 
-def _find_departure_side(rows: StateConstraints, row: int, boundary: int) -> int:
+def _find_constraint_exit_side(rows: StateConstraints, row: int, boundary: int) -> int:
     """The side, -1 or 1, to which a constraint leaves its limit at a boundary without a slope; 0 if it does not."""
     s, breaks = rows.samples, rows.samples.leg.breaks
-    along = np.any(rows.is_near_limits(rows.values(s.times, s.x, s.u))[:, row], axis=0)
+    along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))[:, row], axis=0)
     held = [bool(np.all(along[s.segments == k])) for k in (boundary - 1, boundary)]
     if held[0] == held[1]:
         return 0
     side = 1 if held[0] else -1
     # Without a slope: so near the boundary it has moved by little of what its scale suggests.
     times = breaks[boundary] + np.array([0.0, SMALL]) * (breaks[boundary + side] - breaks[boundary])
-    values = rows.values(times, s.leg.x(times), s.leg.flown(times))[row]
-    return side if abs(values[1] - values[0]) < NOTABLE * SMALL * rows.scales[row] else 0
+    values = rows.evaluate_rows(times, s.leg.x(times), s.leg.applied(times))[row]
+    return side if abs(values[1] - values[0]) < NOTABLE * SMALL * rows.row_scales[row] else 0

@@ -85,31 +85,34 @@ class BangBangFlow:
     _swept: dict[bytes, Array] = field(default_factory=dict)
 
     @property
-    def final(self) -> Array:
+    def final_state(self) -> Array:
         return self.states[:, -1]
 
     @property
     def final_sensitivity(self) -> Array:
-        return self._sensitivities[1]
+        return self._forward_sensitivities[1]
 
-    def adjoints(self, adjoint: Array) -> Array:
+    def integrate_adjoint(self, adjoint: Array) -> Array:
         """Gradient of ``adjoint @ final`` with respect to the states at all ends of steps (n, n_steps + 1)."""
         return self._cost_gradients(adjoint)[:-1]
 
-    def gradient(self, adjoint: Array) -> Array:
+    def final_state_gradient(self, adjoint: Array) -> Array:
         """First derivative of ``adjoint @ final``, (n_unknowns,), without any sensitivity."""
         worths, n_times = self._cost_gradients(adjoint), self._widths.shape[1]
         found = worths[:-1, 0] @ self.initial_sensitivity
         found[:n_times] += worths[-1, :-1] @ self._widths
         return np.asarray(found)
 
-    def curvature(self, adjoint: Array) -> Array:
+    def final_state_hessian(self, adjoint: Array) -> Array:
         """Second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        worths = np.empty((len(self._steps.jacobians), adjoint.size))
+        worths = np.empty((len(self._step_derivatives.jacobians), adjoint.size))
         for j in reversed(range(len(worths))):
             worths[j] = adjoint
-            adjoint = adjoint @ self._steps.jacobians[j, :, :-1]
-        hessians, directions = self._steps.hessians(worths.T), self._sensitivities[0]
+            adjoint = adjoint @ self._step_derivatives.jacobians[j, :, :-1]
+        hessians, directions = (
+            self._step_derivatives.adjoint_hessians(worths.T),
+            self._forward_sensitivities[0],
+        )
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
     def _cost_gradients(self, adjoint: Array) -> Array:
@@ -121,17 +124,17 @@ class BangBangFlow:
         return self._swept[key]
 
     @cached_property
-    def _steps(self) -> _Steps:
-        return _Steps.of(self._rates, self.states[:, :-1], self._inputs)
+    def _step_derivatives(self) -> _Steps:
+        return _Steps.differentiate(self._rates, self.states[:, :-1], self._inputs)
 
     @cached_property
-    def _sensitivities(self) -> tuple[Array, Array]:
+    def _forward_sensitivities(self) -> tuple[Array, Array]:
         """Derivatives of (state, width) of every step with respect to the unknowns, and of the final state."""
         (n, n_times), sensitivity = self._widths.shape, self.initial_sensitivity
         directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
         directions[:, -1, :n_times] = self._widths
         with np.errstate(over="ignore", invalid="ignore"):  # of a flow that has left the numbers
-            for j, jacobian in enumerate(self._steps.jacobians):
+            for j, jacobian in enumerate(self._step_derivatives.jacobians):
                 directions[j, :-1] = sensitivity
                 sensitivity = jacobian @ directions[j]
         return directions, sensitivity
@@ -159,10 +162,10 @@ def integrate_bang_bang(
         Of the grid, over the phase; at least one from switch to switch.
     """
     leg, q = s.leg, s.functions.q
-    rates = problem.reuse(("flow", leg.name), lambda: _Rates.of(s))
+    rates = problem.cache(("flow", leg.name), lambda: _Rates.build_functions(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
-    inputs, widths = _step_inputs(s, pieces, n_times, refinement, steps)
+    inputs, widths = _integration_step_inputs(s, pieces, n_times, refinement, steps)
     n_clock = start.size - q.size - 1
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
@@ -172,7 +175,7 @@ def integrate_bang_bang(
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 
-def _step_inputs(
+def _integration_step_inputs(
     s: PhaseSamples, pieces: PiecewiseControl, n_times: int, refinement: int, steps: int
 ) -> tuple[Array, Array]:
     """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""
@@ -210,7 +213,7 @@ class _Rates:
     hessian: _Matrices
 
     @classmethod
-    def of(cls, s: PhaseSamples) -> _Rates:
+    def build_functions(cls, s: PhaseSamples) -> _Rates:
         rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
         n, m, n_integrals, n_q = (
             s.leg.states.size, s.leg.controls.size, s.leg.integrals.size, s.functions.q.size
@@ -243,8 +246,8 @@ class _Rates:
             ca.Function("step", [state, inputs], [ca.densify(after)]),
             ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)]),
             ca.Function("stages", [state, inputs], [ca.densify(ca.vertcat(*places, *slopes))]),
-            _Matrices.of("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
-            _Matrices.of("rate_hessian", [state, inputs, weights], hessian),
+            _Matrices.build_function("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
+            _Matrices.build_function("rate_hessian", [state, inputs, weights], hessian),
         )
 
 
@@ -258,7 +261,7 @@ class _Matrices:
     columns: Indices
 
     @classmethod
-    def of(cls, name: str, arguments: list[Any], matrix: Any) -> _Matrices:
+    def build_function(cls, name: str, arguments: list[Any], matrix: Any) -> _Matrices:
         rows, columns = (np.array(part, dtype=int) for part in matrix.sparsity().get_triplet())
         entries = ca.vertcat(*matrix.nonzeros()) if rows.size else ca.SX(0, 1)
         return cls(ca.Function(name, arguments, [entries]), matrix.shape, rows, columns)
@@ -317,7 +320,7 @@ class _Steps:
     _slope_jacobians: Array
 
     @classmethod
-    def of(cls, rates: _Rates, states: Array, inputs: Array) -> _Steps:
+    def differentiate(cls, rates: _Rates, states: Array, inputs: Array) -> _Steps:
         """Differentiate the steps from some states (n, n_steps) with some inputs."""
         (n, n_steps), n_stages = states.shape, len(_SHARES)
         h = inputs[0][:, None, None]
@@ -341,7 +344,7 @@ class _Steps:
             jacobians = moves(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
         return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
-    def hessians(self, adjoints: Array) -> Array:
+    def adjoint_hessians(self, adjoints: Array) -> Array:
         """Hessians of ``adjoints @ step`` of every step, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
         (n, n_steps), n_stages = adjoints.shape, len(_SHARES)
         h = self._inputs[0]

@@ -43,14 +43,14 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
     deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
     pulled = np.sqrt(pull**2 @ s.weights / lasts) > SPAN_MIN_SHARE * size
     steady = ~moves & ~pulled
-    deviation = np.where(steady[:, None], _constant_control_deviation(s, size, bends)[:, None], deviation)
+    deviation = np.where(steady[:, None], _deviation_of_constant_controls(s, size, bends)[:, None], deviation)
     return np.fmax(
         deviation,
-        _resting_control_deviation(s, np.fmax(size, np.max(deviation, axis=1, initial=0.0)))[:, None],
+        _deviation_of_zero_controls(s, np.fmax(size, np.max(deviation, axis=1, initial=0.0)))[:, None],
     )
 
 
-def _constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:
+def _deviation_of_constant_controls(s: PhaseSamples, size: Array, bends: Array) -> Array:
     """Return the deviation of constant controls (m,): their size, unless that is negligible relative to the cost."""
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
@@ -60,7 +60,7 @@ def _constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> A
     return np.where(idle, worth if still else 0.0, size)
 
 
-def _resting_control_deviation(s: PhaseSamples, size: Array) -> Array:
+def _deviation_of_zero_controls(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero."""
     asked, rounding = estimate_required_controls(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
@@ -87,7 +87,7 @@ def limit_deviation_from_below(s: PhaseSamples, deviation: Array, cost: float) -
     return np.fmax(deviation, least[:, None])
 
 
-def add_inactive_controls(s: PhaseSamples, deviation: Array, cost: float) -> Array:
+def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, cost: float) -> Array:
     """Return deviations with idle controls at what costs as much as those of all others."""
     idle = np.max(deviation, axis=1, initial=0.0) <= 0
     if not np.any(idle):

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_columns
-from gnc_opt.planning.problem.functions import build_end_value_function
+from gnc_opt.planning.problem.functions import build_endpoint_values
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
@@ -40,12 +40,12 @@ def average_over_time(times: Array, violation: Array) -> Array:
     return np.asarray(np.reshape(means, violation.shape))
 
 
-def exclude_switches(times: Array, inside: Mask) -> Mask:
+def mask_interior_controls(times: Array, inside: Mask) -> Mask:
     """Where controls are between their bounds (m, n_times) for longer than a switch, smeared by a polynomial, takes."""
-    return lasts_for_share(times, inside, SMEARED)
+    return lasts_for_share_of_phase(times, inside, SMEARED)
 
 
-def lasts_for_share(times: Array, here: Mask, share: float) -> Mask:
+def lasts_for_share_of_phase(times: Array, here: Mask, share: float) -> Mask:
     """Where something holds (m, n_times) for longer than a share of the phase."""
     arcs = here.copy()
     for row in arcs:
@@ -81,7 +81,7 @@ class Magnitudes:
     constraints: Array
 
     @classmethod
-    def of(cls, solution: Solution, samples: list[PhaseSamples]) -> Magnitudes:
+    def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Magnitudes:
         """Vary cost and constraints."""
         problem = solution.need_problem("verify")
         values: list[Array] = []
@@ -106,7 +106,7 @@ class Magnitudes:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_columns(build_end_value_function(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_columns(build_endpoint_values(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # what has no value has not changed
             changes = np.abs(found[:, 1:] - base[:, None])

@@ -45,7 +45,7 @@ class StateConstraintSides:
     active: Mask
 
     @classmethod
-    def at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
+    def evaluate_at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
         """Evaluate state bounds and the path constraints that do not depend on controls."""
         leg, n = s.leg, s.leg.states.size
         gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
@@ -109,7 +109,7 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
-    pushers = StateConstraintSides.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
+    pushers = StateConstraintSides.evaluate_at(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
     rest, rises, every = jumps.copy(), np.zeros(breaks.size), np.zeros(pushers.active.shape)
     scale, spare = s.state_scale, _nearby_impulses(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
@@ -153,7 +153,7 @@ class EndPush:
     limits: Interval
 
 
-def explain_end_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
+def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
     """Explain a costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     leg, name, pure, n = s.leg, s.leg.name, s.pure_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds
@@ -161,7 +161,7 @@ def explain_end_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
     multipliers, rows = np.zeros(len(leg.path_labels)), np.concatenate([pure, pure])
     nothing = EndPush(gap, multipliers, np.zeros(n), 0.0, limits)
-    pushers = StateConstraintSides.at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
+    pushers = StateConstraintSides.evaluate_at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
     sides = np.concatenate([n + np.arange(pure.size), 2 * n + pure.size + np.arange(pure.size)])
     active = pushers.active[sides, 0]
     rows, signs, sides = rows[active], np.repeat([1.0, -1.0], pure.size)[active], sides[active]

@@ -37,7 +37,7 @@ class SaddlePoint:
 
     def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:
         self.labels, self._n, self._name = labels, n_primal, name
-        self._scale = _equilibrate(matrix)
+        self._scale = _equilibrate_rows(matrix)
         diagonal = scipy.sparse.diags_array(self._scale)
         self._matrix = scipy.sparse.csc_array(diagonal @ matrix @ diagonal)
         # SuperLU may write about a structurally singular matrix instead of raising.
@@ -49,7 +49,7 @@ class SaddlePoint:
             except RuntimeError:  # a pivot is exactly zero
                 self.redundant = True
         if self.redundant:
-            self._examine_singularity()
+            self._classify_singularity()
 
     def _condition_number(self) -> float:
         n = self._matrix.shape[0]
@@ -65,7 +65,7 @@ class SaddlePoint:
             else 1.0
         )
 
-    def _examine_singularity(self) -> None:
+    def _classify_singularity(self) -> None:
         """Find what the singular system leaves undetermined: variables (refuse) or only multipliers (accept)."""
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
@@ -84,7 +84,7 @@ class SaddlePoint:
                 "first, and a quantity that nothing depends on must be fixed."
             )
 
-    def solve(self, right: Array) -> Array:
+    def solve_system(self, right: Array) -> Array:
         """Solve with iterative refinement, which also undoes the shift of a redundant system."""
         scaled = self._scale * right
         solved = self._factors.solve(scaled)
@@ -105,7 +105,7 @@ class SaddlePoint:
         return np.asarray(solved * self._scale)
 
 
-def _equilibrate(matrix: Any) -> Array:
+def _equilibrate_rows(matrix: Any) -> Array:
     """Return symmetric scale factors that bring the largest entry of every row near 1."""
     scale = np.ones(matrix.shape[0])
     absolute = scipy.sparse.coo_array(np.abs(matrix))
@@ -133,7 +133,7 @@ def factorise_symmetric(matrix: Any) -> Callable[[Array], Array]:
         solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix)).solve
         return solve
     stretches = _assign_row_blocks(matrix[others][:, others], copies)
-    factors = scipy.sparse.linalg.splu(_split_dense_rows(matrix, dense, others, stretches))
+    factors = scipy.sparse.linalg.splu(_split_dense_jacobian_rows(matrix, dense, others, stretches))
     first = others.size + copies * np.arange(dense.size)  # copies
 
     def solve_stretched(right: Array) -> Array:
@@ -155,7 +155,7 @@ def _assign_row_blocks(matrix: Any, copies: int) -> Indices:
     return stretches
 
 
-def _split_dense_rows(matrix: Any, dense: Indices, others: Indices, stretches: Indices) -> Any:
+def _split_dense_jacobian_rows(matrix: Any, dense: Indices, others: Indices, stretches: Indices) -> Any:
     """The matrix of the other rows, the copies of each dense one, and the multipliers of their equality."""
     copies = int(np.max(stretches)) + 1
     entries = scipy.sparse.coo_array(matrix)
@@ -210,26 +210,25 @@ class NullSpace:
     jacobian: Any
 
     @classmethod
-    def of(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
+    def with_fixed(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
         """Return the space where ``held`` (n_variables + n_constraints,) do not vary.
 
         ``unit`` (n_variables, n_variations) replaces a variation for each variable; ``further`` are more rows to hold.
         """
         held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
         if unit is None:
-            unit = unit_variations(variation_weights(point.transcription))
+            unit = unit_variation_matrix(variation_norm_weights(point.transcription))
         unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
-        jacobian, norms = _normalise_rows(point.jacobian[rows] @ unit)
+        jacobian, norms = _normalise_rows(point.row_jacobian[rows] @ unit)
         parts = [jacobian, _normalise_rows(moved)[0]]
         if further is not None:
             parts.append(_normalise_rows(further @ unit)[0])
         return cls(unit, rows, norms, scipy.sparse.vstack(parts, format="csc"))
 
     @property
-    def size(self) -> int:
-        """Number of variations."""
+    def dimension(self) -> int:
         return int(self.unit.shape[1])
 
     def project_hessian(self, hessian: Any) -> Any:
@@ -237,32 +236,31 @@ class NullSpace:
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
     def expand_variation(self, variation: Array) -> Array:
-        """Return the change of all scaled variables."""
         return np.asarray(self.unit @ variation)
 
     def factorise_hessian(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
         """Return the saddle matrix of a Hessian and of the rows, and what solves with it, but for rounding."""
-        n, m = self.size, self.jacobian.shape[0]
+        n, m = self.dimension, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
         # Of rows with unit gradients: dependent ones do no harm.
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, ROUNDING))
         return matrix, factorise_symmetric(matrix - slack)
 
     @cached_property
-    def identity_factors(self) -> tuple[Any, Callable[[Array], Array]]:
+    def factorise_identity(self) -> tuple[Any, Callable[[Array], Array]]:
         """The same for the identity, by which variations are projected."""
-        return self.factorise_hessian(scipy.sparse.eye_array(self.size))
+        return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
-    def projected_inverse(self, hessian: Any) -> Callable[[Array], Array]:
+    def projected_hessian_inverse(self, hessian: Any) -> Callable[[Array], Array]:
         """Return the inverse of a Hessian restricted to the null space."""
-        return self._restricted(*self.factorise_hessian(hessian))
+        return self._restrict_inverse(*self.factorise_hessian(hessian))
 
     @property
-    def projection(self) -> Callable[[Array], Array]:
+    def projection_operator(self) -> Callable[[Array], Array]:
         """Projection of variations to the null space."""
-        return self._restricted(*self.identity_factors)
+        return self._restrict_inverse(*self.factorise_identity)
 
-    def _restricted(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    def _restrict_inverse(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
         rows = np.zeros(self.jacobian.shape[0])
 
         def inverse(vector: Array) -> Array:
@@ -322,12 +320,12 @@ def _normalise_rows(rows: Any) -> tuple[Any, Array]:
     return scipy.sparse.diags_array(1 / norms) @ rows, norms
 
 
-def unit_variations(squares: Array) -> Any:
+def unit_variation_matrix(squares: Array) -> Any:
     """A variation of size 1 for each scaled variable (n_variables, n_variables), sparse."""
     return scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")
 
 
-def variation_weights(transcription: Transcription) -> Array:
+def variation_norm_weights(transcription: Transcription) -> Array:
     """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
     weights, _ = compute_quadrature_weights(transcription)
     for part in transcription.parts.values():

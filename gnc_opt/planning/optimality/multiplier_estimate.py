@@ -57,7 +57,7 @@ class PointMultipliers:
     at_upper: Mask
 
     @classmethod
-    def of(
+    def from_trajectory(
         cls,
         transcription: Transcription,
         problem: Problem,
@@ -67,9 +67,9 @@ class PointMultipliers:
         near: float,
     ) -> PointMultipliers:
         """Find them along a trajectory; ``scales`` (n_variables,) are what the variables of the program vary by."""
-        found = [cls._none(transcription.n_variables)]
+        found = [cls._empty(transcription.n_variables)]
         for name, part in transcription.parts.items():
-            leg, functions, phase = problem.phases[name], phase_functions_at(problem, name, q), fitted[name]
+            leg, functions, phase = (problem.phases[name], phase_functions_at(problem, name, q), fitted[name])
             orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
             pure = np.flatnonzero([order != 0 for order in orders])
             if not pure.size:
@@ -84,7 +84,7 @@ class PointMultipliers:
             at_lower = values <= limits.lower[pure, None] + near * sizes
             at_upper = values >= limits.upper[pure, None] - near * sizes
             touched_only = np.array([orders[i] == 1 for i in pure])
-            chosen = _can_constraint_act(at_lower | at_upper, touched_only)
+            chosen = _can_have_costate_jump(at_lower | at_upper, touched_only)
             which, k = np.nonzero(chosen)
             entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
             matrix = scipy.sparse.csc_array(
@@ -100,7 +100,7 @@ class PointMultipliers:
         )
 
     @classmethod
-    def _none(cls, n_variables: int) -> PointMultipliers:
+    def _empty(cls, n_variables: int) -> PointMultipliers:
         nowhere = np.zeros(0, dtype=bool)
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
@@ -125,14 +125,14 @@ def path_gradients_at_boundaries(
     by_state, by_time, by_parameter = path_gradients(functions, collocation.n_paths, *at)
     free = part.times < transcription.n_variables
     others = np.concatenate([part.times[free], transcription.parameter_places])
-    moved = _boundary_times(collocation.mesh)[free]
+    moved = _boundary_time_derivatives(collocation.mesh)[free]
     return (
         np.vstack([collocation.boundary_states, np.repeat(others[:, None], n, axis=1)]),
         np.concatenate([by_state, moved[:, None] * by_time, by_parameter]),
     )
 
 
-def _can_constraint_act(active: Mask, touched_only: Mask) -> Mask:
+def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
     """Where active constraints (n, K + 1) may have an atom: not within arcs, nor at the ends of some constraints'."""
     before, after = np.zeros_like(active), np.zeros_like(active)
     before[:, 1:], after[:, :-1] = active[:, :-1], active[:, 1:]
@@ -141,7 +141,7 @@ def _can_constraint_act(active: Mask, touched_only: Mask) -> Mask:
     return np.asarray(active & ~beside)
 
 
-def _boundary_times(mesh: Mesh) -> Array:
+def _boundary_time_derivatives(mesh: Mesh) -> Array:
     """By how much each boundary moves with each anchor in time (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
     anchors = fractions[list(mesh.anchors)]
@@ -174,9 +174,9 @@ def estimate_multipliers(
     near : float
         Distance from a limit, in shares of the scale, within which it may push.
     """
-    x = _program_variables(transcription, problem, fitted, q)
-    scales = _variable_spans(transcription, problem, fitted, x)
-    values, gradient, nonzeros = transcription.evaluate(problem, x)
+    x = _fill_program_variables(transcription, problem, fitted, q)
+    scales = _estimate_variable_spans(transcription, problem, fitted, x)
+    values, gradient, nonzeros = transcription.evaluate_derivatives(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
     steepest = np.zeros(transcription.n_constraints)
     np.maximum.at(steepest, rows, np.abs(nonzeros * scales[columns]))
@@ -187,9 +187,9 @@ def estimate_multipliers(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _Limits.of(transcription.variable_interval(problem), x, near * scales)
-    row_limits = _Limits.of(transcription.row_interval(problem), values, near / row_scales)
-    atoms = PointMultipliers.of(transcription, problem, fitted, q, scales, near)
+    limits = _Limits.from_values(transcription.variable_interval(problem), x, near * scales)
+    row_limits = _Limits.from_values(transcription.row_interval(problem), values, near / row_scales)
+    atoms = PointMultipliers.from_trajectory(transcription, problem, fitted, q, scales, near)
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients
@@ -200,7 +200,7 @@ def estimate_multipliers(
     restarts = {name: _find_restart_boundaries(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = _adjoint_rows(transcription, restarts), _basis_columns(transcription, restarts)
     basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
-    scaled = _select_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
+    scaled = _fit_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
     return Iterate(x, np.where(limits.at_any_limit, -residual, 0.0), lam_g)
@@ -213,18 +213,17 @@ class _Limits:
         self.lower, self.upper = lower, upper
 
     @classmethod
-    def of(cls, box: Interval, values: Array, slack: Array) -> _Limits:
+    def from_values(cls, box: Interval, values: Array, slack: Array) -> _Limits:
         return cls((values <= box.lower + slack) | box.fixed, (values >= box.upper - slack) | box.fixed)
 
     def append_limits(self, other: _Limits) -> _Limits:
-        """These, then others."""
         return _Limits(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
 
     @property
     def at_any_limit(self) -> Mask:
         return self.lower | self.upper
 
-    def wrong(self, multipliers: Array, size: float) -> Mask:
+    def wrong_signs(self, multipliers: Array, size: float) -> Mask:
         """Multipliers with a sign that the limit cannot exert."""
         sign = np.where(np.abs(multipliers) > _WRONG * size, np.sign(multipliers), 0.0)
         return self.at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
@@ -254,7 +253,7 @@ class _CostateForm:
     _size: int
 
     @classmethod
-    def of(
+    def eliminate_adjoint_rows(
         cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, pushing: _Limits
     ) -> _CostateForm | None:
         """Eliminate; None where the adjoint equation is singular to rounding."""
@@ -281,7 +280,7 @@ class _CostateForm:
         found[~np.all(np.isfinite(found), axis=1)] = 0.0
         return cls(found[:, :-1], found[:, -1], columns, freed, loose, kept, response, matrix.shape[1])
 
-    def solve(self, imposed: Mask, pushing: Mask) -> Array:
+    def solve_least_squares(self, imposed: Mask, pushing: Mask) -> Array:
         """Return the unknowns that leave least of the imposed rows; those that do not push are zero."""
         used = np.concatenate([pushing[self.columns], ~imposed[self.freed]])
         rows = imposed[self._loose]
@@ -294,53 +293,52 @@ class _CostateForm:
             unknowns[used] = found / sizes
         return unknowns
 
-    def residual(self, unknowns: Array, n_rows: int) -> Array:
+    def row_residuals(self, unknowns: Array, n_rows: int) -> Array:
         """Return the residuals of all rows (n_rows,); of freed ones the multiplier with its sign reversed."""
         left = np.zeros(n_rows)
         left[self._loose] = self.right + self.matrix @ unknowns
         left[self.freed] = -unknowns[self.columns.size :]
         return left
 
-    def multipliers(self, unknowns: Array) -> Array:
-        """Return the multipliers of all rows of the program."""
+    def expand_multipliers(self, unknowns: Array) -> Array:
         found = np.zeros(self._size)
         found[self.columns] = unknowns[: self.columns.size]
         found[self._basis] = self._response @ np.append(unknowns, 1.0)
         return found
 
 
-def _select_multipliers(
+def _fit_multipliers(
     matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, row_limits: _Limits
 ) -> Array:
     """Scaled multipliers of the rows: least squares, without those that would push the wrong way."""
-    form = _CostateForm.of(matrix, gradient, exact, basis, limits, row_limits)
+    form = _CostateForm.eliminate_adjoint_rows(matrix, gradient, exact, basis, limits, row_limits)
     if form is None:  # nothing explains the trajectory
         return np.zeros(matrix.shape[1])
     imposed, pushing = ~limits.at_any_limit, row_limits.at_any_limit.copy()
     unknowns = np.zeros(form.matrix.shape[1])
     size = float(np.max(np.abs(form.right), initial=TINY))
     for _ in range(_ROUNDS):
-        unknowns = form.solve(imposed, pushing)
+        unknowns = form.solve_least_squares(imposed, pushing)
         found = np.zeros(matrix.shape[1])
         found[form.columns] = unknowns[: form.columns.size]
-        pulling = limits.wrong(-form.residual(unknowns, gradient.size), size) & ~imposed
-        wrong = row_limits.wrong(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
+        pulling = limits.wrong_signs(-form.row_residuals(unknowns, gradient.size), size) & ~imposed
+        wrong = row_limits.wrong_signs(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
         if not (np.any(pulling) or np.any(wrong)):
             break
         if not np.any(imposed & limits.at_any_limit) and np.all(pushing == row_limits.at_any_limit):
-            right = _multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
+            right = _fit_multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
             if right is not None:
-                return form.multipliers(right)
+                return form.expand_multipliers(right)
         imposed, pushing = imposed | pulling, pushing & ~wrong
-    return form.multipliers(unknowns)
+    return form.expand_multipliers(unknowns)
 
 
-def _multipliers_with_right_signs(
+def _fit_multipliers_with_right_signs(
     form: _CostateForm, first: Array, limits: _Limits, row_limits: _Limits, size: float
 ) -> Array | None:
     """Unknowns with the right signs, by a linear programme, where they are not unique and others explain all too."""
     n_rows = limits.at_any_limit.size
-    left, imposed = form.residual(first, n_rows), ~limits.at_any_limit
+    left, imposed = form.row_residuals(first, n_rows), ~limits.at_any_limit
     if (
         not np.max(np.abs(left[imposed]), initial=0.0) <= _WRONG * size
     ):  # they explain nothing whatever their signs
@@ -370,7 +368,7 @@ def _multipliers_with_right_signs(
     return None if found.status != 0 else np.asarray(found.x[:-1])
 
 
-def _program_variables(
+def _fill_program_variables(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
 ) -> Array:
     x = np.zeros(transcription.n_variables)
@@ -431,7 +429,7 @@ def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q:
     return np.array(found[::-1], dtype=int)
 
 
-def _variable_spans(
+def _estimate_variable_spans(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
     """Spans of the variables along the trajectory, which are independent of origin and guess."""
@@ -461,6 +459,6 @@ def _quadrature_weights(transcription: Transcription) -> Array:
     weights = np.ones(transcription.n_variables)
     for part in transcription.parts.values():
         collocation = part.collocation
-        weights[collocation.point_states] = collocation.quadrature
-        weights[collocation.point_controls] = collocation.quadrature
+        weights[collocation.point_states] = collocation.quadrature_weights
+        weights[collocation.point_controls] = collocation.quadrature_weights
     return weights

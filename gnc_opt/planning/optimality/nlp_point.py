@@ -23,7 +23,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import program_start
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_variables
+from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import ACTIVE, RANK
 
@@ -38,7 +38,9 @@ class ProgramLimits:
     labels: tuple[str, ...]
 
     @classmethod
-    def of(cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]) -> ProgramLimits:
+    def from_values(
+        cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]
+    ) -> ProgramLimits:
         """Tell the active limits from values and multipliers (densities)."""
         below = (multipliers < 0) & (values - box.lower < -multipliers)
         above = (multipliers > 0) & (box.upper - values < multipliers)
@@ -46,20 +48,20 @@ class ProgramLimits:
         limit = np.where(above, box.upper, box.lower)
         return cls(box, active, np.where(active, limit, 0.0), labels)
 
-    def push(self, multipliers: Array) -> Array:
+    def active_multipliers(self, multipliers: Array) -> Array:
         """Multiplier of each active limit, > 0 if it points inwards (admissible sign); NaN elsewhere."""
         upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
         push = np.where(upper, multipliers, -multipliers)
         return np.where(self.active & ~self.box.fixed, push, np.nan)
 
-    def room(self, values: Array) -> Array:
+    def slack(self, values: Array) -> Array:
         """Distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
         room = np.minimum(values - self.box.lower, self.box.upper - values)
         return np.where(self.active, np.nan, room)
 
-    def weak(self, values: Array, multipliers: Array) -> Mask:
+    def weakly_active(self, values: Array, multipliers: Array) -> Mask:
         """Which limits are as good as reached without being needed, or needed without being reached."""
-        return np.asarray((self.push(multipliers) < ACTIVE) | (self.room(values) < ACTIVE))
+        return np.asarray((self.active_multipliers(multipliers) < ACTIVE) | (self.slack(values) < ACTIVE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +89,11 @@ class ProgramPoint:
     rounding: float = 0.0
 
     @classmethod
-    def of(
+    def from_solution(
         cls,
         solution: Solution,
         meshes: Mapping[str, Mesh] | None = None,
-        scaled_by: Callable[[Transcription, Problem, Array], Array] = scale_variables,
+        scaled_by: Callable[[Transcription, Problem, Array], Array] = choose_variable_scales,
         rounding: float = 0.0,
         held: Callable[[Solution], Problem] = add_touch_points,
     ) -> ProgramPoint:
@@ -107,19 +109,19 @@ class ProgramPoint:
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
         assert lam_x is not None and lam_g is not None, "a solution has multipliers"
         scales = scaled_by(transcription, problem, x)
-        row_scales, objective = scale_rows(transcription, problem, x, scales)
+        row_scales, objective = choose_row_scales(transcription, problem, x, scales)
         objective = min(objective, 1 / rounding) if rounding > 0 else objective
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective
-        box = _scale_interval(transcription.variable_interval(problem), scales)
-        row_box = _scale_interval(transcription.row_interval(problem), 1 / row_scales)
+        box = _scale_bounds(transcription.variable_interval(problem), scales)
+        row_box = _scale_bounds(transcription.row_interval(problem), 1 / row_scales)
         weights, row_weights = compute_quadrature_weights(transcription)
         p = transcription.parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
-        variables = ProgramLimits.of(
+        variables = ProgramLimits.from_values(
             box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
         )
-        rows = ProgramLimits.of(row_box, g, lam / row_weights, transcription.row_labels)
+        rows = ProgramLimits.from_values(row_box, g, lam / row_weights, transcription.row_labels)
         return cls(
             problem,
             transcription,
@@ -141,7 +143,7 @@ class ProgramPoint:
         ]
         states, rows = (np.unique(np.concatenate(places)) for places in zip(*met, strict=True))
         states = states[~self.variables.active[states]]
-        by_state, left = self.jacobian[rows][:, states].toarray(), self.gradient[states]
+        by_state, left = self.row_jacobian[rows][:, states].toarray(), self.lagrangian_gradient[states]
         if not (np.isfinite(by_state).all() and np.isfinite(left).all()):
             return self
         lam = self.lam.copy()
@@ -159,8 +161,7 @@ class ProgramPoint:
     # --- values and derivatives -------------------------------------------------------------------
 
     @cached_property
-    def numbers(self) -> Array:
-        """The program's parameters."""
+    def parameter_values(self) -> Array:
         scaling = self.scaling
         return self.transcription.parameter_vector(
             self.problem, scaling.variables, scaling.rows, scaling.objective
@@ -168,51 +169,56 @@ class ProgramPoint:
 
     @cached_property
     def _rows_and_jacobian(self) -> tuple[Array, Any]:
-        g, jacobian = self.transcription.nlp.jac_g(self.x, self.numbers)
+        g, jacobian = self.transcription.nlp.jac_g(self.x, self.parameter_values)
         return g.full().ravel(), to_scipy_sparse(jacobian)
 
     @property
-    def values(self) -> Array:
+    def row_values(self) -> Array:
         """Values of all rows (n_constraints,)."""
         return self._rows_and_jacobian[0]
 
     @property
-    def jacobian(self) -> Any:
+    def row_jacobian(self) -> Any:
         """Of all rows by all variables, sparse."""
         return self._rows_and_jacobian[1]
 
     @cached_property
-    def gradient(self) -> Array:
+    def lagrangian_gradient(self) -> Array:
         """Of the Lagrangian (n_variables,)."""
-        slope = self.transcription.nlp.grad_f(self.x, self.numbers)[1].full().ravel()
-        return np.asarray(slope + self.jacobian.T @ self.lam)
+        slope = self.transcription.nlp.grad_f(self.x, self.parameter_values)[1].full().ravel()
+        return np.asarray(slope + self.row_jacobian.T @ self.lam)
 
     @cached_property
-    def hessian(self) -> Any:
+    def lagrangian_hessian(self) -> Any:
         """Of the Lagrangian, sparse (n_variables, n_variables)."""
         return self.evaluate_hessian(1.0, self.lam)
 
     def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
         """Of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
-        upper = to_scipy_sparse(self.transcription.nlp.hess_lag(self.x, self.numbers, objective, multipliers))
+        upper = to_scipy_sparse(
+            self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
+        )
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 
     @property
     def is_finite(self) -> bool:
-        """Whether its derivatives are numbers."""
-        return bool(np.isfinite(self.jacobian.data).all() and np.isfinite(self.hessian.data).all())
+        return bool(
+            np.isfinite(self.row_jacobian.data).all() and np.isfinite(self.lagrangian_hessian.data).all()
+        )
 
     @property
-    def residual(self) -> Array:
+    def kkt_residual(self) -> Array:
         """Of the first-order conditions: gradient with respect to the free variables, then held rows."""
         held = self.rows.active
-        return np.concatenate([self.gradient[~self.variables.active], (self.values - self.rows.at)[held]])
+        return np.concatenate(
+            [self.lagrangian_gradient[~self.variables.active], (self.row_values - self.rows.at)[held]]
+        )
 
     @cached_property
     def multiplier_densities(self) -> tuple[Array, Array]:
         """Multipliers of the limits of variables and of rows, those along a phase as densities in its fraction."""
         weights, row_weights = compute_quadrature_weights(self.transcription)
-        return -self.gradient / weights, self.lam / row_weights
+        return -self.lagrangian_gradient / weights, self.lam / row_weights
 
 
 def saddle_matrix(hessian: Any, jacobian: Any) -> Any:
@@ -225,15 +231,15 @@ def compute_quadrature_weights(transcription: Transcription) -> tuple[Array, Arr
     variables, rows = np.ones(transcription.n_variables), np.ones(transcription.n_constraints)
     for part in transcription.parts.values():
         collocation = part.collocation
-        variables[collocation.point_controls] = collocation.quadrature
+        variables[collocation.point_controls] = collocation.quadrature_weights
         inner = ~np.isin(collocation.point_states, collocation.boundary_states)
-        wide = np.broadcast_to(collocation.quadrature, inner.shape)
+        wide = np.broadcast_to(collocation.quadrature_weights, inner.shape)
         variables[collocation.point_states[inner]] = wide[inner]
-        rows[collocation.path_rows] = collocation.quadrature
+        rows[collocation.path_rows] = collocation.quadrature_weights
     return variables, rows
 
 
-def _scale_interval(box: Interval, scales: Array) -> Interval:
+def _scale_bounds(box: Interval, scales: Array) -> Interval:
     return Interval(box.lower / scales, box.upper / scales)
 
 

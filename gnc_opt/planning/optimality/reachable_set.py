@@ -15,8 +15,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
-from gnc_opt.planning.problem.functions import build_end_value_function
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.functions import build_endpoint_values
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -49,7 +48,7 @@ class Ellipsoid:
     shares: Array
 
     @classmethod
-    def of(cls, gramian: Array, radius: Array, least: float = ROUNDING) -> Ellipsoid:
+    def from_gramian(cls, gramian: Array, radius: Array, least: float = ROUNDING) -> Ellipsoid:
         """Take the correlation, its eigenvalues at least ``least``, from a Gramian (n, n), the sizes as given (n,)."""
         sizes = np.sqrt(np.maximum(np.diag(gramian), 0.0))
         reached = sizes > 0
@@ -63,21 +62,21 @@ class Ellipsoid:
     def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) in shares of the ellipsoid (...)."""
         parts = np.tensordot(self.axes.T, _divide_by_scale(moved, self.radius), 1)
-        return np.asarray(np.linalg.norm(parts / _as_column(self.shares, parts), axis=0))
+        return np.asarray(np.linalg.norm(parts / _broadcast_scale(self.shares, parts), axis=0))
 
     def maximise_change(self, gradient: Array) -> Array:
         """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
-        scaled = np.asarray(gradient) * _as_column(self.radius, gradient)
+        scaled = np.asarray(gradient) * _broadcast_scale(self.radius, gradient)
         parts = np.tensordot(self.axes.T, scaled, 1)
-        return np.asarray(np.linalg.norm(parts * _as_column(self.shares, parts), axis=0))
+        return np.asarray(np.linalg.norm(parts * _broadcast_scale(self.shares, parts), axis=0))
 
     @property
-    def principal(self) -> Array:
+    def semi_axes(self) -> Array:
         """Principal semi-axes (n, n), in columns."""
         return np.asarray(self.radius[:, None] * self.axes * self.shares)
 
     @property
-    def directions(self) -> Array:
+    def nonzero_axes(self) -> Array:
         """The same with 1 for states that nothing moves: derivatives exist there too."""
         radius = np.where(self.radius > 0, self.radius, 1.0)
         return np.asarray(radius[:, None] * self.axes * self.shares)
@@ -98,7 +97,7 @@ class _Gramian:
     decay: float = 1.0
 
 
-def reach_gramians(
+def compute_control_gramians(
     links: Mapping[str, Mapping[str, Array]],
     samples: list[PhaseSamples],
     deviations: Mapping[str, Array],
@@ -108,19 +107,19 @@ def reach_gramians(
     found: dict[str, _Gramian] = {}
     for s in samples:
         others = {name: row for name, row in links[s.leg.name].items() if name}
-        start = _start_covariance(s, others, links[s.leg.name][""], found)
+        start = _initial_state_gramian(s, others, links[s.leg.name][""], found)
         found[s.leg.name] = _phase_gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
     return found
 
 
 def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
     leg = s.leg
-    if not s.has_length:
+    if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
     n, n_integrals = start.shape[0], leg.integrals.size
     edges, parts = compute_cell_edges(leg.breaks), -(-CELLS // leg.mesh.segments)
     middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
-    x, u = leg.x(middles), leg.flown(middles)
+    x, u = leg.x(middles), leg.applied(middles)
     with np.errstate(all="ignore"):
         by_state = np.moveaxis(s.functions.state_jacobian(middles, x, u), 2, 0)
         by_control = np.moveaxis(s.functions.input_jacobian(middles, x, u), 2, 0)
@@ -154,11 +153,11 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
     return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, decay)
 
 
-def end_response(s: PhaseSamples) -> tuple[Array, Array]:
+def final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end with respect to the controls (n, m, n_cells) at centres of cells, and these."""
     edges = compute_cell_edges(s.leg.breaks)
     times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
-    at = times, s.leg.x(times), s.leg.flown(times)
+    at = times, s.leg.x(times), s.leg.applied(times)
     by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
     by_control = np.moveaxis(np.nan_to_num(s.functions.input_jacobian(*at)), 2, 0)
     halves, onwards = matrix_exponentials(0.5 * widths[:, None, None] * by_state), np.eye(at[1].shape[0])
@@ -191,14 +190,14 @@ def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: i
     return alone.state_gradient(times, x, u, *none).T, alone.switching(times, x, u, none[0]).T
 
 
-def phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
+def compute_phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
     """Return the reach at the start, along the phase and at the end, there also with the integrals."""
     size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
     moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     along, end, start = (
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
-    if not s.has_length:  # nothing moves: sizes have to do
+    if not s.has_duration:  # nothing moves: sizes have to do
         along = end = nonzero_magnitude(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = np.where(moving, np.minimum(along, moved), along)
@@ -213,21 +212,23 @@ def phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
     radius, final = np.fmax(radius, least), np.fmax(final, least)
     initial = np.where(start > 0, start, radius)
     return (
-        Ellipsoid.of(gramian.start, initial),
-        Ellipsoid.of(gramian.mean, radius, NEGLIGIBLE),  # defects have the errors of interpolation
-        Ellipsoid.of(gramian.end, final),
-        Ellipsoid.of(gramian.whole, np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))),
+        Ellipsoid.from_gramian(gramian.start, initial),
+        Ellipsoid.from_gramian(gramian.mean, radius, NEGLIGIBLE),  # defects have the errors of interpolation
+        Ellipsoid.from_gramian(gramian.end, final),
+        Ellipsoid.from_gramian(
+            gramian.whole, np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))
+        ),
     )
 
 
-def _start_covariance(
+def _initial_state_gramian(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: zero where given, by links to other phases, else by the size of the state."""
     size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
     moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
-    size = np.where(size > 0, size, interval_width(s.leg.state_bounds))
+    size = np.where(size > 0, size, s.leg.state_bounds.finite_width)
     own = left * np.where(size > 0, size, 1.0)
     covariance = own @ own.T
     for name, response in links.items():
@@ -235,11 +236,11 @@ def _start_covariance(
     return covariance
 
 
-def find_start_links(
+def link_initial_states(
     problem: Problem, solution: Solution, samples: list[PhaseSamples]
 ) -> dict[str, dict[str, Array]]:
     """Return how the start of each phase follows the ends of earlier ones (n, n_other), by linear constraints."""
-    jacobians, found = link_jacobians(problem, solution), {}
+    jacobians, found = boundary_constraint_jacobians(problem, solution), {}
     for k, s in enumerate(samples):
         leg = s.leg
         free = np.flatnonzero(~leg.initial_bounds.fixed)
@@ -266,34 +267,29 @@ def find_start_links(
     return found
 
 
-def link_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
+def boundary_constraint_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return boundary Jacobians with respect to initial and final states (n_constraints, n), by phase."""
-    function = problem.reuse("end jacobians", lambda: _end_jacobians(problem))
+    function = problem.cache("end jacobians", lambda: _boundary_jacobian_function(problem))
     arguments = [value for leg in solution.phases.values() for value in leg.end_arguments]
     found = function(*arguments, solution.parameter_values)
     found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
     return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}
 
 
-def _end_jacobians(problem: Problem) -> Any:
-    ends = build_end_value_function(problem)
+def _boundary_jacobian_function(problem: Problem) -> Any:
+    ends = build_endpoint_values(problem)
     arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
     column = ends(*arguments)[:-1]
     states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]
     return ca.Function("end_jacobians", arguments[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
 
 
-def _as_column(scale: Array, values: Array) -> Array:
+def _broadcast_scale(scale: Array, values: Array) -> Array:
     return scale.reshape(-1, *([1] * (np.ndim(values) - 1)))
 
 
 def _divide_by_scale(values: Array, scale: Array) -> Array:
     """Return values (n, ...) in shares of a scale (n,); zero stays zero, anything else over zero is infinite."""
-    column = np.broadcast_to(_as_column(scale, values), np.shape(values))
+    column = np.broadcast_to(_broadcast_scale(scale, values), np.shape(values))
     nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)
     return np.divide(values, column, out=nothing, where=column > 0)
-
-
-def interval_width(box: Interval) -> Array:
-    width = box.upper - box.lower
-    return np.where(np.isfinite(width), width, 0.0)

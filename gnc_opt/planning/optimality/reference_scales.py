@@ -36,7 +36,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.optimality.control_deviation import (
-    add_inactive_controls,
+    add_inactive_control_deviations,
     compute_control_deviation,
     limit_deviation_from_below,
     replace_nonfinite,
@@ -44,15 +44,14 @@ from gnc_opt.planning.optimality.control_deviation import (
 from gnc_opt.planning.optimality.reachable_set import (
     Ellipsoid,
     Reach,
+    boundary_constraint_jacobians,
     compute_cell_edges,
-    end_response,
-    find_start_links,
-    interval_width,
-    link_jacobians,
-    phase_reach,
-    reach_gramians,
+    compute_control_gramians,
+    compute_phase_reach,
+    final_state_response,
+    link_initial_states,
 )
-from gnc_opt.planning.problem.functions import build_end_value_function, end_gradients
+from gnc_opt.planning.problem.functions import build_endpoint_values, end_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -121,34 +120,37 @@ class Scales:
     constraints: tuple[Array, Array, Array]
 
     @classmethod
-    def of(cls, solution: Solution, samples: list[PhaseSamples]) -> Scales:
+    def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Scales:
         """Measure a solution whose numbers are those of its problem."""
         problem = solution.need_problem("verify")
-        lasting = [s for s in samples if s.has_length]
-        ends, order = EndPoints.of(solution, samples), sorted(samples, key=lambda s: s.leg.initial_time)
-        links = find_start_links(problem, solution, order)
+        lasting = [s for s in samples if s.has_duration]
+        ends, order = (
+            EndPoints.from_solution(solution, samples),
+            sorted(samples, key=lambda s: s.leg.initial_time),
+        )
+        links = link_initial_states(problem, solution, order)
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
-        gramians = reach_gramians(links, order, deviations, {})
-        reach = {s.leg.name: phase_reach(s, gramians[s.leg.name]) for s in samples}
+        gramians = compute_control_gramians(links, order, deviations, {})
+        reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
         changed = sum(_cost_of_states(s, reach[s.leg.name][1]) for s in lasting)
-        changed += sum(float(np.sum(_control_costs(s, deviations[s.leg.name]))) for s in samples)
-        changed += ends.curvature(reach)
+        changed += sum(float(np.sum(_cost_of_each_control(s, deviations[s.leg.name]))) for s in samples)
+        changed += ends.end_cost_curvature(reach)
         least = EQUAL * changed
         costs, resolved = {}, {}
         for s in samples:
             resolved[s.leg.name] = limit_deviation_from_below(s, deviations[s.leg.name], least)
-            costs[s.leg.name] = _control_costs(s, resolved[s.leg.name])
+            costs[s.leg.name] = _cost_of_each_control(s, resolved[s.leg.name])
         flat = sum(float(np.sum(c)) for c in costs.values())
         for s in lasting:
-            resolved[s.leg.name] = add_inactive_controls(s, resolved[s.leg.name], flat)
+            resolved[s.leg.name] = add_inactive_control_deviations(s, resolved[s.leg.name], flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
-            gramians = reach_gramians(links, order, deviations, {})
-            reach = {s.leg.name: phase_reach(s, gramians[s.leg.name]) for s in samples}
+            gramians = compute_control_gramians(links, order, deviations, {})
+            reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
         cost = sum(_cost_of_controls(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(map(_cost_of_time, samples, [ends.time_cost(s) for s in samples]))
+        cost += sum(map(_cost_of_free_duration, samples, [ends.cost_of_end_times(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
-        cost += ends.curvature(reach, constrained=not controlled)
+        cost += ends.end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost by way of the states only.
             cost = changed + sum(_cost_of_each_state(s, reach[s.leg.name][1]) for s in lasting)
@@ -159,12 +161,14 @@ class Scales:
         cost = max(cost, EQUAL * abs(solution.objective), least)
         parameters = _parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
-            columns = {s.leg.name: _parameter_columns(s) * parameters for s in lasting}
-            gramians = reach_gramians(links, order, deviations, columns)
-            reach = {s.leg.name: phase_reach(s, gramians[s.leg.name]) for s in samples}
+            columns = {s.leg.name: _rate_parameter_derivatives(s) * parameters for s in lasting}
+            gramians = compute_control_gramians(links, order, deviations, columns)
+            reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
-        return cls(phases, cost, changed, parameters, ends, reach, links, ends.constraints(reach, parameters))
+        return cls(
+            phases, cost, changed, parameters, ends, reach, links, ends.constraint_changes(reach, parameters)
+        )
 
     def estimate_cheap_control_error(self, s: PhaseSamples, gap: Array) -> float:
         """Return by how much a gap of the costates (n,) at the end of a phase moves cheap controls, in deviations.
@@ -176,7 +180,7 @@ class Scales:
         cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & find_cost_curvature(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
-        times, response = end_response(s)
+        times, response = final_state_response(s)
         moved = np.einsum("i,imt->mt", gap, response) * s.span / np.where(cheap, bends, 1.0)[:, None]
         deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation])
         share = np.divide(np.abs(moved), deviation, out=np.zeros_like(moved), where=deviation > 0)
@@ -184,7 +188,7 @@ class Scales:
         return miss if miss > NOTABLE else 0.0
 
 
-def _control_costs(s: PhaseSamples, deviation: Array) -> Array:
+def _cost_of_each_control(s: PhaseSamples, deviation: Array) -> Array:
     """Return what deviations of each control alone cost (m,), to first and to second order."""
     first = np.abs(replace_nonfinite(s.switching)) * deviation
     second = 0.5 * np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
@@ -196,7 +200,10 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
     bends = np.abs(replace_nonfinite(s.control_hessian))
     first = np.sum(np.abs(replace_nonfinite(s.switching)) * deviation, axis=0) @ s.weights
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
-    slopes = np.abs(replace_nonfinite(s.cost_slope)), np.abs(replace_nonfinite(s.switching - s.cost_slope))
+    slopes = (
+        np.abs(replace_nonfinite(s.cost_gradient)),
+        np.abs(replace_nonfinite(s.switching - s.cost_gradient)),
+    )
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
     return change if change > NEGLIGIBLE * terms else terms
@@ -204,12 +211,12 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
 
 def _cost_of_states(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the largest half second difference of the integral of H over the reach of the states, roughly."""
-    return float(np.max(np.abs(_compute_second_changes(s, ellipsoid.principal)), initial=0.0))
+    return float(np.max(np.abs(_hamiltonian_differences(s, ellipsoid.semi_axes)), initial=0.0))
 
 
 def _cost_of_each_state(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the sum of the half second differences of the integral of H over the reach of each state alone."""
-    return float(np.sum(np.abs(_compute_second_changes(s, np.diag(ellipsoid.radius)))))
+    return float(np.sum(np.abs(_hamiltonian_differences(s, np.diag(ellipsoid.radius)))))
 
 
 def find_cost_curvature(s: PhaseSamples) -> Mask:
@@ -219,18 +226,20 @@ def find_cost_curvature(s: PhaseSamples) -> Mask:
     return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
 
 
-def _compute_second_changes(s: PhaseSamples, moves: Array) -> Array:
+def _hamiltonian_differences(s: PhaseSamples, moves: Array) -> Array:
     """Return half second differences of the integral of H along moves (n,), by small steps.
 
     They grow with the step at a kink, and with its square elsewhere: ratios of two steps show which.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
-    coarse, fine = (replace_nonfinite(second_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps)
+    coarse, fine = (
+        replace_nonfinite(hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps
+    )
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
 
-def second_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
+def hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
     """Return the central first and half the second difference per step of the integral of H along moves (2, n).
 
     Of every sample, or of some of them only.
@@ -245,8 +254,7 @@ def second_differences(s: PhaseSamples, moves: Array, step: float, every: int = 
     return np.asarray(0.5 * np.stack([ahead - behind, ahead + behind]) / step)
 
 
-def _cost_of_time(s: PhaseSamples, slope: float) -> float:
-    """Return the duration times cost rates where it is free, else zero."""
+def _cost_of_free_duration(s: PhaseSamples, slope: float) -> float:
     if s.has_fixed_duration:
         return 0.0
     rate = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights
@@ -258,29 +266,31 @@ def _cost_of_time(s: PhaseSamples, slope: float) -> float:
 
 def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
     """Return the deviations of the free parameters (n,): what costs as much as the controls, else their size."""
-    size, found = _parameter_sizes(problem, solution), np.full(curvatures.size, np.inf)
+    size, found = _parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
     return np.asarray(np.where(np.isfinite(equal), equal, size))
 
 
-def _parameter_sizes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), interval_width(problem.parameter_interval())
+def _parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
+    size, extent = np.abs(solution.parameter_values), problem.parameter_interval().finite_width
     return np.asarray(np.where(size > 0, size, np.where(extent > 0, extent, 1.0)))
 
 
 def _parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
     """Return the second derivatives of the Lagrangian with respect to the free parameters (n,), by differences."""
-    values, size = solution.parameter_values, _parameter_sizes(problem, solution)
+    values, size = solution.parameter_values, _parameter_magnitudes(problem, solution)
     bends = np.zeros(values.size)
     for i in range(values.size):
         step = np.zeros(values.size)
         step[i] = SECOND_DIFFERENCE_STEP_SHARE * size[i]
-        slopes = [_parameter_slope(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)]
+        slopes = [
+            _parameter_gradient(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)
+        ]
         bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
     return np.asarray(np.where(np.isfinite(bends), bends, 0.0))
 
 
-def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:
+def _parameter_gradient(problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:
     """Return the derivative of the Lagrangian with respect to the parameters at other values of them (n,)."""
     ends = {}
     slope = np.zeros(q.size)
@@ -291,12 +301,12 @@ def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSa
     return slope + end_gradients(problem, ends, q, solution.constraint_multipliers).parameters
 
 
-def _parameter_columns(s: PhaseSamples) -> Array:
+def _rate_parameter_derivatives(s: PhaseSamples) -> Array:
     """Return rate derivatives with respect to the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
     edges = compute_cell_edges(leg.breaks)
     middles = 0.5 * (edges[:-1] + edges[1:])
-    x, u = leg.x(middles), leg.flown(middles)
+    x, u = leg.x(middles), leg.applied(middles)
     mu = np.zeros((len(leg.path_labels), middles.size))
     idle = s.functions.parameter_gradient(middles, x, u, np.zeros_like(x), mu)
     rows = []
@@ -331,7 +341,7 @@ class EndPoints:
     gradients: Any
 
     @classmethod
-    def of(cls, solution: Solution, samples: list[PhaseSamples]) -> EndPoints:
+    def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> EndPoints:
         problem = solution.need_problem("verify")
         ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
         values = [np.atleast_1d(v) for arguments in ends.values() for v in arguments]
@@ -339,17 +349,17 @@ class EndPoints:
         gradients = end_gradients(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
-    def time_cost(self, s: PhaseSamples) -> float:
+    def cost_of_end_times(self, s: PhaseSamples) -> float:
         """Return the cost per second of moving the ends of a phase in time."""
         name = s.leg.name
         return float(abs(self.gradients.initial_time[name]) + abs(self.gradients.final_time[name]))
 
-    def curvature(self, reach: Mapping[str, Reach], *, constrained: bool = False) -> float:
+    def end_cost_curvature(self, reach: Mapping[str, Reach], *, constrained: bool = False) -> float:
         """Return the largest half second difference of the end cost over the reach of the ends.
 
         If requested with the boundary constraints and their multipliers.
         """
-        found = self._central_differences(self._principal_moves(reach))
+        found = self._difference_cost_and_constraints(self._principal_displacements(reach))
         if found is None:
             return 0.0
         change = found[1][-1]
@@ -358,18 +368,18 @@ class EndPoints:
             change = np.append(self.solution.constraint_multipliers, sense) @ found[1]
         return 0.5 * float(np.max(np.abs(change), initial=0.0))
 
-    def constraints(self, reach: Mapping[str, Reach], parameters: Array) -> tuple[Array, Array, Array]:
+    def constraint_changes(self, reach: Mapping[str, Reach], parameters: Array) -> tuple[Array, Array, Array]:
         """Return how far the reach moves each boundary constraint, to first and second order, and its terms."""
         n = self.solution.constraint_multipliers.size
         if not n:
             return np.zeros(0), np.zeros(0), np.zeros(0)
-        moves = self._principal_moves(reach)
-        moves += self._parameter_moves(parameters)
+        moves = self._principal_displacements(reach)
+        moves += self._parameter_displacements(parameters)
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
-                moves += self._time_shift_moves(k, s)
-        found = self._central_differences(moves)
-        jacobians = link_jacobians(self.solution.need_problem("verify"), self.solution)
+                moves += self._time_shift_displacements(k, s)
+        found = self._difference_cost_and_constraints(moves)
+        jacobians = boundary_constraint_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.zeros(n)
         for k, name in enumerate(self.solution.phases):
             for by_state, place in zip(jacobians[name], (6 * k, 6 * k + 1), strict=True):
@@ -380,25 +390,27 @@ class EndPoints:
         first, second = (np.sqrt(np.sum(v[:-1] ** 2, axis=1)) for v in found)
         return first, second, terms
 
-    def _principal_moves(self, reach: Mapping[str, Reach], *, still: bool = False) -> list[list[Array]]:
+    def _principal_displacements(
+        self, reach: Mapping[str, Reach], *, still: bool = False
+    ) -> list[list[Array]]:
         """Return moves of the ends along their principal axes; if ``still``, those that nothing moves have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.leg.name]
             free, n = ~s.leg.initial_bounds.fixed, s.leg.states.size
-            for column in ((start.directions if still else start.principal)[:, free] * free[:, None]).T:
-                moves.append(self._end_changes({6 * k: column}))
-            for column in (end.directions if still else end.principal).T:
-                moves.append(self._end_changes({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
+            for column in ((start.nonzero_axes if still else start.semi_axes)[:, free] * free[:, None]).T:
+                moves.append(self._pad_displacement({6 * k: column}))
+            for column in (end.nonzero_axes if still else end.semi_axes).T:
+                moves.append(self._pad_displacement({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
         return moves
 
-    def _end_changes(self, changes: Mapping[int, Array]) -> list[Array]:
+    def _pad_displacement(self, changes: Mapping[int, Array]) -> list[Array]:
         return [changes.get(k, np.zeros_like(v)) for k, v in enumerate(self.values)]
 
-    def _parameter_moves(self, deviations: Array) -> list[list[Array]]:
-        return [self._end_changes({len(self.values) - 1: row}) for row in np.diag(deviations)]
+    def _parameter_displacements(self, deviations: Array) -> list[list[Array]]:
+        return [self._pad_displacement({len(self.values) - 1: row}) for row in np.diag(deviations)]
 
-    def _time_shift_moves(self, k: int, s: PhaseSamples) -> list[list[Array]]:
+    def _time_shift_displacements(self, k: int, s: PhaseSamples) -> list[list[Array]]:
         """Return moves of the ends of a phase along its flow, together with their times, by its duration."""
         moves = []
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
@@ -407,26 +419,28 @@ class EndPoints:
                 rate = s.functions.rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
                 step = SECOND_DIFFERENCE_STEP_SHARE * s.span
                 moves.append(
-                    self._end_changes({place: replace_nonfinite(rate) * step, place + 2: np.array([step])})
+                    self._pad_displacement(
+                        {place: replace_nonfinite(rate) * step, place + 2: np.array([step])}
+                    )
                 )
         return moves
 
-    def second_differences_at_ends(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
+    def difference_end_lagrangian(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by directions (2, n)."""
-        moves = self._principal_moves(reach, still=True)
-        moves += self._parameter_moves(parameters)
+        moves = self._principal_displacements(reach, still=True)
+        moves += self._parameter_displacements(parameters)
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.fixed[0]:
-                    moves.append(self._end_changes({place: np.array([s.span])}))
-        found = self._central_differences([[step * v for v in move] for move in moves])
+                    moves.append(self._pad_displacement({place: np.array([s.span])}))
+        found = self._difference_cost_and_constraints([[step * v for v in move] for move in moves])
         if found is None:
             return np.zeros((2, 0))
         sense = self.solution.need_problem("verify").sense
         weights = np.append(self.solution.constraint_multipliers, sense)
         return np.stack([weights @ found[0], 0.5 * (weights @ found[1])]) / step
 
-    def _central_differences(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
+    def _difference_cost_and_constraints(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""
         if not moves:
             return None
@@ -437,7 +451,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_columns(build_end_value_function(problem), 1 + 2 * len(moves), *columns, nu)
+            found = evaluate_columns(build_endpoint_values(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return replace_nonfinite(first), replace_nonfinite(second)

@@ -42,15 +42,15 @@ def bisect_sign_changes(
     return left, right
 
 
-def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
+def find_feature_edges(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
     centres = find_feature_centres(problem, problem.phases[s.leg.name])
-    if centres is None or not s.has_length:
+    if centres is None or not s.has_duration:
         return np.zeros(0)
 
     def evaluate_centres(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
-        x, u = s.leg.x(times), s.leg.flown(times)
+        x, u = s.leg.x(times), s.leg.applied(times)
         return np.asarray(evaluate_columns(centres, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]

@@ -33,36 +33,33 @@ class StateConstraints:
     samples: PhaseSamples
 
     @property
-    def size(self) -> int:
-        """Number of rows."""
+    def n_rows(self) -> int:
         return len(self.samples.leg.path_labels) + self.samples.leg.states.size
 
     @cached_property
-    def bounds(self) -> Interval:
-        """Limits of all rows."""
+    def row_bounds(self) -> Interval:
         return stack_intervals([self.samples.leg.path_bounds, self.samples.leg.state_bounds])
 
-    def limits(self, row: int) -> list[tuple[ArcKind, float]]:
-        """Return the limits that a row has."""
-        box = self.bounds
+    def row_limits(self, row: int) -> list[tuple[ArcKind, float]]:
+        box = self.row_bounds
         both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
         return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
 
     @property
-    def scales(self) -> Array:
+    def row_scales(self) -> Array:
         """How far each row moves."""
         return np.concatenate([self.samples.path_scale, self.samples.state_scale])
 
-    def order(self, row: int) -> int:
+    def row_order(self, row: int) -> int:
         """Return the order of a row whose contacts are looked for, else 0."""
-        if not self.bounds.lower[row] < self.bounds.upper[row]:
+        if not self.row_bounds.lower[row] < self.row_bounds.upper[row]:
             return 0
-        if not np.isfinite([self.bounds.lower[row], self.bounds.upper[row]]).any():
+        if not np.isfinite([self.row_bounds.lower[row], self.row_bounds.upper[row]]).any():
             return 0
         order = self._constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
-    def find_controls(self, row: int) -> tuple[int, ...]:
+    def find_determining_controls(self, row: int) -> tuple[int, ...]:
         """The controls that can hold a row on its limit, first the one that moves it most where it does least."""
         controls = self._constraint_order(row).controls
         if len(controls) < 2:
@@ -73,34 +70,37 @@ class StateConstraints:
 
     def control_effect_signs(self, row: int) -> tuple[int, ...]:
         """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
-        moved = [self._control_effect(row, control) for control in self.find_controls(row)]
+        moved = [self._control_effect(row, control) for control in self.find_determining_controls(row)]
         return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
     def _control_effect(self, row: int, control: int) -> Array:
         """How a control moves the derivative of its order of a row, at the samples closest to its limits."""
-        s, order = self.samples, self.order(row)
+        s, order = self.samples, self.row_order(row)
         distance = np.min(
-            [np.abs(self.values(s.times, s.x, s.u)[row] - at) for _, at in self.limits(row)], axis=0
+            [np.abs(self.evaluate_rows(s.times, s.x, s.u)[row] - at) for _, at in self.row_limits(row)],
+            axis=0,
         )
-        near = distance <= max(NOTABLE * self.scales[row], np.min(distance))
+        near = distance <= max(NOTABLE * self.row_scales[row], np.min(distance))
         times, x, u = s.times[near], s.x[:, near], s.u[:, near]
         moved = u.copy()
         moved[control] += SMALL * s.control_scale[control]
-        return self.derivative(row, order, times, x, moved) - self.derivative(row, order, times, x, u)
+        return self.time_derivative(row, order, times, x, moved) - self.time_derivative(
+            row, order, times, x, u
+        )
 
     def _constraint_order(self, row: int) -> ConstraintOrder:
         return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
 
-    def values(self, times: Array, x: Array, u: Array) -> Array:
+    def evaluate_rows(self, times: Array, x: Array, u: Array) -> Array:
         """Return all rows, (n_rows, n_times)."""
         return np.vstack([self.samples.functions.paths(times, x, u), x])
 
     def is_near_limits(self, values: Array) -> Mask:
         """Whether rows are at their lower, and at their upper limit (2, n_rows, n_times)."""
-        at_limits = np.stack(self.bounds.near(values, AT_LIMIT * self.scales))
-        return np.asarray(at_limits & ~self.bounds.fixed[:, None])
+        near = np.stack(self.row_bounds.near(values, AT_LIMIT * self.row_scales))
+        return np.asarray(near & ~self.row_bounds.fixed[:, None])
 
-    def pushes(self, times: Array, x: Array, u: Array) -> Array:
+    def costate_jumps(self, times: Array, x: Array, u: Array) -> Array:
         """Jumps of costates along the gradient of each row, in units of the cost (n_rows, n_times)."""
         s = self.samples
         units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
@@ -111,13 +111,13 @@ class StateConstraints:
         along = np.einsum("ijk,jk->ik", gradients, jumps)
         return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
 
-    def derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
+    def time_derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
-        function = self.problem.reuse(("derivative", name, row, k), lambda: self._derivative_function(row, k))
+        function = self.problem.cache(("derivative", name, row, k), lambda: self._derivative_function(row, k))
         return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
 
-    def gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
+    def state_gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
         """Return the derivative of a row with respect to the states, (n_states,)."""
         n_paths = len(self.samples.leg.path_labels)
         if row < n_paths:

@@ -43,7 +43,7 @@ class Switches:
     labels: tuple[str, ...]
 
     @classmethod
-    def of(cls, s: PhaseSamples) -> Switches:
+    def from_samples(cls, s: PhaseSamples) -> Switches:
         """Find the switches of a phase whose controls sit on their bounds everywhere."""
         leg = s.leg
         times, channels = find_inner_switches(s)
@@ -56,7 +56,7 @@ class Switches:
             _merge_equal_times(times[order], GONE * (ends[1] - ends[0]), ends),
             channels[order],
         )
-        bounds, after_start = leg.control_bounds, leg.flown(leg.breaks[0])
+        bounds, after_start = leg.control_bounds, leg.applied(leg.breaks[0])
         at_upper = after_start - bounds.lower > bounds.upper - after_start
         first = np.where(at_upper, bounds.upper, bounds.lower)
         toggled = bounds.lower + bounds.upper
@@ -68,7 +68,7 @@ class Switches:
         return cls(times, channels, first, ends, toggled, labels)
 
     @property
-    def groups(self) -> list[list[int]]:
+    def simultaneous_groups(self) -> list[list[int]]:
         """Switches that come at one time, in order."""
         found: list[list[int]] = []
         for k, t in enumerate(self.times):
@@ -79,21 +79,22 @@ class Switches:
         return found
 
     @property
-    def order(self) -> tuple[int, ...]:
-        """The order of time."""
+    def time_order(self) -> tuple[int, ...]:
         return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
 
     @property
     def n_orders(self) -> int:
         """In how many orders the switches may come."""
-        return math.prod(math.factorial(len(group)) for group in self.groups)
+        return math.prod(math.factorial(len(group)) for group in self.simultaneous_groups)
 
     def list_orders(self) -> Iterator[tuple[int, ...]]:
         """Every order in which the switches may come."""
-        for choice in itertools.product(*(itertools.permutations(group) for group in self.groups)):
+        for choice in itertools.product(
+            *(itertools.permutations(group) for group in self.simultaneous_groups)
+        ):
             yield tuple(itertools.chain.from_iterable(choice))
 
-    def build_pieces(self, order: tuple[int, ...]) -> PiecewiseControl:
+    def piecewise_control(self, order: tuple[int, ...]) -> PiecewiseControl:
         """The control piece by piece, with the switches in some order.
 
         Unknowns are the start (0), the switches (1 to n) and the end (n + 1).
@@ -106,9 +107,9 @@ class Switches:
         times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
         return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
 
-    def precedences(self, order: tuple[int, ...]) -> Array:
+    def order_constraints(self, order: tuple[int, ...]) -> Array:
         """Which combinations of unknowns must not be negative for the order to hold, (n_conditions, n + 2)."""
-        pieces = self.build_pieces(order)
+        pieces = self.piecewise_control(order)
         rows = []
         for k in np.flatnonzero(np.diff(pieces.times) == 0):
             row = np.zeros(self.times.size + 2)
@@ -121,7 +122,7 @@ def find_inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     """Times (s) and controls of the jumps from bound to bound at the boundaries of segments."""
     leg = s.leg
     breaks = leg.breaks[1:-1]
-    jumps = np.abs(leg.flown(breaks) - leg.flown(breaks, "left"))
+    jumps = np.abs(leg.applied(breaks) - leg.applied(breaks, "left"))
     span = leg.control_bounds.upper - leg.control_bounds.lower
     with np.errstate(invalid="ignore"):
         switched = jumps > (1 - AT_LIMIT) * span[:, None]
@@ -131,7 +132,6 @@ def find_inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
 
 
 def _controls_with_vanishing_switching(s: PhaseSamples, sample: int) -> Indices:
-    """Controls whose switching function vanishes at the first or last sample."""
     bounds = s.leg.control_bounds
     worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
     return np.flatnonzero((worth < NEGLIGIBLE) & (bounds.upper > bounds.lower))

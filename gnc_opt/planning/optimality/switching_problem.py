@@ -20,7 +20,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.optimality.cost_scale import compute_parameter_scales, compute_state_variations
 from gnc_opt.planning.optimality.switches import Switches
-from gnc_opt.planning.problem.functions import EndGradients, end_function
+from gnc_opt.planning.problem.functions import EndGradients, endpoint_function
 from gnc_opt.planning.problem.interval import Interval, intersect, stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -62,7 +62,7 @@ class Unknowns:
     free: Mask
 
     @classmethod
-    def of(
+    def from_switches(
         cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]
     ) -> Unknowns:
         """Number the unknowns of all phases."""
@@ -78,7 +78,7 @@ class Unknowns:
             times = ("initial time", *switches[leg.name].labels, "final time")
             labels += [f"phase {leg.name}, {what}" for what in times]
             labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
-            start_scale, start_worth = _start_value_scales(s, starts[leg.name])
+            start_scale, start_worth = _initial_state_scales(s, starts[leg.name])
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1, initial=0.0) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
@@ -102,7 +102,7 @@ class Unknowns:
         )
 
 
-def _start_value_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
+def _initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
     """Scales of free start values, and the changes of the cost for them."""
     scale = compute_state_variations(s)[rows]
     still = scale > s.state_scale[rows]
@@ -128,7 +128,7 @@ class Conditions:
     multipliers: Array
 
     @classmethod
-    def join(cls, parts: list[Conditions]) -> Conditions:
+    def concatenate_conditions(cls, parts: list[Conditions]) -> Conditions:
         """Put conditions below each other."""
         return cls(
             np.concatenate([rows.values for rows in parts]),
@@ -138,7 +138,7 @@ class Conditions:
         )
 
     @property
-    def active(self) -> tuple[Mask, Mask]:
+    def active_limits(self) -> tuple[Mask, Mask]:
         """Which of them are at their lower, and which at their upper limit."""
         return self.limits.near(self.values, AT_LIMIT * np.sum(np.abs(self.jacobian), axis=1))
 
@@ -157,7 +157,7 @@ class InducedProblem:
     _n_constraints: int
 
     @classmethod
-    def of(
+    def integrate_controls(
         cls,
         solution: Solution,
         samples: list[PhaseSamples],
@@ -171,12 +171,12 @@ class InducedProblem:
         flows = {}
         for s in samples:
             asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
-            grid, flow = _choose_grid(*asked)
+            grid, flow = _choose_integration_grid(*asked)
             flows[s.leg.name] = flow if refinement == 1 else integrate_bang_bang(*asked, refinement * grid)
-        with np.errstate(over="ignore", invalid="ignore"):  # see `finite`
-            changes = _end_derivatives(samples, unknowns, flows)
-        derivatives = problem.reuse("end derivatives", lambda: end_derivatives(problem))
-        both = [flow for s in samples for flow in _flow_ends(s, flows)]
+        with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
+            changes = _boundary_state_derivatives(samples, unknowns, flows)
+        derivatives = problem.cache("end derivatives", lambda: boundary_function_derivatives(problem))
+        both = [flow for s in samples for flow in _stack_boundary_states(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
         def at_ends(nu: Array) -> tuple[Array, ...]:
@@ -184,16 +184,18 @@ class InducedProblem:
 
         n_constraints = solution.constraint_multipliers.size
         slope, jacobian, _ = at_ends(np.zeros(n_constraints))
-        conditions = _collect_end_conditions(solution, samples, ends, unknowns, changes, jacobian @ changes)
+        conditions = _collect_boundary_conditions(
+            solution, samples, ends, unknowns, changes, jacobian @ changes
+        )
         gradient = slope.ravel() @ changes
         return cls(unknowns, gradient, conditions, samples, flows, at_ends, changes, n_constraints)
 
     @property
-    def finite(self) -> bool:
+    def is_finite(self) -> bool:
         """Whether the flow and what it changes are numbers: dynamics may be too fast for the finest steps."""
         return bool(np.isfinite(self.gradient).all() and np.isfinite(self.conditions.jacobian).all())
 
-    def hessian(self, multipliers: Array) -> tuple[Array, float]:
+    def lagrangian_hessian(self, multipliers: Array) -> tuple[Array, float]:
         """Return the Hessian (n, n) of L = cost + multipliers @ values, and the size of its terms."""
         n_states = sum(s.leg.states.size for s in self._samples)
         # Only end values and boundary constraints curve.
@@ -201,19 +203,19 @@ class InducedProblem:
         slope, _, curvature = self._at_ends(nu)
         terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
         for s in self._samples:
-            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _flow_size(s)
-            adjoint = np.zeros(flow.final.size)
+            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _count_flow_states(s)
+            adjoint = np.zeros(flow.final_state.size)
             adjoint[:size] = slope[row + size : row + 2 * size, 0]
             adjoint[:n] += on_states[state : state + n]
             places, term = self.unknowns.places[s.leg.name], np.zeros_like(terms[0])
             scale = self.unknowns.scale[places]
-            term[np.ix_(places, places)] = flow.curvature(adjoint) * np.outer(scale, scale)
+            term[np.ix_(places, places)] = flow.final_state_hessian(adjoint) * np.outer(scale, scale)
             terms.append(term)
             row, state = row + 2 * size, state + n
         return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
 
 
-def _choose_grid(
+def _choose_integration_grid(
     problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
 ) -> tuple[int, BangBangFlow]:
     """Return into how many the steps of a flow are divided until it ends where the solution does, and that flow."""
@@ -221,24 +223,24 @@ def _choose_grid(
     flows = []
     for finer in GRIDS:
         flows.append(integrate_bang_bang(problem, s, pieces, free_start, finer))
-        if np.all(np.abs(flows[-1].final[: end.size] - end) < SMALL * s.state_scale):
+        if np.all(np.abs(flows[-1].final_state[: end.size] - end) < SMALL * s.state_scale):
             return finer, flows[-1]
-    which = 0 if np.isfinite(flows[0].final).all() else -1
+    which = 0 if np.isfinite(flows[0].final_state).all() else -1
     return GRIDS[which], flows[which]
 
 
-def _flow_size(s: PhaseSamples) -> int:
+def _count_flow_states(s: PhaseSamples) -> int:
     """States, integrals and time."""
     return s.leg.states.size + s.leg.integrals.size + 1
 
 
-def _flow_ends(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
+def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
     """States, integrals and time at the start and at the end of a flow."""
     flow = flows[s.leg.name]
-    return flow.initial[: _flow_size(s)], flow.final[: _flow_size(s)]
+    return flow.initial[: _count_flow_states(s)], flow.final_state[: _count_flow_states(s)]
 
 
-def _end_derivatives(
+def _boundary_state_derivatives(
     samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]
 ) -> Array:
     """Derivatives of all starts and ends, and of the free parameters, with respect to the unknowns."""
@@ -246,15 +248,15 @@ def _end_derivatives(
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
         for sensitivity in (flow.initial_sensitivity, flow.final_sensitivity):
-            block = np.zeros((_flow_size(s), unknowns.scale.size))
-            block[:, places] = sensitivity[: _flow_size(s)] * unknowns.scale[places]
+            block = np.zeros((_count_flow_states(s), unknowns.scale.size))
+            block[:, places] = sensitivity[: _count_flow_states(s)] * unknowns.scale[places]
             rows.append(block)
     shared = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
     rows.append(np.diag(unknowns.scale)[shared])
     return np.vstack(rows)
 
 
-def _collect_end_conditions(
+def _collect_boundary_conditions(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
@@ -262,13 +264,12 @@ def _collect_end_conditions(
     changes: Array,
     of_constraints: Array,
 ) -> Conditions:
-    """Everything that is asked of the ends."""
     problem = solution.need_problem("verify")
     at_end: list[Conditions] = []
     others: list[Conditions] = []
     row = 0
     for s in samples:
-        leg, name, size, n = s.leg, s.leg.name, _flow_size(s), s.leg.states.size
+        leg, name, size, n = s.leg, s.leg.name, _count_flow_states(s), s.leg.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
         limits = intersect(leg.final_bounds, leg.state_bounds)
         at_end.append(Conditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
@@ -291,16 +292,16 @@ def _collect_end_conditions(
     )
     q = solution.parameter_values
     others.append(Conditions(q, problem.parameter_interval(), changes[row:], np.zeros(q.size)))
-    return Conditions.join([*at_end, *others])
+    return Conditions.concatenate_conditions([*at_end, *others])
 
 
-def end_derivatives(problem: Problem) -> Any:
+def boundary_function_derivatives(problem: Problem) -> Any:
     """Gradient of cost and constraints with multipliers, the constraints' Jacobian, and the Hessian.
 
     A CasADi Function of starts and ends of every phase, model parameters, q and nu; derivatives with respect to the
     ends, then q.
     """
-    ends = end_function(problem)
+    ends = endpoint_function(problem)
     starts, finals, arguments, parameters = [], [], [], []
     for k in range(len(problem.phases)):
         x0, xf, t0, tf, integrals, p = (ca.SX.sym("v", ends.size1_in(6 * k + i)) for i in range(6))

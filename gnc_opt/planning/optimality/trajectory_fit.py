@@ -68,7 +68,7 @@ class FittedPhase:
     x: PiecewisePolynomial
     u: PiecewisePolynomial
 
-    def split(self, parts: int) -> FittedPhase:
+    def split_segments(self, parts: int) -> FittedPhase:
         """Return the same trajectory on a mesh whose segments are cut into so many equal parts."""
         if parts == 1:
             return self
@@ -117,9 +117,9 @@ def fit_trajectory(samples: Samples, rates: Rates) -> FittedPhase:
     jumps += _find_kinks(samples, jumps)
     jumps.sort(key=lambda jump: jump.after)
     controls = _Controls(samples, jumps)
-    controls.choose(samples, rates)
+    controls.choose_interpolation(samples, rates)
     for interval in sorted({jump.after for jump in unmarked}):
-        _place_jumps(samples, controls, [j for j in unmarked if j.after == interval], rates)
+        _locate_jump_times(samples, controls, [j for j in unmarked if j.after == interval], rates)
     return _fit_polynomials(samples, controls, sorted(jumps, key=lambda jump: jump.time), rates)
 
 
@@ -228,7 +228,7 @@ class _Controls:
                     values[c, here] = interpolant(times[here])
         return values
 
-    def choose(self, samples: Samples, rates: Rates) -> None:
+    def choose_interpolation(self, samples: Samples, rates: Rates) -> None:
         """Take Akima splines where the states agree better with them."""
         long = np.flatnonzero(np.diff(samples.t) > 0)
         size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]
@@ -249,7 +249,7 @@ def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
     return scipy.interpolate.CubicSpline(t, u), akima
 
 
-def _place_jumps(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> None:
+def _locate_jump_times(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> None:
     """Move the jumps between two samples to where the dynamics carry the states from one to the other."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])

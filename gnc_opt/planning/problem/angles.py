@@ -39,21 +39,21 @@ class Turns:
     pairs: tuple[tuple[int, int], ...] = ()
 
     @property
-    def free(self) -> Array:
+    def free_controls(self) -> Array:
         """Which controls have lost their bounds (n_controls,)."""
         return np.isfinite(self.lower)
 
     def solver_bounds(self, bounds: Interval) -> Interval:
         """Return bounds for a solver: angles may leave their range by one turn, so that they can cross its ends."""
         return Interval(
-            np.where(self.free, self.lower - self.periods, bounds.lower),
-            np.where(self.free, self.upper + self.periods, bounds.upper),
+            np.where(self.free_controls, self.lower - self.periods, bounds.lower),
+            np.where(self.free_controls, self.upper + self.periods, bounds.upper),
         )
 
     def wrap_angles(self, u: Array) -> Array:
         """Return controls (n_controls, ...) with angles moved into their range, except for rounding."""
         u = u.copy()
-        for i in np.flatnonzero(self.free):
+        for i in np.flatnonzero(self.free_controls):
             low, high, period = self.lower[i], self.upper[i], self.periods[i]
             beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)
             above, below = (np.maximum(turns, 0.0) for turns in beyond)
@@ -70,33 +70,32 @@ class AngleProbe:
 
     @cached_property
     def sampled_values(self) -> Array:
-        """The functions at `u`."""
         return self.values(self.u)
 
     def find_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
         """Return the first candidate that is a period of the functions in a control, 0 if none is."""
         for period in candidates:
             turned, elsewhere = (
-                self.values(self._evaluate_shifted(i, by)) for by in (period, ELSEWHERE * period)
+                self.values(self._evaluate_shifted_angle(i, by)) for by in (period, ELSEWHERE * period)
             )
-            if repeats_after_turn(self.sampled_values, turned, elsewhere):
+            if is_periodic(self.sampled_values, turned, elsewhere):
                 return period
         return 0.0
 
     def is_mirrored(self, azimuth: int, elevation: int, half_turn: float, end: float) -> bool:
         """Whether half a turn of the azimuth cancels a reflection of the elevation at an end of its range."""
-        away = self._evaluate_shifted(azimuth, half_turn)
+        away = self._evaluate_shifted_angle(azimuth, half_turn)
         reflected = away.copy()
         reflected[elevation] = 2.0 * end - reflected[elevation]
-        return repeats_after_turn(self.sampled_values, self.values(reflected), self.values(away))
+        return is_periodic(self.sampled_values, self.values(reflected), self.values(away))
 
-    def _evaluate_shifted(self, i: int, by: float) -> Array:
+    def _evaluate_shifted_angle(self, i: int, by: float) -> Array:
         u = self.u.copy()
         u[i] += by
         return u
 
 
-def repeats_after_turn(here: Array, turned: Array, elsewhere: Array) -> bool:
+def is_periodic(here: Array, turned: Array, elsewhere: Array) -> bool:
     """Whether values (n, N) are the same after a turn, which they are not elsewhere; unknown ones are not looked at."""
     known = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
     here, turned, elsewhere = (np.where(known, values, 0.0) for values in (here, turned, elsewhere))

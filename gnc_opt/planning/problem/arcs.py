@@ -155,7 +155,6 @@ def read_arc_kinds(
 
 
 def _read_arc_kind(entry: Any) -> ArcKind | None:
-    """What an entry means; None if nothing."""
     if isinstance(entry, ArcKind):
         return entry
     is_sign = (

@@ -13,14 +13,14 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expressions import ROOTS, find_operations, list_nodes
 from gnc_opt.planning.problem.expressions import (
-    bind_ends,
+    bind_parameters,
     end_arguments,
-    end_symbols,
+    endpoint_symbols,
     find_table_exits,
     stack_terms,
     table_calls,
 )
-from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.interval_arithmetic import draw_values
 from gnc_opt.planning.problem.phase import Phase
@@ -67,25 +67,25 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
     for table in dict.fromkeys(use.table for use in uses):
         if table.method == "linear":
             warn_user(
-                f"table '{table.name}' in {leg.where} is linear and has a kink at each of its points, which "
+                f"table '{table.name}' in {leg.label} is linear and has a kink at each of its points, which "
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
     if not find_operations(stack_terms(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
-    for operation, (kind, where) in _find_first_kinks(problem, leg, looked_up):
+    for operation, (kind, where) in _find_first_kink_of_each_kind(problem, leg, looked_up):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:
             remedy = _REMEDIES.get(kind, remedy)
-        warn_user(f"{kind} '{where}' of {leg.where} contains {meaning}: {remedy}.")
+        warn_user(f"{kind} '{where}' of {leg.label} contains {meaning}: {remedy}.")
 
 
 def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:
     """Raise `ProblemError` if the guess leaves a table that refuses it; warn, if wanted, where it leaves another."""
     if not table_calls(problem, leg):
         return
-    start = phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
+    start = build_phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()
     p = leg.model.parameter_values
@@ -100,7 +100,7 @@ def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None
             )
 
 
-def _find_first_kinks(
+def _find_first_kink_of_each_kind(
     problem: Statement, leg: Phase, looked_up: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield each meaning's first operation with the kind and name of its expression."""
@@ -135,10 +135,10 @@ def find_shifted_norms(leg: Phase) -> list[str]:
     """Return which integrands contain a norm that has no derivative at controls other than zero: ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
-        vectors = (_norm_argument(node) for node in list_nodes(integrand) if node.op() in ROOTS)
+        vectors = (_vector_of_norm(node) for node in list_nodes(integrand) if node.op() in ROOTS)
         if any(v is not None and ca.depends_on(v, controls) and _is_shifted(v, controls) for v in vectors):
             texts.append(
-                f"integral '{name}' of {leg.where} contains a norm of controls less other terms, which has a kink "
+                f"integral '{name}' of {leg.label} contains a norm of controls less other terms, which has a kink "
                 "where they are equal: let a vector_control() be the difference, equal to it by path()"
             )
     return texts
@@ -150,7 +150,7 @@ def _is_shifted(vector: Any, controls: Any) -> bool:
     return bool(np.any(draw_values(rest) != 0))
 
 
-def _norm_argument(root: Any) -> Any | None:
+def _vector_of_norm(root: Any) -> Any | None:
     """Return the vector whose Euclidean norm a root is, if it has two or more components; else None."""
     if root.op() == ca.OP_HYPOT:
         return ca.vertcat(root.dep(0), root.dep(1))
@@ -168,16 +168,16 @@ def _norm_argument(root: Any) -> Any | None:
 
 def singular_norms(problem: Statement, leg: Phase) -> list[str]:
     """Return the functions whose derivatives fail or vanish at zero controls, and their replacements."""
-    start = phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
+    start = build_phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()
     box = leg.numbers.controls
     still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
-    guessed = evaluate_along(problem, leg, times, start.states, start.controls, q)
+    guessed = evaluate_functions(problem, leg, times, start.states, start.controls, q)
     texts = []
-    for kind, tried in evaluate_along(problem, leg, times, start.states, still, q).items():
+    for kind, tried in evaluate_functions(problem, leg, times, start.states, still, q).items():
         for row, what in _find_undefined_values(leg, tried, guessed[kind]):
-            texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.where} has {what}: {_REMEDY}")
+            texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.label} has {what}: {_REMEDY}")
     return texts
 
 
@@ -221,7 +221,7 @@ def check_values(problem: Statement) -> None:
     ends: list[Any] = []
     for leg in problem.phases.values():
         ends += _check_phase_functions(problem, leg)
-    _check_ends(problem, ends)
+    _check_end_functions(problem, ends)
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Tried:
     derivatives: Array
 
     @classmethod
-    def at(cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any) -> Tried:
+    def evaluate(cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any) -> Tried:
         values, jacobian = (np.asarray(output.full()) for output in outputs)
         shape = (len(rows), len(columns), values.shape[1])
         return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
@@ -269,7 +269,7 @@ def find_nonfinite_function(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NotFinite | None:
     """Return the first function along a trajectory (columns are times) that is not finite, or has such a derivative."""
-    for tried in evaluate_along(problem, leg, times, states, controls, parameters).values():
+    for tried in evaluate_functions(problem, leg, times, states, controls, parameters).values():
         bad = tried.find_nonfinite()
         if bad:
             labels = (*leg.model.states.labels, *leg.model.controls.labels)
@@ -278,7 +278,7 @@ def find_nonfinite_function(
     return None
 
 
-def evaluate_along(
+def evaluate_functions(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, Tried]:
     """Return functions along a phase and their derivatives at the points of `find_nonfinite_function` by kind."""
@@ -286,13 +286,13 @@ def evaluate_along(
     tried = {}
     for what, rows, function in _build_phase_functions(problem, leg):
         outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
-        tried[what] = Tried.at(what, rows, columns, outputs)
+        tried[what] = Tried.evaluate(what, rows, columns, outputs)
     return tried
 
 
 def find_nonfinite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
     """Return the first function along the guess of a phase that is not finite, or has a derivative that is not."""
-    return _Guessed.of(leg).find_nonfinite(problem, leg)
+    return _Guessed.from_phase(leg).find_nonfinite(problem, leg)
 
 
 @dataclass(frozen=True)
@@ -304,9 +304,9 @@ class _Guessed:
     along: tuple[Array, Array, Array]
 
     @classmethod
-    def of(cls, leg: Phase) -> _Guessed:
+    def from_phase(cls, leg: Phase) -> _Guessed:
         # The end points are included: messages there name the user's functions.
-        start = phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
+        start = build_phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
         scales, control_scales = phase_magnitudes(leg)
         states = _move_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
         controls = _move_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
@@ -319,15 +319,17 @@ class _Guessed:
 
 def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
     """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
-    numbers, guessed = leg.numbers, _Guessed.of(leg)
+    numbers, guessed = leg.numbers, _Guessed.from_phase(leg)
     start = guessed.start
     bad = guessed.find_nonfinite(problem, leg)
     if bad:
         when = f"t = {bad.time:.4g} {problem.time_unit}"
-        raise _nonfinite_error(f"{bad.what} at the guess in {leg.where} at {when}", bad.point)
+        raise _nonfinite_error(f"{bad.what} at the guess in {leg.label} at {when}", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
-        integrands = evaluate_along(problem, leg, *guessed.along, problem.guessed_parameters())["integral"]
+        integrands = evaluate_functions(problem, leg, *guessed.along, problem.guessed_parameters())[
+            "integral"
+        ]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
     first = _move_inside_bounds(
         start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales
@@ -336,10 +338,10 @@ def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
 
 
-def _check_ends(problem: Statement, ends: list[Any]) -> None:
+def _check_end_functions(problem: Statement, ends: list[Any]) -> None:
     """Try the cost and the boundary constraints at the end points of the guess."""
     for what, rows, columns, function in _build_end_functions(problem):
-        tried = Tried.at(what, rows, columns, function(*ends, problem.guessed_parameters()))
+        tried = Tried.evaluate(what, rows, columns, function(*ends, problem.guessed_parameters()))
         bad = tried.find_nonfinite()
         if bad:
             raise _nonfinite_error(f"{bad[0]} at the end points of the guess", {})
@@ -368,7 +370,7 @@ def _build_phase_functions(problem: Statement, leg: Phase) -> list[tuple[str, tu
             if rows
         ]
 
-    return problem.reuse(("check", leg.name), build)
+    return problem.cache(("check", leg.name), build)
 
 
 def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
@@ -386,7 +388,7 @@ def _build_end_functions(problem: Statement) -> list[tuple[str, tuple[str, ...],
     def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         variables, columns = list[Any](), list[str]()
         for leg in problem.phases.values():
-            variables += end_symbols(leg)
+            variables += endpoint_symbols(leg)
             columns += [
                 f"{end} {label} of {leg.name}"
                 for end in ("initial", "final")
@@ -403,12 +405,12 @@ def _build_end_functions(problem: Statement) -> list[tuple[str, tuple[str, ...],
         built = []
         for what, rows, expression in kinds:
             if rows:
-                bound = bind_ends(problem, expression)
+                bound = bind_parameters(problem, expression)
                 function = _function_with_jacobian(bound, ca.vertcat(*variables, q), end_arguments(problem))
                 built.append((what, rows, tuple(columns), function))
         return built
 
-    return problem.reuse("check ends", build)
+    return problem.cache("check ends", build)
 
 
 def _function_with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:

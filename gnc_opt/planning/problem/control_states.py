@@ -38,7 +38,7 @@ class StatedPhase(Protocol):
     def is_linked(self) -> bool: ...
 
     @property
-    def where(self) -> str: ...
+    def label(self) -> str: ...
 
     @property
     def fraction(self) -> Any: ...
@@ -56,21 +56,21 @@ class StatedPhase(Protocol):
     def drop_path(self, name: str) -> None: ...
 
 
-def limit_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
+def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
     """Make controls states of a phase, with rates in given ranges; see `Phase.rates`."""
     for name, limits in ranges.items():
-        symbol = _read_control(leg, name, "rates")
+        symbol = _get_control_symbol(leg, name, "rates")
         v = symbol.variable
         rate = _new_variable(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
         leg.add_states({symbol: rate}, [rate])
         leg.bounds(**{rate.variable.name: limits})
 
 
-def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
+def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
     """Make controls polynomials of time over a phase; see `Phase.polynomials`."""
     for name, given in degrees.items():
-        symbol = _read_control(leg, name, "polynomials")
-        degree = read_integer(given, f"the degree of control '{name}' in {leg.where}", 0, ProblemError)
+        symbol = _get_control_symbol(leg, name, "polynomials")
+        degree = read_integer(given, f"the degree of control '{name}' in {leg.label}", 0, ProblemError)
         v = symbol.variable
         leg.own_states |= {name, f"{name}_coefficients"}
         if degree == 0:
@@ -101,44 +101,42 @@ def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _read_control(leg: StatedPhase, name: str, what: str) -> Symbol:
-    """Return the symbol of a control that may become a state."""
+def _get_control_symbol(leg: StatedPhase, name: str, what: str) -> Symbol:
     layout, composed = leg.model.controls, leg.model.composed_controls
     if name in leg.model.states:
         raise ProblemError(
-            f"{what}() of {leg.where} got '{name}', which is a state: give the names of controls."
+            f"{what}() of {leg.label} got '{name}', which is a state: give the names of controls."
         )
     owner = next((c.name for c in composed.values() if name == c.name or name in c.parts), None)
     if owner is not None:
         raise ProblemError(
-            f"{what}() of {leg.where} got '{name}', but '{owner}' is made of several controls: "
+            f"{what}() of {leg.label} got '{name}', but '{owner}' is made of several controls: "
             "declare it with control()."
         )
     if name in leg.model.equations:
         raise ProblemError(
-            f"{what}() of {leg.where} got '{name}', which its equation determines: limit other controls."
+            f"{what}() of {leg.label} got '{name}', which its equation determines: limit other controls."
         )
     if leg.is_linked:
         raise ProblemError(
-            f"{what}() of {leg.where} comes after link() or sequence(), which hand states over: call it before."
+            f"{what}() of {leg.label} comes after link() or sequence(), which hand states over: call it before."
         )
     if name not in layout:
-        raise unknown_name("control", name, f"{what}() of {leg.where}", layout.names)
+        raise unknown_name("control", name, f"{what}() of {leg.label}", layout.names)
     return leg.model.symbol(name)
 
 
 def _new_variable(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
-    """Return a new variable of a phase."""
     model = leg.model
     for layout in (model.states, model.controls, model.parameters, model.outputs):
         if name in layout:
             raise ProblemError(
-                f"{leg.where} needs the name '{name}', which its model has as {layout.kind}: rename that."
+                f"{leg.label} needs the name '{name}', which its model has as {layout.kind}: rename that."
             )
-    return Symbol(Variable(read_name(name, f"variable of {leg.where}", ProblemError), size, unit))
+    return Symbol(Variable(read_name(name, f"variable of {leg.label}", ProblemError), size, unit))
 
 
-def split_ranges(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
+def split_time_bounds(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
     """Return ranges with None for the ends that are functions of time, which become path constraints of a phase."""
     constant = dict(ranges)
     for name, value in ranges.items():
@@ -146,13 +144,13 @@ def split_ranges(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
             leg.drop_path(f"{end} bound of {name}")
         if _is_time_function(value):
             raise ProblemError(
-                f"the bounds of '{name}' in {leg.where} are one function: write (lower, upper), or use path()."
+                f"the bounds of '{name}' in {leg.label} are one function: write (lower, upper), or use path()."
             )
         if isinstance(value, tuple) and len(value) == 2:
             constant[name] = tuple(None if _is_time_function(end) else end for end in value)
             for end, limit in zip(("lower", "upper"), value, strict=True):
                 if _is_time_function(limit):
-                    _add_range_end(leg, name, end, limit)
+                    _add_time_bound(leg, name, end, limit)
     return constant
 
 
@@ -160,9 +158,9 @@ def _is_time_function(end: Any) -> bool:
     return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
 
 
-def _add_range_end(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
+def _add_time_bound(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
     """Add the path constraint of one end of a range: an expression, or a function of time that returns one."""
-    model, what = leg.model, f"the {end} bound of '{name}' in {leg.where}"
+    model, what = leg.model, f"the {end} bound of '{name}' in {leg.label}"
     composed = model.composed_controls.get(name)
     if isinstance(composed, VectorControl):
         bounded = model.symbol(composed.magnitude)

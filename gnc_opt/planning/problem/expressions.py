@@ -67,7 +67,7 @@ def table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
         present = {node.element_hash() for node in list_nodes(stack_terms(leg))}
         return tuple({id(use): use for use in known if use.hashes & present}.values())
 
-    return problem.reuse(("tables", leg.name), find)
+    return problem.cache(("tables", leg.name), find)
 
 
 def find_table_exits(
@@ -95,7 +95,7 @@ def find_table_exits(
 def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
     """The function (t, x, u, p, q) -> all arguments of all tables."""
     stacked = ca.vertcat(*(use.arguments for use in uses))
-    return problem.reuse(
+    return problem.cache(
         ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", stacked)
     )
 
@@ -103,18 +103,18 @@ def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse,
 def end_arguments(problem: Statement) -> list[Any]:
     """Return the symbols of a function of all end values: those of each phase and its parameters, free parameters."""
     legs = problem.phases.values()
-    own = zip(map(end_symbols, legs), parameter_arguments(legs), strict=True)
+    own = zip(map(endpoint_symbols, legs), model_parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
-def bind_ends(problem: Statement, expression: Any) -> Any:
+def bind_parameters(problem: Statement, expression: Any) -> Any:
     """Replace the parameters of all models that the problem optimises by its own symbols."""
     for leg in problem.phases.values():
         expression = problem.bind(leg, expression)
     return expression
 
 
-def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
+def model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
     """Return the model parameters of each phase as arguments of one function; repeated ones are placeholders."""
     taken: set[int] = set()
     arguments = []
@@ -126,10 +126,10 @@ def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
     return arguments
 
 
-def check_end_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
+def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol other than values at phase ends."""
     phases = list(phases)
-    own = [s for leg in phases for s in (*end_symbols(leg), leg.model.symbols("parameter"))]
+    own = [s for leg in phases for s in (*endpoint_symbols(leg), leg.model.symbols("parameter"))]
     foreign = find_foreign_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
@@ -154,7 +154,7 @@ def check_phase_symbols(
     if not foreign:
         return
     name = foreign[0]
-    if name not in find_foreign_symbols(expression, [s for other in phases for s in end_symbols(other)]):
+    if name not in find_foreign_symbols(expression, [s for other in phases for s in endpoint_symbols(other)]):
         raise ProblemError(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."
@@ -167,7 +167,7 @@ def check_phase_symbols(
     )
 
 
-def refuse_other_size(name: str, size: int, model: Model, problem: str) -> None:
+def check_parameter_size(name: str, size: int, model: Model, problem: str) -> None:
     """Raise `ProblemError` if a free parameter and the model's parameter of that name differ in size."""
     if name in model.parameters and model.parameters[name].size != size:
         raise ProblemError(
@@ -176,6 +176,12 @@ def refuse_other_size(name: str, size: int, model: Model, problem: str) -> None:
         )
 
 
-def end_symbols(leg: Phase) -> list[Any]:
+def endpoint_symbols(leg: Phase) -> list[Any]:
     """Return the symbols of the end values of a phase: states at both ends, both times, integrals."""
-    return [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]
+    return [
+        leg.end_states("initial"),
+        leg.end_states("final"),
+        leg.initial_time,
+        leg.final_time,
+        leg.integral_symbols(),
+    ]

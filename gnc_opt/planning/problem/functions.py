@@ -25,7 +25,12 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.function_evaluation import Operations, evaluate, make_fast_call
 from gnc_opt.model.variables import as_expression
-from gnc_opt.planning.problem.expressions import bind_ends, build_phase_function, end_arguments, end_symbols
+from gnc_opt.planning.problem.expressions import (
+    bind_parameters,
+    build_phase_function,
+    end_arguments,
+    endpoint_symbols,
+)
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 
@@ -212,7 +217,7 @@ class PhaseFunctions:
 def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
     """Return the functions of a phase for given parameter values and integral weights."""
     leg = problem.get_phase(phase)
-    functions = problem.reuse(("functions", phase), lambda: _build_phase_functions(problem, leg))
+    functions = problem.cache(("functions", phase), lambda: _build_phase_functions(problem, leg))
     return PhaseFunctions(functions, p, q, weights, problem.time_unit)
 
 
@@ -291,7 +296,7 @@ def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Ar
         Multipliers of the boundary constraints.
     """
     arguments = [value for leg in problem.phases for value in ends[leg]]
-    outputs = [np.asarray(v.full()).ravel() for v in end_function(problem)(*arguments, q, nu)]
+    outputs = [np.asarray(v.full()).ravel() for v in endpoint_function(problem)(*arguments, q, nu)]
     cost, constraints, gradients = outputs[0], outputs[1], outputs[2:]
     per_phase = {name: gradients[5 * k : 5 * k + 5] for k, name in enumerate(problem.phases)}
     return EndGradients(
@@ -306,43 +311,43 @@ def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Ar
     )
 
 
-def end_function(problem: Problem) -> Any:
+def endpoint_function(problem: Problem) -> Any:
     """Return the CasADi Function behind `end_gradients`.
 
     Its inputs are, per phase, the six of ``ends`` there, then q and nu; its outputs the cost as stated, the
     boundary constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
     """
-    return problem.reuse("ends", lambda: _build_end_function(problem))
+    return problem.cache("ends", lambda: _build_endpoint_function(problem))
 
 
-def _build_end_function(problem: Problem) -> Any:
-    cost, constraints = (bind_ends(problem, e) for e in (problem.cost, problem.constraint_expression()))
+def _build_endpoint_function(problem: Problem) -> Any:
+    cost, constraints = (bind_parameters(problem, e) for e in (problem.cost, problem.constraint_expression()))
     nu = ca.SX.sym("nu", constraints.shape[0])
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
-    ends = [symbol for leg in problem.phases.values() for symbol in end_symbols(leg)]
+    ends = [symbol for leg in problem.phases.values() for symbol in endpoint_symbols(leg)]
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*ends, problem.parameter_symbols())]
     return ca.Function("ends", [*end_arguments(problem), nu], [cost, ca.densify(constraints), *gradients])
 
 
-def build_end_value_function(problem: Problem) -> Any:
-    """Return the CasADi Function of boundary constraints and, last, cost, in one column; inputs as `end_function`."""
+def build_endpoint_values(problem: Problem) -> Any:
+    """Return the CasADi Function of boundary constraints and cost, in one column; inputs as in `endpoint_function`."""
 
     def build() -> Any:
-        ends = end_function(problem)
+        ends = endpoint_function(problem)
         arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
         cost, constraints, *_ = ends(*arguments)
         return ca.Function("end_values", arguments, [ca.densify(ca.vertcat(constraints, cost))])
 
-    return problem.reuse("end values", build)
+    return problem.cache("end values", build)
 
 
-def make_evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
+def compile_expression(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
     """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols or a declared output's name."""
     leg = problem.get_phase(phase)
     if isinstance(expression, str):
         expression = leg.model.output_expression(expression)
     value = as_expression(expression, "the expression to evaluate", None, ProblemError)
     value = value if leg.restatement is None else leg.restatement.restate_expression(value)
-    problem.refuse_foreign(leg, value, "the expression to evaluate")
+    problem.check_foreign_symbols(leg, value, "the expression to evaluate")
     function = build_phase_function(problem, leg, "evaluate", value)
     return lambda *arguments: evaluate(function, *arguments)

@@ -30,14 +30,13 @@ def with_ranges(old: Interval, layout: Layout, values: Mapping[str, Any], what: 
 
 
 def by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
-    """Return the ranges of a layout's variables by name."""
     places = ((name, layout.slice(name)) for name in layout.names)
     return {name: Interval(box.lower[place], box.upper[place]) for name, place in places}
 
 
 def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
     """Return ranges by name as one of all of a layout's variables, free where none is given."""
-    box = free(layout.size)
+    box = unbounded(layout.size)
     for name in layout.names:
         if name in boxes:
             box.lower[layout.slice(name)], box.upper[layout.slice(name)] = (
@@ -49,7 +48,7 @@ def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
 
 def default_control_bounds(model: Model) -> Interval:
     """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""
-    box = free(model.controls.size)
+    box = unbounded(model.controls.size)
     for control in model.composed_controls.values():
         for part in control.parts if isinstance(control, SplitControl) else control.parts[:1]:
             box.lower[model.controls.slice(part)] = 0.0
@@ -117,14 +116,19 @@ class Interval:
         return self.lower == self.upper
 
     @property
-    def middle(self) -> Array:
+    def midpoint(self) -> Array:
         """A representative value (n,): the midpoint, the finite end, or zero when unbounded."""
         lower, upper = np.isfinite(self.lower), np.isfinite(self.upper)
         low = np.where(lower, self.lower, np.where(upper, self.upper, 0.0))
         high = np.where(upper, self.upper, low)
         return np.asarray(0.5 * (low + high))
 
-    def row(self, i: int) -> Interval:
+    @property
+    def finite_width(self) -> Array:
+        """Width of each component (n,); 0 where it is unbounded."""
+        return np.nan_to_num(self.upper - self.lower, posinf=0.0)
+
+    def component(self, i: int) -> Interval:
         """Return the bounds of one component, shape (1,)."""
         return Interval(self.lower[i : i + 1], self.upper[i : i + 1])
 
@@ -136,14 +140,13 @@ class Interval:
         return values <= lower + slack, values >= upper - slack
 
 
-def free(size: int) -> Interval:
+def unbounded(size: int) -> Interval:
     """Return the interval without limits."""
     return Interval(np.full(size, -np.inf), np.full(size, np.inf))
 
 
 def stack_intervals(boxes: Iterable[Interval]) -> Interval:
-    """Return several intervals, or none, as one."""
-    every = [free(0), *boxes]
+    every = [unbounded(0), *boxes]
     return Interval(
         np.concatenate([box.lower for box in every]), np.concatenate([box.upper for box in every])
     )
@@ -161,11 +164,11 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
         Wrong number of components, NaN, crossed bounds, or an ambiguous tuple.
     """
     if value is None:
-        return free(size)
+        return unbounded(size)
     if size == 1 and _is_number_pair(value):
         value = tuple(value)
     if not isinstance(value, tuple):
-        fixed = Interval(_range_end(value, -np.inf, size, what), _range_end(value, np.inf, size, what))
+        fixed = Interval(_range_limit(value, -np.inf, size, what), _range_limit(value, np.inf, size, what))
         if np.any(np.isnan(fixed.lower)):
             raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
         return check_interval(fixed, what)
@@ -174,19 +177,18 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
             f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
             "a list."
         )
-    reject_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
+    check_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
     return read_range(value[0], value[1], size, what)
 
 
 def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
     """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
-    low = _range_end(lower, -np.inf, size, f"the lower limit of {what}")
-    high = _range_end(upper, np.inf, size, f"the upper limit of {what}")
+    low = _range_limit(lower, -np.inf, size, f"the lower limit of {what}")
+    high = _range_limit(upper, np.inf, size, f"the upper limit of {what}")
     return check_interval(Interval(low, high), what)
 
 
-def _range_end(value: Any, none: float, size: int, what: str) -> Array:
-    """Return one end of a range as a vector, with ``none`` where it, or an entry of it, is ``None``."""
+def _range_limit(value: Any, none: float, size: int, what: str) -> Array:
     if value is None:
         value = none
     elif isinstance(value, (list, tuple)):
@@ -194,7 +196,7 @@ def _range_end(value: Any, none: float, size: int, what: str) -> Array:
     return as_vector(value, size, what)
 
 
-def reject_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+def check_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
     """Raise `ProblemError` for two numbers given to a vector of two: its value, or something else?"""
     if (
         size == 2
@@ -233,7 +235,6 @@ def intersect(a: Interval, b: Interval) -> Interval:
 
 
 def _is_number_pair(value: Any) -> bool:
-    """Return whether a value is a list or an array of two numbers, or None."""
     if isinstance(value, np.ndarray):
         return bool(value.shape == (2,))
     return (

@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.expressions import replace_in
-from gnc_opt.planning.problem.interval import Interval, free, intersect
+from gnc_opt.planning.problem.interval import Interval, intersect, unbounded
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
@@ -134,9 +134,9 @@ class Domain:
     boxes: tuple[Interval, ...]
 
     @classmethod
-    def along(cls, problem: Statement, leg: Phase) -> Domain:
+    def from_phase(cls, problem: Statement, leg: Phase) -> Domain:
         """Of what varies along a phase."""
-        initial, final = leg.times()
+        initial, final = leg.time_ranges()
         p = leg.model.parameter_values
         values = Interval(p.copy(), p.copy())
         for name, box in problem.parameter_bounds.items():
@@ -154,16 +154,16 @@ class Domain:
         return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
-    def at_ends(cls, problem: Statement) -> Domain:
+    def from_boundary(cls, problem: Statement) -> Domain:
         """Of end points, times, integrals and free parameters."""
         symbols, boxes = [problem.parameter_symbols()], [problem.parameter_interval()]
         constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
         for leg in problem.phases.values():
             numbers = leg.numbers
-            symbols += [leg.initial_time, leg.final_time, leg.ends("initial"), leg.ends("final")]
-            boxes += [*leg.times(), intersect(numbers.initial, numbers.states)]
+            symbols += [leg.initial_time, leg.final_time, leg.end_states("initial"), leg.end_states("final")]
+            boxes += [*leg.time_ranges(), intersect(numbers.initial, numbers.states)]
             symbols.append(leg.integral_symbols())
-            boxes += [intersect(numbers.final, numbers.states), free(len(leg.integrands))]
+            boxes += [intersect(numbers.final, numbers.states), unbounded(len(leg.integrands))]
             own = zip(ca.vertsplit(leg.model.arguments()[3]), leg.model.parameter_values, strict=True)
             constants |= {s.element_hash(): (s, value) for s, value in own}
         values = np.array([value for _, value in constants.values()])
@@ -171,12 +171,11 @@ class Domain:
         return cls(tuple(symbols), (*boxes, Interval(values, values)))
 
     @property
-    def key(self) -> bytes:
+    def cache_key(self) -> bytes:
         """The same for the same numbers."""
         return b"".join(box.lower.tobytes() + box.upper.tobytes() for box in self.boxes)
 
-    def ranges(self, column: Any) -> Interval:
-        """Return the ranges of a column."""
+    def evaluate_ranges(self, column: Any) -> Interval:
         return compute_ranges(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
 
     def monotone_directions(self, expression: Any, nodes: list[Any]) -> list[int]:
@@ -184,16 +183,16 @@ class Domain:
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
         of_z = replace_in(expression, place)
-        boxes = (*self.boxes, self.ranges(ca.vertcat(*nodes)))
+        boxes = (*self.boxes, self.evaluate_ranges(ca.vertcat(*nodes)))
         within = Domain((*self.symbols, z), boxes)
-        slopes = within.ranges(ca.jacobian(of_z, z).T)
+        slopes = within.evaluate_ranges(ca.jacobian(of_z, z).T)
         return [
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
 
     def sign(self, expression: Any) -> int:
         """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""
-        found = self.ranges(expression)
+        found = self.evaluate_ranges(expression)
         if found.lower[0] >= 0 or found.upper[0] <= 0:
             return 1 if found.lower[0] >= 0 else -1
         if expression.is_symbolic():
@@ -209,7 +208,6 @@ class Domain:
 
 
 def is_affine(column: Any, symbol: Any) -> bool:
-    """Whether all of a column is affine in a scalar symbol."""
     return not any(ca.which_depends(column, symbol, 2, True))
 
 

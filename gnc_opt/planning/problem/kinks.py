@@ -68,7 +68,7 @@ def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
         words, arguments = zip(*found.values(), strict=True)
         return Kinks(words, build_phase_function(problem, leg, "kinks", ca.vertcat(*arguments)))
 
-    return problem.reuse(("kinks", leg.name), find)
+    return problem.cache(("kinks", leg.name), find)
 
 
 def find_feature_centres(problem: Statement, leg: Phase) -> Any:
@@ -91,7 +91,7 @@ def find_feature_centres(problem: Statement, leg: Phase) -> Any:
             return None
         return build_phase_function(problem, leg, "centres", ca.vertcat(*found.values()))
 
-    return problem.reuse(("centres", leg.name), find)
+    return problem.cache(("centres", leg.name), find)
 
 
 def _switching_argument(node: Any, operation: int) -> Any:

@@ -16,7 +16,7 @@ START_EXCESS_MAX_SHARE = 0.02
 """Share of the range of a state (of its bound, where there is only one) by which a start beyond it counts as on it."""
 
 
-def with_start_on_bounds(problem: Problem) -> tuple[Problem, str]:
+def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
     """Return a problem with given initial states that are slightly beyond a bound on it, and which they are.
 
     Parameters
@@ -32,7 +32,7 @@ def with_start_on_bounds(problem: Problem) -> tuple[Problem, str]:
     """
     moved, texts = problem, list[str]()
     for name, leg in problem.phases.items():
-        kept, places = _clip_start(leg)
+        kept, places = _clip_initial_states(leg)
         if places:
             moved = moved.clone()
             upper = np.where(leg.numbers.initial.fixed, kept, leg.numbers.initial.upper)
@@ -43,7 +43,7 @@ def with_start_on_bounds(problem: Problem) -> tuple[Problem, str]:
     return moved, ", ".join(texts)
 
 
-def _clip_start(leg: Phase) -> tuple[Array, list[int]]:
+def _clip_initial_states(leg: Phase) -> tuple[Array, list[int]]:
     """Return lower limits of the initial states (n,) and which given ones were slightly beyond a bound, now on it.
 
     What exceeds a bound by rounding only is left as it is.

@@ -21,22 +21,22 @@ from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_arc_kinds
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
 from gnc_opt.planning.problem.control_states import (
     add_phase_fraction,
-    limit_rates,
-    make_polynomials,
-    split_ranges,
+    limit_control_rates,
+    make_polynomial_controls,
+    split_time_bounds,
 )
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import (
     Interval,
     by_name,
     default_control_bounds,
-    free,
     intersect,
     magnitude_ranges,
     read_interval,
     split_control_ranges,
     stack_intervals,
     stack_ranges,
+    unbounded,
     with_ranges,
 )
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement, read_duration
@@ -52,9 +52,9 @@ class Owner(Protocol):
 
     def forget_builds(self) -> None: ...
 
-    def refuse_foreign(self, leg: Phase, expression: Any, what: str, /) -> None: ...
+    def check_foreign_symbols(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
-    def reuse(self, key: Any, build: Callable[[], Any], /) -> Any: ...
+    def cache(self, key: Any, build: Callable[[], Any], /) -> Any: ...
 
 
 _STATEMENTS = (
@@ -103,7 +103,7 @@ class Phase(Strict):
         self._owner = owner
         n, controls = model.states.size, default_control_bounds(model)
         duration = read_duration(None, name)
-        self.numbers = PhaseNumbers(None, None, duration, free(n), free(n), free(n), controls)
+        self.numbers = PhaseNumbers(None, None, duration, unbounded(n), unbounded(n), unbounded(n), controls)
         self.paths: dict[str, Constraint] = {
             f"equation of {z}": make_constraint(
                 f"equation of {z}", g, None, None, 0.0, f"the equation of '{z}'"
@@ -112,8 +112,8 @@ class Phase(Strict):
         }
         self._curved: set[str] = set()
         self._told_on_sphere: dict[str, bool] = {}
-        for vector in self.vectors:
-            self._limit_length(vector)
+        for vector in self.vector_controls:
+            self._limit_direction_length(vector)
         self.restatement: Restatement | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
         self.follows: str | None = None
@@ -121,11 +121,10 @@ class Phase(Strict):
         self.integrands: dict[str, tuple[Any, Any]] = {}
         # These begin anew in the next phase, unless a link names them.
         self.own_states: frozenset[str] = frozenset()
-        self._name_ends()
+        self._create_boundary_symbols()
         self._record_nonaffine_vectors(model.derivative())
 
-    def _name_ends(self) -> None:
-        """Make the symbols of both ends."""
+    def _create_boundary_symbols(self) -> None:
         self.initial_time: Any = ca.SX.sym(f"{self.name}_initial_time")
         self.final_time: Any = ca.SX.sym(f"{self.name}_final_time")
         self._ends = {
@@ -150,13 +149,13 @@ class Phase(Strict):
 
     def initial_state(self, name: str | Symbol) -> Any:
         """Return the symbol of a state at the phase's start, for costs and boundary constraints."""
-        return self._get_end_symbol("initial", name)
+        return self._get_boundary_symbol("initial", name)
 
     def final_state(self, name: str | Symbol) -> Any:
         """Return the symbol of a state at the phase's end, for costs and boundary constraints."""
-        return self._get_end_symbol("final", name)
+        return self._get_boundary_symbol("final", name)
 
-    def ends(self, end: str) -> Any:
+    def end_states(self, end: str) -> Any:
         """Return the stacked end-point states, ``end`` being "initial" or "final"."""
         return ca.vertcat(*self._ends[end].values())
 
@@ -172,9 +171,9 @@ class Phase(Strict):
             Range of ``final - initial``; its lower end defaults to 0.
         """
         self._set_numbers(
-            initial_time=read_interval(initial, 1, f"the initial time of {self.where}"),
-            final_time=read_interval(final, 1, f"the final time of {self.where}"),
-            duration=self.numbers.duration if duration is None else read_duration(duration, self.where),
+            initial_time=read_interval(initial, 1, f"the initial time of {self.label}"),
+            final_time=read_interval(final, 1, f"the final time of {self.label}"),
+            duration=self.numbers.duration if duration is None else read_duration(duration, self.label),
         )
         self._owner.forget_builds()
 
@@ -192,11 +191,13 @@ class Phase(Strict):
         An end may be a function of time, a table of it, or an expression of ``model.time``, `fraction` and parameters:
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
-        ranges = split_ranges(self, ranges)
-        states, controls = self._split_by_kind(split_control_ranges(self.model, ranges, self.where), "bounds")
+        ranges = split_time_bounds(self, ranges)
+        states, controls = self._split_variables(
+            split_control_ranges(self.model, ranges, self.label), "bounds"
+        )
         self._set_numbers(
-            states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.where),
-            controls=with_ranges(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
+            states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.label),
+            controls=with_ranges(self.numbers.controls, self.model.controls, controls, "bounds", self.label),
         )
 
     def norm_bounds(self, **ranges: Any) -> None:
@@ -210,7 +211,7 @@ class Phase(Strict):
         ProblemError
             The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
         """
-        self.bounds(**magnitude_ranges(self.model, split_ranges(self, ranges), self.where))
+        self.bounds(**magnitude_ranges(self.model, split_time_bounds(self, ranges), self.label))
 
     def path(
         self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
@@ -228,12 +229,12 @@ class Phase(Strict):
         equals : float or array, optional
             For an equality.
         """
-        read_label(name, f"path constraint of {self.where}", ProblemError)
-        what = f"path constraint '{name}' of {self.where}"
+        read_label(name, f"path constraint of {self.label}", ProblemError)
+        what = f"path constraint '{name}' of {self.label}"
         if name in self.paths:
-            raise ProblemError(f"{self.where} has two path constraints '{name}': rename one.")
+            raise ProblemError(f"{self.label} has two path constraints '{name}': rename one.")
         constraint = make_constraint(name, expression, lower, upper, equals, what)
-        self._owner.refuse_foreign(self, constraint.expression, what)
+        self._owner.check_foreign_symbols(self, constraint.expression, what)
         self._owner.refuse_if_frozen()
         self.paths[name] = constraint
         self._record_nonaffine_vectors(constraint.expression)
@@ -243,7 +244,7 @@ class Phase(Strict):
     def is_linked(self) -> bool:
         """Whether states of this phase are handed over, to it or from it."""
         return bool(self.handed) or any(
-            self.name in {f for f, _ in leg.handed.values()} for leg in self.siblings
+            self.name in {f for f, _ in leg.handed.values()} for leg in self.all_phases
         )
 
     def drop_path(self, name: str) -> None:
@@ -259,12 +260,12 @@ class Phase(Strict):
         """
         label = f"integral_{len(self.integrands) + 1}" if name is None else name
         remedy = 'its name comes last, write integral(expression, "name")'
-        read_label(label, f"integral of {self.where}", ProblemError, instead=remedy)
-        what = f"integral '{label}' of {self.where}"
+        read_label(label, f"integral of {self.label}", ProblemError, instead=remedy)
+        what = f"integral '{label}' of {self.label}"
         if label in self.integrands:
-            raise ProblemError(f"{self.where} has two integrals '{label}': rename one.")
+            raise ProblemError(f"{self.label} has two integrals '{label}': rename one.")
         value = as_expression(integrand, what, 1, ProblemError)
-        self._owner.refuse_foreign(self, value, what)
+        self._owner.check_foreign_symbols(self, value, what)
         self._owner.refuse_if_frozen()
         symbol = ca.SX.sym(f"{self.name}_{label}")
         self.integrands[label] = (symbol, value)
@@ -286,10 +287,10 @@ class Phase(Strict):
         """
         guess, known = self.numbers.guess, self.guessable_names
         sizes = {
-            name: (known.get(name) or self._find_owner_layout(name, "guess")[name]).size
+            name: (known.get(name) or self._find_layout_of_variable(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._set_numbers(guess=guess.join_values(time, values, sizes, self.where))
+        self._set_numbers(guess=guess.join_guess_values(time, values, sizes, self.label))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
@@ -298,8 +299,8 @@ class Phase(Strict):
         """
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
-            size = self._find_owner_layout(name, "scale")[name].size
-            scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.where}")
+            size = self._find_layout_of_variable(name, "scale")[name].size
+            scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
         self._set_numbers(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
@@ -313,7 +314,7 @@ class Phase(Strict):
         ProblemError
             The name is that of no control, or of one that is made of others.
         """
-        limit_rates(self, ranges)
+        limit_control_rates(self, ranges)
 
     def polynomials(self, **degrees: int) -> None:
         """Make controls polynomials of time of a given degree over the whole phase: ``polynomials(a=3)``.
@@ -326,7 +327,7 @@ class Phase(Strict):
         ProblemError
             As in `rates`, or a degree that is no integer >= 0.
         """
-        make_polynomials(self, degrees)
+        make_polynomial_controls(self, degrees)
 
     @property
     def fraction(self) -> Any:
@@ -357,15 +358,15 @@ class Phase(Strict):
                 symbols.setdefault(v.name, ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size))
         self._owner.forget_builds()
 
-    def make_followers(self, names: Sequence[str]) -> list[Phase]:
+    def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return phases like this one, the last one with its final values, which it loses; see `Problem.divide`."""
-        final, none = self.numbers.final, free(self.model.states.size)
+        final, none = self.numbers.final, unbounded(self.model.states.size)
         self._set_numbers(final=none)
         found = [self.clone() for _ in names]
         for name, twin in zip(names, found, strict=True):
             twin.name = name
             twin._set_numbers(initial=none)
-            twin._name_ends()
+            twin._create_boundary_symbols()
         found[-1]._set_numbers(final=final)
         return found
 
@@ -405,7 +406,7 @@ class Phase(Strict):
             "states": (states, model.states.labels, box.states),
         }
         kinds = {
-            name: read_arc_kinds(given, labels, limits, name, self.where)
+            name: read_arc_kinds(given, labels, limits, name, self.label)
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
@@ -414,15 +415,15 @@ class Phase(Strict):
     # --- internals --------------------------------------------------------------------------------
 
     @property
-    def where(self) -> str:
+    def label(self) -> str:
         """ "phase 'leg' of problem '...'", for messages."""
         return f"phase '{self.name}' of problem '{self._owner.name}'"
 
-    def times(self) -> tuple[Interval, Interval]:
+    def time_ranges(self) -> tuple[Interval, Interval]:
         """Return the ranges of initial and final time; if one is a number, the duration narrows the other."""
         initial, final, span = self.numbers.initial_time, self.numbers.final_time, self.numbers.duration
         if initial is None or final is None:
-            raise ProblemError(f"{self.where} has no times: call time(initial=..., final=...).")
+            raise ProblemError(f"{self.label} has no times: call time(initial=..., final=...).")
         if initial.fixed[0] and not final.fixed[0]:
             return initial, intersect(final, Interval(initial.lower + span.lower, initial.lower + span.upper))
         if final.fixed[0] and not initial.fixed[0]:
@@ -444,15 +445,19 @@ class Phase(Strict):
     def path_interval(self) -> Interval:
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
-        boxes |= {v.length: Interval(np.ones(1), np.ones(1)) for v in self.vectors if self.on_sphere(v)}
+        boxes |= {
+            v.length: Interval(np.ones(1), np.ones(1))
+            for v in self.vector_controls
+            if self.has_unit_direction(v)
+        }
         return stack_intervals(boxes.values())
 
     @property
-    def vectors(self) -> tuple[VectorControl, ...]:
+    def vector_controls(self) -> tuple[VectorControl, ...]:
         """The vector controls of the model."""
         return tuple(c for c in self.model.composed_controls.values() if isinstance(c, VectorControl))
 
-    def on_sphere(self, vector: VectorControl) -> bool:
+    def has_unit_direction(self, vector: VectorControl) -> bool:
         """Whether the direction of a vector control has length 1 everywhere, instead of at most 1.
 
         It has where the norm is never zero, and where functions are not affine in the vector.
@@ -462,24 +467,23 @@ class Phase(Strict):
         least = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
         return bool(least[0] > 0) or vector.name in self._curved
 
-    def add_vector(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
-        """Record that the model, constraints and integrands use a vector control; see `on_sphere`, None decides."""
-        lengths = {v.length for v in self.vectors}
+    def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
+        """Record that model, constraints, integrands use a vector control; see `has_unit_direction`, None decides."""
+        lengths = {v.length for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vectors(expression)
-        self._limit_length(vector)
+        self._limit_direction_length(vector)
         if on_sphere is not None:
             self._told_on_sphere[vector.name] = on_sphere
 
-    def _limit_length(self, vector: VectorControl) -> None:
+    def _limit_direction_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"
         self.paths[vector.length] = make_constraint(vector.length, square, None, 1.0, None, what)
 
     def _record_nonaffine_vectors(self, expression: Any) -> None:
-        """Note in which vectors an expression is not affine."""
-        for vector in self.vectors:
+        for vector in self.vector_controls:
             direction = self.model.symbol(vector.direction)
             if any(ca.which_depends(expression, direction, 2, True)):
                 self._curved.add(vector.name)
@@ -488,9 +492,9 @@ class Phase(Strict):
         """Stacked SX expression of all path constraints."""
         return ca.vertcat(*[c.expression for c in self.paths.values()]) if self.paths else ca.SX(0, 1)
 
-    def reuse(self, key: str, build: Callable[[], Any]) -> Any:
+    def cache(self, key: str, build: Callable[[], Any]) -> Any:
         """Return what was built for this phase, or its variations with other numbers, before."""
-        return self._owner.reuse((key, self.name), build)
+        return self._owner.cache((key, self.name), build)
 
     def integrand_expression(self) -> Any:
         """Stacked SX expression of all integrands."""
@@ -501,7 +505,7 @@ class Phase(Strict):
         return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
 
     @property
-    def siblings(self) -> tuple[Phase, ...]:
+    def all_phases(self) -> tuple[Phase, ...]:
         """All phases of the problem, this one among them."""
         return tuple(self._owner.phases.values())
 
@@ -531,33 +535,33 @@ class Phase(Strict):
         jumping = next((name for name in values if name in self.model.controls), None)
         if jumping is not None:
             raise ProblemError(
-                f"the {what} of control '{jumping}' in {self.where} changes nothing, because a control may jump there: "
+                f"the {what} of control '{jumping}' in {self.label} changes nothing, because a control may jump there: "
                 f"limit its rate before, rates({jumping}=(-1.0, 1.0)), or leave it out."
             )
-        return with_ranges(old, self.model.states, values, what, self.where)
+        return with_ranges(old, self.model.states, values, what, self.label)
 
-    def _get_end_symbol(self, end: str, name: str | Symbol) -> Any:
+    def _get_boundary_symbol(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name
         if not isinstance(key, str) or key not in self._ends[end]:
-            raise unknown_name("state", key, self.where, self._ends[end])
+            raise unknown_name("state", key, self.label, self._ends[end])
         return self._ends[end][key]
 
-    def _split_by_kind(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _split_variables(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():
-            (states if self._find_owner_layout(name, what).kind == "state" else controls)[name] = value
+            (states if self._find_layout_of_variable(name, what).kind == "state" else controls)[name] = value
         return states, controls
 
-    def _find_owner_layout(self, name: str, what: str) -> Layout:
+    def _find_layout_of_variable(self, name: str, what: str) -> Layout:
         for layout in (self.model.states, self.model.controls):
             if name in layout:
                 return layout
         known = [*self.model.states.names, *self.model.controls.names]
         if name in self.model.parameters:
             raise ProblemError(
-                f"{what}() of {self.where} got '{name}', which is a parameter of the model: use "
+                f"{what}() of {self.label} got '{name}', which is a parameter of the model: use "
                 "Problem.parameter() to "
                 "optimise it or with_parameters() to change it."
             )
-        raise unknown_name("state or control", name, f"{what}() of {self.where}", known)
+        raise unknown_name("state or control", name, f"{what}() of {self.label}", known)

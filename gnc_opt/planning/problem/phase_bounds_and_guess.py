@@ -29,7 +29,7 @@ class PhaseGuess:
     time: Array | None = None
     values: Mapping[str, GuessValue] = field(default_factory=dict)
 
-    def join_values(
+    def join_guess_values(
         self, time: ArrayLike | None, values: Mapping[str, GuessValue], sizes: Mapping[str, int], where: str
     ) -> PhaseGuess:
         """Return the guess that others, with their times, have joined; see `Phase.guess`.

@@ -35,21 +35,20 @@ class Divisible(Owner, Protocol):
 def divide_phase(
     problem: Divisible, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
-    """Divide a phase of a problem and return its parts; see `Problem.divide`."""
     _refuse_after_statements(problem, leg)
     begin, end, total = leg.numbers.initial_time, leg.numbers.final_time, leg.numbers.duration
     if begin is None or end is None:
-        raise ProblemError(f"{leg.where} has no times: call time(initial=..., final=...) before divide().")
+        raise ProblemError(f"{leg.label} has no times: call time(initial=..., final=...) before divide().")
     parts = [
         leg,
-        *leg.make_followers(
+        *leg.create_following_phases(
             [f"{leg.name}_{k + 2}" for k in range(np.size(_read_division_points(leg, times, fractions)))]
         ),
     ]
     marks = [begin, *_division_times(leg, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
         part.numbers = replace(
-            part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.where)
+            part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.label)
         )
         problem.phases[part.name] = part
     problem.forget_builds()
@@ -68,14 +67,13 @@ def divide_phase(
 
 def _read_division_points(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
     if (times is None) == (fractions is None):
-        raise ProblemError(f"divide() of {leg.where} needs either times or fractions: give one of them.")
+        raise ProblemError(f"divide() of {leg.label} needs either times or fractions: give one of them.")
     return times if fractions is None else fractions
 
 
 def _division_times(
     leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
 ) -> Iterator[Interval]:
-    """Yield the ranges of the times at which the phase is divided."""
     what = "times" if fractions is None else "fractions"
     values = np.ravel(
         read_numbers(_read_division_points(leg, times, fractions), f"the {what} of divide()", ProblemError)
@@ -83,7 +81,7 @@ def _division_times(
     least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
     if not (values.size and np.all(np.diff([least, *values, most]) > 0)):
         raise ProblemError(
-            f"the {what} of divide() of {leg.where} are {values}: give increasing ones between {least:g} and {most:g}."
+            f"the {what} of divide() of {leg.label} are {values}: give increasing ones between {least:g} and {most:g}."
         )
     for value in values:
         if fractions is None:
@@ -102,9 +100,9 @@ def _refuse_after_statements(problem: Divisible, leg: Phase) -> None:
     if (
         leg.integrands
         or leg.numbers.guess.values
-        or ca.depends_on(stated, ca.vertcat(leg.ends("final"), leg.final_time))
+        or ca.depends_on(stated, ca.vertcat(leg.end_states("final"), leg.final_time))
     ):
         raise ProblemError(
-            f"{leg.where} has an integral, a guess, or a cost or constraint at its end: call divide() before these, "
+            f"{leg.label} has an integral, a guess, or a cost or constraint at its end: call divide() before these, "
             "and state them of its parts."
         )

@@ -21,12 +21,12 @@ from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_
 from gnc_opt.planning.problem.arcs import Junction, Smooth
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import (
-    check_end_symbols,
+    check_boundary_symbols,
+    check_parameter_size,
     check_phase_symbols,
     end_arguments,
-    refuse_other_size,
 )
-from gnc_opt.planning.problem.guess.initial_guess import record_known_ends
+from gnc_opt.planning.problem.guess.initial_guess import record_known_states
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
 from gnc_opt.planning.problem.phase import Phase
@@ -47,17 +47,19 @@ def compute_fingerprint(problem: Statement) -> str:
         model = leg.model
         layouts = [_names_and_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
-        digest.update(_phase_expressions(problem, leg))
+        digest.update(_serialise_phase(problem, leg))
         for vector in (
-            _parameter_values(problem, leg),
-            *_interval_vectors(leg.numbers),
-            *_interval_vectors(leg.path_interval()),
+            _fixed_parameter_values(problem, leg),
+            *_list_bound_arrays(leg.numbers),
+            *_list_bound_arrays(leg.path_interval()),
         ):
             digest.update(vector.tobytes())
-    digest.update(_end_expressions(problem))
+    digest.update(
+        _serialise_expressions(end_arguments(problem), [problem.cost, problem.constraint_expression()])
+    )
     for vector in (
-        *_interval_vectors(problem.constraint_interval()),
-        *_interval_vectors(problem.parameter_interval()),
+        *_list_bound_arrays(problem.constraint_interval()),
+        *_list_bound_arrays(problem.parameter_interval()),
     ):
         digest.update(vector.tobytes())
     return digest.hexdigest()[:16]
@@ -67,7 +69,7 @@ def _names_and_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 
-def _parameter_values(problem: Statement, leg: Phase) -> Array:
+def _fixed_parameter_values(problem: Statement, leg: Phase) -> Array:
     """Values of the model's parameters; of those that are optimised, the values say nothing."""
     values = leg.model.parameter_values
     for name in problem.parameters.names:
@@ -76,7 +78,7 @@ def _parameter_values(problem: Statement, leg: Phase) -> Array:
     return values
 
 
-def _interval_vectors(box: Any) -> Iterable[Array]:
+def _list_bound_arrays(box: Any) -> Iterable[Array]:
     """Yield every float vector of a dataclass of intervals, depth first."""
     for value in vars(box).values():
         if isinstance(value, Interval):
@@ -85,13 +87,9 @@ def _interval_vectors(box: Any) -> Iterable[Array]:
             yield value
 
 
-def _phase_expressions(problem: Statement, leg: Phase) -> bytes:
+def _serialise_phase(problem: Statement, leg: Phase) -> bytes:
     expressions = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
     return _serialise_expressions([*leg.model.arguments(), problem.parameter_symbols()], expressions)
-
-
-def _end_expressions(problem: Statement) -> bytes:
-    return _serialise_expressions(end_arguments(problem), [problem.cost, problem.constraint_expression()])
 
 
 def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> bytes:
@@ -206,7 +204,7 @@ class Problem(Statement):
             model, Model, f"the model of phase '{name}' of problem '{self.name}'", "write phase(name, model)"
         )
         for parameter in self.parameters.variables:
-            refuse_other_size(parameter.name, parameter.size, model, self.name)
+            check_parameter_size(parameter.name, parameter.size, model, self.name)
         model.derivative()
         model.mark_in_use(f"problem '{self.name}'")
         self.phases[name] = Phase(name, model, self)
@@ -257,11 +255,11 @@ class Problem(Statement):
         size = read_integer(size, f"the size of {what}", 1, ProblemError)
         expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
         bounds = read_range(lower, upper, size, what)
-        start = bounds.middle if guess is None else as_vector(guess, size, f"the guess of {what}")
+        start = bounds.midpoint if guess is None else as_vector(guess, size, f"the guess of {what}")
         if not np.all(np.isfinite(start)):
             raise ProblemError(f"the guess of {what} is {start}: give finite numbers.")
         for leg in self.phases.values():
-            refuse_other_size(name, size, leg.model, self.name)
+            check_parameter_size(name, size, leg.model, self.name)
         self.add_parameter(Symbol(Variable(name, size, unit)), bounds, start)
         self.forget_builds()
         return self._parameters[name]
@@ -294,9 +292,9 @@ class Problem(Statement):
         if name in self.constraints:
             raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
         constraint = make_constraint(name, expression, lower, upper, equals, what)
-        check_end_symbols(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
+        check_boundary_symbols(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
-        record_known_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
+        record_known_states(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
         self.forget_builds()
 
     def link(
@@ -362,14 +360,16 @@ class Problem(Statement):
             for name in given:
                 if name not in known:
                     raise unknown_name("phase", name, f"sequence() of problem '{self.name}'", known)
-        spans = [read_duration(durations.get(leg.name), leg.where) for leg in chain]
+        spans = [read_duration(durations.get(leg.name), leg.label) for leg in chain]
         begin = read_interval(start, 1, f"the start of sequence() of problem '{self.name}'")
         for leg, span in zip(chain, spans, strict=True):
             end = Interval(begin.lower + span.lower, begin.upper + span.upper)
-            leg.time(initial=_as_given(begin), final=_as_given(end), duration=(span.lower[0], span.upper[0]))
+            leg.time(
+                initial=_time_range(begin), final=_time_range(end), duration=(span.lower[0], span.upper[0])
+            )
             begin = end
         for first, second in pairwise(chain):
-            what = f"the drops after {first.where}"
+            what = f"the drops after {first.label}"
             left = expect(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
             jump = {n: -read_numbers(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
             self.link(first, second, jump=jump)
@@ -443,7 +443,7 @@ class Problem(Statement):
         given = {k: v for k, v in times.items() if k in ("initial", "final", "duration")}
         if set(times) - set(given):
             raise unknown_name(
-                "time", next(iter(set(times) - set(given))), leg.where, ("initial", "final", "duration")
+                "time", next(iter(set(times) - set(given))), leg.label, ("initial", "final", "duration")
             )
         leg.time(**given)
         leg.numbers = replace(
@@ -540,7 +540,7 @@ class Problem(Statement):
         """Forget what was built from earlier declarations."""
         self.builds = {}
 
-    def refuse_foreign(self, leg: Phase, expression: Any, what: str) -> None:
+    def check_foreign_symbols(self, leg: Phase, expression: Any, what: str) -> None:
         """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
         check_phase_symbols(
             leg, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
@@ -563,14 +563,13 @@ class Problem(Statement):
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
         expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
         what = f"the cost of problem '{self.name}'"
-        check_end_symbols(self.phases.values(), self.parameter_symbols(), expression, what)
+        check_boundary_symbols(self.phases.values(), self.parameter_symbols(), expression, what)
         expect(unit, str, f"the unit of {what}", 'write unit="kg"')
         self.cost, self.sense, self.stated_cost_unit = expression, sense, unit
         self.forget_builds()
 
 
-def _as_given(interval: Interval) -> Any:
-    """Return a time's range as users write it."""
+def _time_range(interval: Interval) -> Any:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower

@@ -15,9 +15,14 @@ from gnc_opt.planning.problem.check_functions import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.expressions import bind_ends, build_phase_function, end_arguments, stack_terms
+from gnc_opt.planning.problem.expressions import (
+    bind_parameters,
+    build_phase_function,
+    end_arguments,
+    stack_terms,
+)
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.interval import Interval, free, intersect
+from gnc_opt.planning.problem.interval import Interval, intersect, unbounded
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.reformulation import reformulate
@@ -30,14 +35,14 @@ OFF_LIMIT = 1e-5
 
 def check_problem(problem: Statement) -> None:
     """Raise `ProblemError` at the first mistake; see ``Problem.check`` for what is looked at."""
-    check_numbers(problem)
+    check_bounds_and_times(problem)
     first = "checked" not in problem.builds
     solved = reformulate(problem)
     if first:
         check_unused_controls(problem)
         for leg in solved.phases.values():
             warn_of_kinks(solved, leg)
-            _warn_of_repeated_limits(solved, leg)
+            _warn_of_duplicate_bounds(solved, leg)
         _check_unused_parameters(problem)
         problem.builds["checked"] = True
     for leg in problem.phases.values():
@@ -53,7 +58,7 @@ def check_problem(problem: Statement) -> None:
             warn_of_norms(solved, leg)
 
 
-def check_numbers(problem: Statement) -> None:
+def check_bounds_and_times(problem: Statement) -> None:
     """Raise `ProblemError` for missing declarations and for contradictory times, bounds and end values."""
     if not problem.phases:
         raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
@@ -72,24 +77,24 @@ def check_numbers(problem: Statement) -> None:
 
 
 def _check_times(leg: Phase) -> None:
-    initial, final = leg.times()
+    initial, final = leg.time_ranges()
     span = leg.numbers.duration
     least, most = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
     asked = leg.numbers
-    times = f"initial time {_format(asked.initial_time, 0)} s, final time {_format(asked.final_time, 0)} s"
+    times = f"initial time {_range_text(asked.initial_time, 0)} s, final time {_range_text(asked.final_time, 0)} s"
     if most < 0:
         raise ProblemError(
-            f"{leg.where} ends before it starts ({times}): correct time(initial=..., final=...)."
+            f"{leg.label} ends before it starts ({times}): correct time(initial=..., final=...)."
         )
     if min(most, span.upper[0]) == 0:
-        raise ProblemError(f"{leg.where} has no duration ({times}): let the final time be later.")
+        raise ProblemError(f"{leg.label} has no duration ({times}): let the final time be later.")
     slack = ROUNDING * max(abs(initial.lower[0]), abs(final.upper[0]), 1.0)
     crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
     if max(crossed, least - span.upper[0], span.lower[0] - most) > slack:
         raise ProblemError(
-            f"{leg.where} cannot last {_format(span, 0)} s between an initial time of "
-            f"{_format(asked.initial_time, 0)} s "
-            f"and a final time of {_format(asked.final_time, 0)} s: correct time(..., duration=...)."
+            f"{leg.label} cannot last {_range_text(span, 0)} s between an initial time of "
+            f"{_range_text(asked.initial_time, 0)} s "
+            f"and a final time of {_range_text(asked.final_time, 0)} s: correct time(..., duration=...)."
         )
 
 
@@ -101,8 +106,8 @@ def _check_boundary_values(leg: Phase) -> None:
         if wrong.size:
             i = int(wrong[0])
             raise ProblemError(
-                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.where} is {_format(values, i)}, "
-                f"outside its bounds {_format(leg.numbers.states, i)}: correct one of the two."
+                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.label} is {_range_text(values, i)}, "
+                f"outside its bounds {_range_text(leg.numbers.states, i)}: correct one of the two."
             )
 
 
@@ -116,24 +121,24 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
         Interval(leg.model.parameter_values, leg.model.parameter_values),
     )
     for end, time, values in zip(
-        ("initial", "final"), leg.times(), (numbers.initial, numbers.final), strict=True
+        ("initial", "final"), leg.time_ranges(), (numbers.initial, numbers.final), strict=True
     ):
         arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
         reached = compute_ranges(function, arguments)
         for k in _rows_beyond_limits(reached, box):
             raise ProblemError(
-                f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.where}: it is "
-                f"{_format(reached, k)} there, outside its limits {_format(box, k)}: correct one of the two."
+                f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.label}: it is "
+                f"{_range_text(reached, k)} there, outside its limits {_range_text(box, k)}: correct one of the two."
             )
 
 
-def _warn_of_repeated_limits(problem: Statement, leg: Phase) -> None:
+def _warn_of_duplicate_bounds(problem: Statement, leg: Phase) -> None:
     """Issue a `ProblemWarning` for rows of one state or control whose limit is that of its bounds already."""
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
         return
     p = Interval(leg.model.parameter_values, leg.model.parameter_values)
-    time = Interval(leg.times()[0].lower, leg.times()[1].upper)
+    time = Interval(leg.time_ranges()[0].lower, leg.time_ranges()[1].upper)
     function = _build_path_function(problem, leg)
     reached = compute_ranges(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
@@ -144,20 +149,19 @@ def _warn_of_repeated_limits(problem: Statement, leg: Phase) -> None:
         symbols = ca.symvar(rows[int(k)])
         if len(symbols) == 1:
             warn_user(
-                f"path constraint '{leg.path_labels[k]}' of {leg.where} repeats a bound of '{symbols[0].name()}': "
+                f"path constraint '{leg.path_labels[k]}' of {leg.label} repeats a bound of '{symbols[0].name()}': "
                 "remove one of the two, for only the sum of their multipliers is determined."
             )
 
 
 def _rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
-    """Rows whose range lies outside their limits."""
     slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
     outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
     return [int(i) for i in np.flatnonzero(outside)]
 
 
 def _build_path_function(problem: Statement, leg: Phase) -> Any:
-    return leg.reuse(
+    return leg.cache(
         "paths and parameters", lambda: build_phase_function(problem, leg, "paths", leg.path_expression())
     )
 
@@ -166,11 +170,11 @@ def _check_phase_order(problem: Statement, leg: Phase) -> None:
     """Refuse a phase that starts when the one that it follows starts: ``time()`` alone fixes that at zero."""
     if leg.follows is None:
         return
-    before, start = problem.phases[leg.follows].times()[0], leg.times()[0]
+    before, start = problem.phases[leg.follows].time_ranges()[0], leg.time_ranges()[0]
     if start.upper[0] <= before.lower[0]:
         raise ProblemError(
-            f"{leg.where} follows phase '{leg.follows}' but starts at {_format(start, 0)} s, when that one starts: let "
-            f"its start be free, {leg.name}.time(initial=None, final=...)."
+            f"{leg.label} follows phase '{leg.follows}' but starts at {_range_text(start, 0)} s, when that one starts: "
+            f"let its start be free, {leg.name}.time(initial=None, final=...)."
         )
 
 
@@ -183,23 +187,23 @@ def _check_constraints(problem: Statement) -> None:
     for leg in legs:
         values, p = leg.numbers, leg.model.parameter_values
         ends = (intersect(end, values.states) for end in (values.initial, values.final))
-        arguments += [*ends, *leg.times(), free(len(leg.integrands)), Interval(p, p)]
+        arguments += [*ends, *leg.time_ranges(), unbounded(len(leg.integrands)), Interval(p, p)]
 
     def build() -> Any:
-        rows = bind_ends(problem, problem.constraint_expression())
+        rows = bind_parameters(problem, problem.constraint_expression())
         return ca.Function("constraints", end_arguments(problem), [ca.densify(rows)])
 
-    function = problem.reuse("constraints", build)
+    function = problem.cache("constraints", build)
     reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
     for k in _rows_beyond_limits(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
-            f"and end values of the phases: it is {_format(reached, k)} there, outside its limits {_format(box, k)}: "
-            "correct one of the two."
+            f"and end values of the phases: it is {_range_text(reached, k)} there, outside its limits "
+            f"{_range_text(box, k)}: correct one of the two."
         )
 
 
-def _format(interval: Interval | None, i: int) -> str:
+def _range_text(interval: Interval | None, i: int) -> str:
     if interval is None:
         return "free"
     lower, upper = interval.lower[i], interval.upper[i]
@@ -209,28 +213,27 @@ def _format(interval: Interval | None, i: int) -> str:
 # --- what is used where -------------------------------------------------------------------------------
 
 
-def _used_symbols(expressions: list[Any]) -> set[int]:
+def _collect_used_symbols(expressions: list[Any]) -> set[int]:
     return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
 
 
-def _unused_components(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
-    """Names of the components of a variable that are used nowhere."""
+def _find_unused_components(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
     scalars = ca.vertsplit(symbol)
     return [name for name, s in zip(variable.labels, scalars, strict=True) if s.element_hash() not in used]
 
 
 def check_unused_controls(problem: Statement) -> None:
     """Raise `ProblemError` for a control that neither dynamics nor limits nor an integral that counts depend on."""
-    ends = _used_symbols([ca.vertcat(problem.cost, problem.constraint_expression())])
+    ends = _collect_used_symbols([ca.vertcat(problem.cost, problem.constraint_expression())])
     for leg in problem.phases.values():
         counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
         acted_on = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
-        used = _used_symbols([problem.bind(leg, acted_on)])
+        used = _collect_used_symbols([problem.bind(leg, acted_on)])
         for variable in leg.model.controls.variables:
-            idle = _unused_components(variable, leg.model.symbol(variable.name), used)
+            idle = _find_unused_components(variable, leg.model.symbol(variable.name), used)
             if idle:
                 raise ProblemError(
-                    f"control '{idle[0]}' of {leg.where} appears in no dynamics, path constraint or integral of the "
+                    f"control '{idle[0]}' of {leg.label} appears in no dynamics, path constraint or integral of the "
                     "cost or a constraint: use it or remove it (its value would be arbitrary)."
                 )
 
@@ -238,7 +241,7 @@ def check_unused_controls(problem: Statement) -> None:
 def _check_unused_parameters(problem: Statement) -> None:
     ends = ca.vertcat(problem.cost, problem.constraint_expression())
     legs = problem.phases.values()
-    used = _used_symbols(
+    used = _collect_used_symbols(
         [
             ends,
             *(problem.bind(leg, ends) for leg in legs),
@@ -249,7 +252,7 @@ def _check_unused_parameters(problem: Statement) -> None:
     known = [name for model in models for name in model.parameters.names]
     for variable in problem.parameters.variables:
         symbol = problem.parameter_symbols()[problem.parameters.slice(variable.name)]
-        if len(_unused_components(variable, symbol, used)) == variable.size:
+        if len(_find_unused_components(variable, symbol, used)) == variable.size:
             raise ProblemError(
                 f"parameter '{variable.name}' of problem '{problem.name}' appears in no function and no "
                 "model has a "
@@ -260,7 +263,7 @@ def _check_unused_parameters(problem: Statement) -> None:
             bound = variable.name in problem.parameters
             if (
                 not bound
-                and len(_unused_components(variable, model.symbol(variable.name), used)) == variable.size
+                and len(_find_unused_components(variable, model.symbol(variable.name), used)) == variable.size
             ):
                 warn_user(
                     f"parameter '{variable.name}' of model '{model.name}' is used nowhere: remove it or use "
@@ -274,7 +277,7 @@ def missing_bounds_text(problem: Statement) -> str:
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
     if ca.symvar(apart):
         return ""
-    missing = [f"'{name}'" for leg in problem.phases.values() for name in _unbounded_controls(leg)]
+    missing = [f"'{name}'" for leg in problem.phases.values() for name in _find_unbounded_controls(leg)]
     if not missing:
         return ""
     names = ", ".join(dict.fromkeys(missing))
@@ -284,10 +287,10 @@ def missing_bounds_text(problem: Statement) -> str:
     )
 
 
-def _unbounded_controls(leg: Phase) -> list[str]:
+def _find_unbounded_controls(leg: Phase) -> list[str]:
     """Return the controls of a phase that are affine in its dynamics, and that have neither limits nor a cost."""
     box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
-    if leg.vectors:  # these are limited by their length
+    if leg.vector_controls:  # these are limited by their length
         return []
     limits = ca.vertcat(leg.path_expression(), leg.integrand_expression())
     found = []

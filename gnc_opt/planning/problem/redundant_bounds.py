@@ -35,10 +35,12 @@ def find_monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     """Return which states with bounds never fall and which never rise, for controls and `loosen_bounds` of states."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
-    rows, rates = problem.reuse(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
+    rows, rates = problem.cache(
+        ("rates by controls", leg.name), lambda: _control_dependent_rates(problem, leg)
+    )
     if not np.any(bounded[rows]):
         return _empty_state_mask(leg), _empty_state_mask(leg)
-    values, times = leg.model.parameter_values, leg.times()
+    values, times = leg.model.parameter_values, leg.time_ranges()
     ranges = [
         Interval(times[0].lower, times[1].upper),
         loosen_bounds(leg),
@@ -60,8 +62,7 @@ def _empty_state_mask(leg: Phase) -> Mask:
     return np.zeros(leg.model.states.size, dtype=bool)
 
 
-def _rates_by_controls(problem: Statement, leg: Phase) -> tuple[Array, Any]:
-    """Rows of the states whose rates depend on controls, and their rates as a function."""
+def _control_dependent_rates(problem: Statement, leg: Phase) -> tuple[Array, Any]:
     rates = leg.model.derivative()
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, leg.model.symbols("control")).row(), dtype=int))
     return rows, build_phase_function(problem, leg, "rates", rates[rows.tolist()])
@@ -76,11 +77,11 @@ def find_implied_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
     for places in _find_state_vectors(leg):
-        length = _find_given_length(leg, places)
+        length = _find_boundary_length(leg, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
-        if length > 0 and np.any(lower | upper) and _keeps_length(problem, leg, places, length):
+        if length > 0 and np.any(lower | upper) and _conserves_length(problem, leg, places, length):
             idle[0, places], idle[1, places] = lower, upper
     return idle[0], idle[1]
 
@@ -98,7 +99,7 @@ def _find_state_vectors(leg: Phase) -> list[Indices]:
     return found + [np.array(places) for places in alike.values() if len(places) > 1]
 
 
-def _find_given_length(leg: Phase, places: Indices) -> float:
+def _find_boundary_length(leg: Phase, places: Indices) -> float:
     """Return the length that a vector begins or ends with; NaN if neither is given."""
     for value in (leg.numbers.initial, leg.numbers.final):
         if np.all(value.fixed[places]):
@@ -106,7 +107,7 @@ def _find_given_length(leg: Phase, places: Indices) -> float:
     return np.nan
 
 
-def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
+def _conserves_length(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
     """Whether a vector of a length has no rate along itself, whatever everything else is."""
 
     def build() -> Any:
@@ -114,7 +115,7 @@ def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float
         products = leg.model.symbols("state")[rows] * leg.model.derivative()[rows]
         return build_phase_function(problem, leg, "along_itself", products)
 
-    terms = problem.reuse(("rate along itself", leg.name, places.tobytes()), build)
+    terms = problem.cache(("rate along itself", leg.name, places.tobytes()), build)
     random = np.random.default_rng(5)
     free = problem.parameter_interval().lower.size
     for _ in range(8):

@@ -45,10 +45,12 @@ class ConstraintOrder:
 
 def constraint_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
     """Return the order of one row of the path constraints of a phase, then of its states."""
-    return problem.reuse(("constraint order", leg.name, row), lambda: _find_order(problem, leg, row))
+    return problem.cache(
+        ("constraint order", leg.name, row), lambda: _derive_constraint_order(problem, leg, row)
+    )
 
 
-def _find_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
+def _derive_constraint_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
     t, x, u, _ = leg.model.arguments()
     rates = problem.bind(leg, leg.model.derivative())
     value = problem.bind(leg, ca.vertcat(leg.path_expression(), x)[row])

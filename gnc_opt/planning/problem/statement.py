@@ -75,7 +75,7 @@ class Statement(Strict):
             return self.stated_cost_unit
         symbols, units = [self.parameter_symbols()], list(self.parameters.units)
         for leg in self.phases.values():
-            symbols += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+            symbols += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
             units += [*leg.model.states.units, *leg.model.states.units, "s", "s"]
             symbols.append(leg.integral_symbols())
             units += [""] * leg.integral_symbols().shape[0]
@@ -105,7 +105,7 @@ class Statement(Strict):
         self.parameter_bounds[name] = bounds
         self.parameter_guess[name] = guess
 
-    def free_symbols(self) -> tuple[Symbol, ...]:
+    def free_parameter_symbols(self) -> tuple[Symbol, ...]:
         """Return the symbols of the free parameters."""
         return tuple(self._parameters.values())
 
@@ -131,7 +131,7 @@ class Statement(Strict):
             own = self.phases.get(phase.name)
             if own is None or own.initial_time is not phase.initial_time:
                 raise ProblemError(
-                    f"{phase.where} is not a phase of problem '{self.name}': use one of its own."
+                    f"{phase.label} is not a phase of problem '{self.name}': use one of its own."
                 )
             return own
         if phase is None:
@@ -168,7 +168,7 @@ class Statement(Strict):
         """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
         raise NotImplementedError
 
-    def reuse(self, key: Any, build: Callable[[], T]) -> T:
+    def cache(self, key: Any, build: Callable[[], T]) -> T:
         """Return what was built for this problem, or its variations with other numbers, before."""
         if key not in self.builds:
             self.builds[key] = build()
@@ -177,9 +177,9 @@ class Statement(Strict):
 
     def has_variation(self, other: Statement) -> bool:
         """Whether another problem is a variation of this one, or of what this one is restated as for other numbers."""
-        return other.builds is self.builds or _shares_builds(self.builds, other.builds)
+        return other.builds is self.builds or _shares_build_cache(self.builds, other.builds)
 
 
-def _shares_builds(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
+def _shares_build_cache(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
     nested = (value for value in builds.values() if isinstance(value, dict))
-    return any(own is others or _shares_builds(own, others) for own in nested)
+    return any(own is others or _shares_build_cache(own, others) for own in nested)

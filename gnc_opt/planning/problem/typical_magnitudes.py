@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.tolerances import ROUNDING
@@ -34,14 +34,14 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     The first of: the user's scale, the nominal value, finite bounds, the guess; for states, how far the dynamics move
     them, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess.
     """
-    start = phase_guess(leg, SAMPLES, perturbed=False)
+    start = build_phase_guess(leg, SAMPLES, perturbed=False)
     numbers = leg.numbers
     controls = typical_magnitudes(numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0))
     if overridden:
         _apply_given_scales(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
-    drift = _state_motion(leg, start, controls)
-    beside = _state_motion(
+    drift = _estimate_state_motion(leg, start, controls)
+    beside = _estimate_state_motion(
         leg, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls
     )
     drift = np.where(drift > ROUNDING * beside, drift, beside)
@@ -54,7 +54,7 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     return states, controls
 
 
-def _state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
+def _estimate_state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
     """Return how far the dynamics move each state: controls at their bounds, as guessed, or else of their magnitude."""
     bounds = leg.numbers.controls
     times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
@@ -65,12 +65,12 @@ def _state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
         f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
         rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
-    together, alone = np.max(rates, axis=0), _motion_by_control(leg, start, times, magnitudes)
+    together, alone = np.max(rates, axis=0), _rate_change_by_control(leg, start, times, magnitudes)
     rate = np.where(together > CANCELLATION_SHARE * alone, together, alone)
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 
-def _motion_by_control(leg: Phase, start: PhaseStart, times: Array, magnitudes: Array) -> Array:
+def _rate_change_by_control(leg: Phase, start: PhaseStart, times: Array, magnitudes: Array) -> Array:
     """Return by how much one control alone, of its magnitude, changes the rate of each state at most, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])

@@ -19,9 +19,9 @@ from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
-    optimise_switches,
+    optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidates import Candidate, build_answer
+from gnc_opt.planning.refinement.candidates import Candidate, final_solution
 from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.switching.warm_start import truncate_solution
@@ -53,8 +53,7 @@ class KnownArcs:
     structures: Mapping[str, PhaseStructure]
 
     @classmethod
-    def of(cls, solution: Solution) -> KnownArcs:
-        """Return what is known of a solution."""
+    def from_solution(cls, solution: Solution) -> KnownArcs:
         if not solution.structure:
             return cls(solution, {})
         found = detect_structures(replace(solution, structure=()))
@@ -80,7 +79,9 @@ class KnownArcs:
         """
         begin = time.perf_counter()
         start = replace(truncate_solution(self.solution, problem), problem=problem.frozen(), structure=())
-        found = self._solve_arcs(start, tol) if self.structures else self._solve_mesh(start, problem, tol)
+        found = (
+            self._solve_with_arcs(start, tol) if self.structures else self._solve_mesh(start, problem, tol)
+        )
         if found is None:
             return None
         candidate = Candidate(*found, "nearby")
@@ -89,12 +90,14 @@ class KnownArcs:
         if not candidate.history.converged:
             return None
         if checked == "changed" and self._has_known_structure(candidate):
-            return build_answer([candidate], None, tol, begin, check=False)
-        return build_answer([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
+            return final_solution([candidate], None, tol, begin, check=False)
+        return final_solution([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
 
-    def _solve_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
-        left = {name: s.cut_before(start.phases[name].initial_time) for name, s in self.structures.items()}
-        return optimise_switches(
+    def _solve_with_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
+        left = {
+            name: s.truncate_before(start.phases[name].initial_time) for name, s in self.structures.items()
+        }
+        return optimise_switching_times(
             start,
             tol=tol,
             limits=replace(self._iteration_limits, worst=KNOWN_ARCS_MAX_ERROR),
@@ -136,12 +139,12 @@ def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:
 def _remove_sliver_pieces(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
     """Return a detected structure without the pieces between rows that change at one time."""
     ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
-    while structure.pieces > len(ends) - 1:
-        shortest = int(np.argmin(structure.lengths))
+    while structure.n_pieces > len(ends) - 1:
+        shortest = int(np.argmin(structure.piece_lengths))
         fewer = structure.without_piece(shortest)
         if (
-            structure.lengths[shortest] > NOTABLE * structure.lengths.sum()
-            or fewer.pieces != structure.pieces - 1
+            structure.piece_lengths[shortest] > NOTABLE * structure.piece_lengths.sum()
+            or fewer.n_pieces != structure.n_pieces - 1
         ):
             break
         structure = fewer

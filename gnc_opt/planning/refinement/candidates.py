@@ -54,47 +54,43 @@ class Candidate:
         return cls(solution, History(status, tol, (record,), 0, "", record.seconds), stage)
 
     @property
-    def solved(self) -> bool:
-        """Whether there is a solution at all."""
+    def is_solved(self) -> bool:
         return self.solution.status.solved and self.history.final.solved
 
     @property
-    def error(self) -> float:
+    def largest_error(self) -> float:
         """Largest local error; infinite without a solution."""
-        return self.history.final.error if self.solved else math.inf
+        return self.history.final.error if self.is_solved else math.inf
 
     @property
-    def cost(self) -> float:
+    def minimised_cost(self) -> float:
         """The objective, negated where it is maximised."""
         return -self.solution.objective if self.solution.maximised else self.solution.objective
 
     @property
     def objective_error(self) -> float:
         """Estimated error of the objective, in its unit; infinite without a solution."""
-        if not self.solved:
+        if not self.is_solved:
             return math.inf
         found = self.solution.objective_error
-        return found.value + self.error**2 * found.scale
+        return found.value + self.largest_error**2 * found.scale
 
     @cached_property
-    def loss(self) -> float:
-        """Loss of the minimum principle, in the unit of the objective."""
+    def minimum_principle_loss(self) -> float:
         loss = minimum_principle_loss(self.solution)
         return loss if math.isfinite(loss) else 0.0
 
     @property
     def is_false_extremal(self) -> bool:
         """Whether other controls lower H along the costates by more than a negligible share of the objective."""
-        return self.loss > NEGLIGIBLE * self.solution.objective_error.scale
+        return self.minimum_principle_loss > NEGLIGIBLE * self.solution.objective_error.scale
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Of the optimality check."""
         return verify(self.solution)
 
     @property
     def known_verdict(self) -> Verdict | None:
-        """The verdict if it is known already."""
         return vars(self).get("verdict")
 
     @property
@@ -110,38 +106,47 @@ class Candidate:
         necessary = [c for c in self.known_verdict.open if not c.sufficient]
         return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
 
-    def is_within(self, tol: float) -> bool:
+    def is_objective_within(self, tol: float) -> bool:
         """Whether the objective is within a relative tolerance, by its estimate."""
-        if not self.error <= LOCAL_ERROR_RATIO * tol:
+        if not self.largest_error <= LOCAL_ERROR_RATIO * tol:
             return False
         found = self.solution.objective_error
         if found.relative <= tol:
             return True
-        return found.infeasible <= tol * found.scale and found.infeasible + self.loss <= tol * found.scale
+        return (
+            found.infeasible <= tol * found.scale
+            and found.infeasible + self.minimum_principle_loss <= tol * found.scale
+        )
 
-    def rank(self, tol: float) -> tuple[float, float]:
+    def ranking_errors(self, tol: float) -> tuple[float, float]:
         """Return relative estimate, not below the tolerance, and local error: the smaller, the better.
 
         Where the loss of the minimum principle is less than the estimated one, it counts.
         """
-        if not self.solved:
-            return math.inf, self.error
+        if not self.is_solved:
+            return math.inf, self.largest_error
         found, estimate = self.solution.objective_error, self.objective_error
-        if estimate > tol * found.scale and self.loss < found.suboptimal:
-            estimate = found.infeasible + self.loss + self.error**2 * found.scale
-        return max(estimate / found.scale, tol), self.error
+        if estimate > tol * found.scale and self.minimum_principle_loss < found.suboptimal:
+            estimate = found.infeasible + self.minimum_principle_loss + self.largest_error**2 * found.scale
+        return max(estimate / found.scale, tol), self.largest_error
 
     def costs_less(self, other: Candidate) -> bool:
         """Whether it is a solution that costs less than another one on the same mesh."""
-        return self.solved and self.cost < other.cost - SMALL * other.solution.objective_error.scale
+        return (
+            self.is_solved
+            and self.minimised_cost < other.minimised_cost - SMALL * other.solution.objective_error.scale
+        )
 
-    def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
+    def has_lower_cost(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Whether it belongs to a lower minimum; by far, if only the other passes the check."""
-        if not self.cost < other.cost:
+        if not self.minimised_cost < other.minimised_cost:
             return False
-        ours, theirs = (max(c.objective_error, c.loss) if c.solved else math.inf for c in (self, other))
-        least = SMALL * abs(other.cost) if other.passes_check and not self.passes_check else 0.0
-        return self.cost + max(margin * ours, least) < other.cost - margin * theirs
+        ours, theirs = (
+            max(c.objective_error, c.minimum_principle_loss) if c.is_solved else math.inf
+            for c in (self, other)
+        )
+        least = SMALL * abs(other.minimised_cost) if other.passes_check and not self.passes_check else 0.0
+        return self.minimised_cost + max(margin * ours, least) < other.minimised_cost - margin * theirs
 
 
 def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
@@ -150,19 +155,19 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     Of several within the tolerance, the least local error. A clearly lower minimum wins in any case, unless its local
     errors are large and larger: then it need not be a trajectory of the vehicle.
     """
-    solved = [k for k, c in enumerate(candidates) if c.solved]
+    solved = [k for k, c in enumerate(candidates) if c.is_solved]
     if not solved:
         return len(candidates) - 1
     among = [k for k in solved if candidates[k].passes_check] or solved
-    best = min(among, key=lambda k: candidates[k].rank(tol))
+    best = min(among, key=lambda k: candidates[k].ranking_errors(tol))
     for k in solved:
-        credible = candidates[k].error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].error)
-        if credible and candidates[k].is_lower(candidates[best]):
+        credible = candidates[k].largest_error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_error)
+        if credible and candidates[k].has_lower_cost(candidates[best]):
             best = k
     return best
 
 
-def build_answer(
+def final_solution(
     candidates: Sequence[Candidate], ended: RefinementStatus | None, tol: float, begin: float, check: bool
 ) -> Solution:
     """Return the best candidate's solution with the history of all, its verdict, and how it ended.
@@ -181,7 +186,7 @@ def build_answer(
     chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]
     interrupted = ended is RefinementStatus.INTERRUPTED
-    verdict = best.known_verdict if interrupted or not check or not best.solved else best.verdict
+    verdict = best.known_verdict if interrupted or not check or not best.is_solved else best.verdict
     status = _classify_status(best, verdict, ended, {c.history.status for c in candidates}, tol)
     passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
     history = History(
@@ -193,17 +198,17 @@ def build_answer(
         time.perf_counter() - begin,
     )
     solution = best.solution
-    provenance = {**solution.provenance, "stage": best.stage, **_better_coarse_solve(candidates, best)}
+    provenance = {**solution.provenance, "stage": best.stage, **_find_better_coarse_solve(candidates, best)}
     answer = replace(solution, history=history, provenance=provenance)
     return answer.with_verdict(verdict)
 
 
-def _better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
+def _find_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
     """Return a hint at a coarse solve that is lower than the answer by more than the estimates of both, if any is."""
-    lower = [c for c in candidates if c.solved and best.solved and c.is_lower(best, margin=1.0)]
+    lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
     if not lower:
         return {}
-    least = min(lower, key=lambda c: c.cost)
+    least = min(lower, key=lambda c: c.minimised_cost)
     text = f"a coarse solve (stage {least.stage}) reached {least.solution.objective:.6g}: see multistart"
     return {BETTER_COARSE_SOLVE: text}
 
@@ -218,10 +223,10 @@ def _classify_status(
     if ended is RefinementStatus.INTERRUPTED:
         return ended
     if verdict is None:
-        if best.error <= tol or best.is_within(tol):
+        if best.largest_error <= tol or best.is_objective_within(tol):
             return RefinementStatus.UNCHECKED
         return ended or best.history.status
-    reached = best.error <= tol
+    reached = best.largest_error <= tol
     if verdict.ok and (reached or (best.solution.structure and best.history.converged)):
         return RefinementStatus.CONVERGED if reached else RefinementStatus.STALLED
     if reached:
@@ -238,13 +243,13 @@ def _classify_status(
 
 def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
     """Say how it ended: local error, estimated error of the objective, stage, and what is open."""
-    error = best.error
+    error = best.largest_error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
         return f"{text}, optimality check passed"
     if error > tol:
         text += f" at {best.history.final.where}"
-    if best.solved:
+    if best.is_solved:
         text += f"; estimated error of the objective {best.solution.objective_error.value:.1e}"
     left = () if verdict is None else verdict.open
     if left:

@@ -46,7 +46,6 @@ class ErrorScales:
 
     @classmethod
     def from_samples(cls, samples: PhaseSamples) -> ErrorScales:
-        """Measure a phase."""
         leg, functions = samples.leg, samples.functions
         at = samples.times, samples.x, samples.u_polynomial
         integrands = evaluate_within_bounds(functions.integrands, *at, leg.control_bounds)
@@ -91,14 +90,14 @@ class ErrorScales:
         exact = s.segment_integrals(evaluate_within_bounds(f.integrands, *at, leg.control_bounds))
         integrals = np.abs(exact - _compute_collocated_integrals(s)) / self.integral[:, None]
         span = leg.duration
-        states = _largest(s, _bound_excess(s.x, leg.state_bounds, self.state, s.times))
-        excess = _bound_excess(s.u_polynomial, leg.control_bounds, self.control)
-        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _largest(s, excess))
+        states = _largest_per_segment(s, _excess_beyond_bounds(s.x, leg.state_bounds, self.state, s.times))
+        excess = _excess_beyond_bounds(s.u_polynomial, leg.control_bounds, self.control)
+        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _largest_per_segment(s, excess))
         overshoot = [states, controls]
         if leg.path_labels:
             values = evaluate_within_bounds(f.paths, *at, leg.control_bounds)
-            mean = s.segment_integrals(_bound_excess(values, leg.path_bounds, self.path)) / span
-            peak = _largest(s, _bound_excess(values, leg.path_bounds, self.path, s.times))
+            mean = s.segment_integrals(_excess_beyond_bounds(values, leg.path_bounds, self.path)) / span
+            peak = _largest_per_segment(s, _excess_beyond_bounds(values, leg.path_bounds, self.path, s.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
@@ -113,7 +112,7 @@ def _compute_collocated_integrals(samples: PhaseSamples) -> Array:
     return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1], axis=1))
 
 
-def _largest(samples: PhaseSamples, values: Array) -> Array:
+def _largest_per_segment(samples: PhaseSamples, values: Array) -> Array:
     """Return the largest of values (n, n_samples) in each segment (n, K)."""
     return np.asarray(np.maximum.reduceat(values, samples.segment_starts, axis=1))
 
@@ -163,7 +162,6 @@ class PhaseError:
 
     @classmethod
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
-        """Estimate the error of each segment of a phase."""
         leg = samples.leg
         yardstick = ErrorScales.from_samples(samples)
         adjoint = costate_residual(samples, yardstick.pure_path_scales)
@@ -209,7 +207,7 @@ def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
     """
     s, leg, times = samples, samples.leg, samples.times
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
-    residual = s.lam_rate + s.functions.state_gradient(times, s.x, s.u, s.sample(leg.lam), mu)
+    residual = s.lam_rate + s.functions.state_gradient(times, s.x, s.u, s.sample_signal(leg.lam), mu)
     if np.any(leg.state_multipliers):
         residual = residual + leg.state_multiplier(times)
     cost_shares = s.state_scale / s.cost_scale
@@ -234,7 +232,6 @@ def _find_unconstrained_segments(samples: PhaseSamples, pure_paths: Array, cost_
 
 
 def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
-    """Return the largest error of all phases and its place."""
     worst = max(errors.values(), key=lambda e: float(np.max(e.largest_errors)))
     return float(np.max(worst.largest_errors)), worst.location
 
@@ -245,7 +242,7 @@ def get_states_at_points(leg: PhaseSolution) -> Array:
     return np.where(at_end, leg.x(leg.point_times, "left"), leg.x(leg.point_times, "right"))
 
 
-def _bound_excess(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
+def _excess_beyond_bounds(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
     """Return how far values leave their bounds at the samples; with times, peaks between samples count there."""
     below, above = bounds.lower[:, None] - values, values - bounds.upper[:, None]
     if times is not None:

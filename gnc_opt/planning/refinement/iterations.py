@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits
 from gnc_opt.planning.refinement.error_estimation import PhaseError, find_largest_error
-from gnc_opt.planning.solution.history import Actions, RefinementIteration, compute_iterations
+from gnc_opt.planning.solution.history import Actions, RefinementIteration, count_affordable_iterations
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -58,7 +58,7 @@ class IterationLimits:
         if math.isinf(self.work):
             return within
         points = sum(mesh.size for mesh in meshes)
-        return replace(within, iterations=max(1, compute_iterations(self.work - spent, points)))
+        return replace(within, iterations=max(1, count_affordable_iterations(self.work - spent, points)))
 
 
 def record_iteration(
@@ -79,7 +79,7 @@ def record_iteration(
     )
 
 
-def show_pass(
+def show_progress(
     name: str, tol: float, shown: bool
 ) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
     """Return a context whose value shows a pass, or does nothing; see `gnc_opt.progress`."""

@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.control_conditions import minimise_hamiltonian
 
 
-def controls_of_least_hamiltonian(solution: Solution) -> Solution:
+def guess_minimum_hamiltonian(solution: Solution) -> Solution:
     """Return a solution with the controls that minimise H along its states and costates, as a guess."""
     phases = {name: _minimise_phase_hamiltonian(s) for name, s in solution.samples().items()}
     return replace(solution, phases=phases)

@@ -99,7 +99,7 @@ def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: St
         return stages.answer_interruption(solution)
     stages.problem = solution.need_problem("refine")
     if structure == "auto":
-        return stages.run(solution)
+        return stages.run_stages(solution)
     return stages.refine_mesh(solution) if structure == "none" else stages.refine_with_fixed_arcs(solution)
 
 

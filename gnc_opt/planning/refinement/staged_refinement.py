@@ -45,12 +45,12 @@ from gnc_opt.planning.refinement.arcs.structure_detection import detect_structur
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     Segments,
-    optimise_switches,
+    optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidates import Candidate, build_answer
+from gnc_opt.planning.refinement.candidates import Candidate, final_solution
 from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
-from gnc_opt.planning.refinement.minimum_hamiltonian_guess import controls_of_least_hamiltonian
+from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -111,7 +111,7 @@ class StagedRefinement:
     candidates: list[Candidate] = field(default_factory=list)
     _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
 
-    def run(self, first: Solution) -> Solution:
+    def run_stages(self, first: Solution) -> Solution:
         """Return the answer, from a solution on a first mesh."""
         self.budget.charge_solve(first)
         return self._collect_candidates(first, self._run_all_stages(first))
@@ -140,7 +140,7 @@ class StagedRefinement:
     def answer_interruption(self, first: Solution) -> Solution:
         """Return a solution as the answer of a search that Ctrl-C ended before it began."""
         candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
-        return build_answer([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
+        return final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
 
     # --- what is solved in which order ------------------------------------------------------------------------
 
@@ -155,17 +155,16 @@ class StagedRefinement:
         except KeyboardInterrupt:
             ended = RefinementStatus.INTERRUPTED
         settled = ended is RefinementStatus.CONVERGED
-        if not settled and not any(c.solved and c.solution is first for c in self.candidates):
+        if not settled and not any(c.is_solved and c.solution is first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
-        return build_answer(self.candidates, None if settled else ended, self.tol, self.begin, self.check)
+        return final_solution(self.candidates, None if settled else ended, self.tol, self.begin, self.check)
 
     def _add_candidate(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
-        if candidate.error <= self.tol or candidate.is_within(self.tol):
+        if candidate.largest_error <= self.tol or candidate.is_objective_within(self.tol):
             self.budget.limit_finishing_work()
 
     def _check_termination(self, candidate: Candidate) -> RefinementStatus | None:
-        """Return whether to stop with a candidate: converged, or at a limit; None to go on."""
         status = candidate.history.status
         if status is RefinementStatus.INTERRUPTED or time.perf_counter() > self.budget.deadline:
             return RefinementStatus.INTERRUPTED
@@ -174,11 +173,11 @@ class StagedRefinement:
         return RefinementStatus.BUDGET_LIMIT if self.budget.remaining_work <= 0 else None
 
     def _is_final_answer(self, candidate: Candidate) -> bool:
-        if not candidate.solved:
+        if not candidate.is_solved:
             return False
         if not self.check:
-            return candidate.is_within(self.tol) and not candidate.is_false_extremal
-        resolved = candidate.error <= self.tol
+            return candidate.is_objective_within(self.tol) and not candidate.is_false_extremal
+        resolved = candidate.largest_error <= self.tol
         stands = bool(candidate.solution.structure) and candidate.history.converged
         return (resolved or stands) and candidate.verdict.ok
 
@@ -200,7 +199,7 @@ class StagedRefinement:
             yield from self._solve_with_arcs(middle, detect_structures(middle), f"{MIDDLE}, switching times")
         fine = self._solve_stage(FINE, self._uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
-        if fine.solved:
+        if fine.is_solved:
             again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
@@ -217,7 +216,7 @@ class StagedRefinement:
             yield from self._solve_with_arcs(first, found, f"{stage}, switching times")
         if stage == FIRST:
             yield candidate
-        if not arcs or candidate.is_within(self.tol):
+        if not arcs or candidate.is_objective_within(self.tol):
             yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
     def _run_middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
@@ -230,19 +229,19 @@ class StagedRefinement:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             second = self._solve_stage(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
             yield second
-            if second.solved and (not found.solved or second.costs_less(found)):
+            if second.is_solved and (not found.is_solved or second.costs_less(found)):
                 found = second
-        return found.solution if found.solved else first
+        return found.solution if found.is_solved else first
 
     def _run_last_stage(self) -> Iterator[Candidate]:
         """Refine the best mesh, and try its arcs; then further where only the check is open."""
-        meshes = [c for c in self.candidates if c.solved and not c.solution.structure]
-        start = min(meshes, key=lambda c: c.rank(self.tol))
+        meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
+        start = min(meshes, key=lambda c: c.ranking_errors(self.tol))
         found = yield from self._refine_mesh(start.solution, 1.0)
         arcs = detect_structures(found.solution)
         yield from self._solve_with_arcs(found.solution, arcs, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
-            if not found.error <= self.tol or not found.is_nearly_optimal:
+            if not found.largest_error <= self.tol or not found.is_nearly_optimal:
                 return
             finer = yield from self._refine_mesh(found.solution, 1.0, HP, share * self.tol)
             if not finer.objective_error <= 0.5 * found.objective_error:
@@ -252,7 +251,7 @@ class StagedRefinement:
     # --- single solves ------------------------------------------------------------------------------------------------
 
     def _find_candidate(self, solution: Solution) -> Candidate:
-        return next(c for c in self.candidates if c.solved and c.solution is solution)
+        return next(c for c in self.candidates if c.is_solved and c.solution is solution)
 
     def _uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
         """Return uniform meshes of so many segments in all phases together; finer ones that a solution has stay."""
@@ -299,13 +298,13 @@ class StagedRefinement:
         if not self._find_candidate(start).is_false_extremal:
             return None
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
-        guess = controls_of_least_hamiltonian(start)
+        guess = guess_minimum_hamiltonian(start)
         return self._solve_stage(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
 
     def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess by the adaptive barrier strategy."""
         options = self.options or SolverOptions()
-        if any(c.is_within(self.tol) for c in self.candidates):
+        if any(c.is_objective_within(self.tol) for c in self.candidates):
             return None
         if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None
@@ -321,7 +320,7 @@ class StagedRefinement:
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,
-            limits=self._allot_limits(start, share),
+            limits=self._allot_iteration_limits(start, share),
             options=self.options,
             progress=self.progress,
         )
@@ -346,10 +345,10 @@ class StagedRefinement:
         options = self.options or SolverOptions(
             tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS
         )
-        solution, history = optimise_switches(
+        solution, history = optimise_switching_times(
             start,
             tol=self.tol,
-            limits=self._allot_limits(start, share),
+            limits=self._allot_iteration_limits(start, share),
             structures=found,
             options=self.options if share == 1.0 else options,
             progress=self.progress,
@@ -363,7 +362,7 @@ class StagedRefinement:
         """Whether arcs are there, few enough, not tried before, and programs have had solutions so far."""
         if not _has_arcs(start, found, at_least=1):
             return False
-        if any(s.pieces > PROGRAM_MAX_PIECES for s in found.values()):
+        if any(s.n_pieces > PROGRAM_MAX_PIECES for s in found.values()):
             return False
         if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
             return False
@@ -373,7 +372,7 @@ class StagedRefinement:
             for known, solved in self._tried
         )
 
-    def _allot_limits(self, like: Solution, share: float) -> IterationLimits:
+    def _allot_iteration_limits(self, like: Solution, share: float) -> IterationLimits:
         return IterationLimits(
             self.limits.max_passes,
             self.limits.max_points,
@@ -386,13 +385,13 @@ class StagedRefinement:
 def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Whether some control can have switches or kinks, and its phase has more pieces than that, or touches limits."""
     for name, samples in solution.samples().items():
-        if np.any(affine_controls(samples)) and found[name].pieces > at_least:
+        if np.any(affine_controls(samples)) and found[name].n_pieces > at_least:
             return True
         if any(found[name].touches[0] + found[name].touches[-1]):
             return True
-        if np.any(nonconvex_controls(samples)) and found[name].pieces > max(at_least, 1):
+        if np.any(nonconvex_controls(samples)) and found[name].n_pieces > max(at_least, 1):
             return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
-        if np.any(convex_controls(samples)) and found[name].pieces > 1:
+        if np.any(convex_controls(samples)) and found[name].n_pieces > 1:
             return True
     return False

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gnc_opt.arguments import read_integer, read_positive
-from gnc_opt.planning.solution.history import compute_iterations, compute_work
+from gnc_opt.planning.solution.history import compute_solve_work, count_affordable_iterations
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 
@@ -110,7 +110,7 @@ class WorkBudget:
     def charge_solve(self, solution: Solution) -> None:
         """Count what a solve has cost, failed tries included."""
         points = sum(leg.mesh.size for leg in solution.phases.values())
-        self.charge_work(solution, compute_work(points, solution.statistics.iterations))
+        self.charge_work(solution, compute_solve_work(points, solution.statistics.iterations))
 
     def charge_work(self, like: Solution, work: float) -> None:
         """Count iterations at one collocation point (`RefinementIteration.work`) of a problem with the
@@ -125,7 +125,7 @@ class WorkBudget:
     def count_remaining_iterations(self, like: Solution, points: int) -> int | None:
         """Return for how many iterations at so many points there is work left, at least one; None: without limit."""
         left = self.allot_work(like)
-        return None if math.isinf(left) else max(1, compute_iterations(left, points))
+        return None if math.isinf(left) else max(1, count_affordable_iterations(left, points))
 
     def limit_finishing_work(self) -> None:
         """Leave what finishing an answer may take, once."""

@@ -17,7 +17,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.propagation import integrate_to
+from gnc_opt.planning.solution.propagation import integrate_to_times
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import ROUNDING
 
@@ -66,11 +66,11 @@ class Accuracy:
     def text(self) -> str:
         """Accuracy of ends and limits: "final state within 2e-12 m/s; limits satisfied"."""
         ends = (
-            f"final state within {self.miss:.1g}{_format_unit(self.miss_where)}"
+            f"final state within {self.miss:.1g}{_parse_unit(self.miss_where)}"
             if np.isfinite(self.miss)
             else "the applied control does not reach the end"
         )
-        limits = f"limits exceeded by {self.violation:.1g}{_format_unit(self.violation_where)}"
+        limits = f"limits exceeded by {self.violation:.1g}{_parse_unit(self.violation_where)}"
         return f"{ends}; {limits if self.violation else 'limits satisfied'}"
 
     def __str__(self) -> str:
@@ -78,11 +78,10 @@ class Accuracy:
 
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
-    """Measure all phases of a solution."""
     worst, missed = (0.0, 0.0, ""), (0.0, 0.0, "")
     for s in samples:
         pieces = _sample_control_pieces(s)
-        x = integrate_to(s.leg, s.functions, pieces.ravel())
+        x = integrate_to_times(s.leg, s.functions, pieces.ravel())
         missed = max(missed, _find_largest_end_error(s, x), key=itemgetter(0))
         values = s.functions.paths(pieces.ravel(), x, _sample_applied_controls(s, pieces))
         for rows, box, scale, labels in (
@@ -115,7 +114,7 @@ def _find_largest_end_error(s: PhaseSamples, x: Array) -> tuple[float, float, st
 
 def _sample_control_pieces(s: PhaseSamples) -> Array:
     """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
-    edges = s.leg.flown.jumps
+    edges = s.leg.applied.jump_times
     shares = 0.5 * (1 - np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1)))
     times = edges[:-1, None] + shares * np.diff(edges)[:, None]
     times[:, -1] = edges[1:]  # without rounding
@@ -124,8 +123,8 @@ def _sample_control_pieces(s: PhaseSamples) -> Array:
 
 def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
     """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the last point of a piece its value before it."""
-    u = s.leg.flown(pieces.ravel())
-    u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.flown(pieces[:, -1], "left")
+    u = s.leg.applied(pieces.ravel())
+    u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.applied(pieces[:, -1], "left")
     return np.asarray(u)
 
 
@@ -141,13 +140,13 @@ def _largest_violation(
     limits = np.minimum(*(np.abs(np.where(np.isfinite(b), b, 0.0)) for b in (box.lower, box.upper)))
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
     piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
-    peak = max(_polynomial_maximum(box.lower[i] - piece), _polynomial_maximum(piece - box.upper[i]))
+    peak = max(_maximise_polynomial(box.lower[i] - piece), _maximise_polynomial(piece - box.upper[i]))
     if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):
         return 0.0, 0.0, ""
     return peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[i])
 
 
-def _polynomial_maximum(excess: Array) -> float:
+def _maximise_polynomial(excess: Array) -> float:
     """Return the largest value of the polynomial through the points of a piece (POINTS_PER_PIECE,)."""
     if not np.all(np.isfinite(excess)):
         return float(np.max(excess, where=np.isfinite(excess), initial=-np.inf))
@@ -156,6 +155,6 @@ def _polynomial_maximum(excess: Array) -> float:
     return float(max(np.max(excess), np.max(polynomial(np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)))))
 
 
-def _format_unit(where: str) -> str:
+def _parse_unit(where: str) -> str:
     """Return " m" of "phase leg, q (m)"."""
     return f" {where.rpartition('(')[2][:-1]}" if where.endswith(")") else ""

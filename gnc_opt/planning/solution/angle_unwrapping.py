@@ -36,20 +36,20 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
         return u
     along = AngleProbe(lambda other: functions.control_effects(t, x, other), u)
     angles = {i: period for i in range(room.size) if 0 < (period := along.find_period(i)) < room[i]}
-    pairs = [pair for pair in itertools.permutations(angles, 2) if _are_pair(along, pair, angles)]
+    pairs = [pair for pair in itertools.permutations(angles, 2) if _are_spherical(along, pair, angles)]
     turned = u.copy()
     for i, j in pairs:
-        turned[[i, j]] = _nearest_directions(u[[i, j]], angles[i], angles[j])
+        turned[[i, j]] = _unwrap_directions(u[[i, j]], angles[i], angles[j])
     for i in angles.keys() - set(itertools.chain(*pairs)):
-        turned[i] = _nearest_angles(u[i], angles[i])
-        turned[i] += angles[i] * _turns_inside(turned[i], bounds.lower[i], bounds.upper[i], angles[i])
+        turned[i] = _unwrap_angle(u[i], angles[i])
+        turned[i] += angles[i] * _turns_into_bounds(turned[i], bounds.lower[i], bounds.upper[i], angles[i])
     inside = np.all((turned >= bounds.lower[:, None]) & (turned <= bounds.upper[:, None]), axis=1)
     if not all(inside[i] and inside[j] for i, j in pairs):
         inside[list(itertools.chain(*pairs))] = False
     return np.where(inside[:, None], turned, u)
 
 
-def find_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask) -> Array:
+def find_control_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask) -> Array:
     """Return the periods of controls along a trajectory (m,); 0 for those without, or not among some (m,)."""
     if not np.any(among):
         return np.zeros(u.shape[0])
@@ -57,25 +57,25 @@ def find_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among:
     return np.array([along.find_period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
 
 
-def _are_pair(along: AngleProbe, pair: tuple[int, int], periods: dict[int, float]) -> bool:
+def _are_spherical(along: AngleProbe, pair: tuple[int, int], periods: dict[int, float]) -> bool:
     """Whether two angles are azimuth and elevation, the latter within a quarter of a turn."""
     azimuth, elevation = pair
     return along.is_mirrored(azimuth, elevation, 0.5 * periods[azimuth], 0.25 * periods[elevation])
 
 
-def _turns_inside(angle: Array, lower: float, upper: float, period: float) -> float:
+def _turns_into_bounds(angle: Array, lower: float, upper: float, period: float) -> float:
     """Whole turns, as few as can be, that take angles (N,) between their bounds, 0 if none do."""
     least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
     return float(np.clip(0.0, least, most)) if least <= most else 0.0
 
 
-def _nearest_angles(angle: Array, period: float) -> Array:
+def _unwrap_angle(angle: Array, period: float) -> Array:
     """Angles (N,), the first within half a period of zero, the others nearest to those before them."""
     steps = np.diff(angle, prepend=0.0)
     return np.cumsum(steps - period * np.round(steps / period))
 
 
-def _nearest_directions(angles: Array, *periods: float) -> Array:
+def _unwrap_directions(angles: Array, *periods: float) -> Array:
     """Azimuths and elevations (2, N) of the same directions, each nearest to the one before it."""
     turn, found, last = np.array(periods), np.empty_like(angles), np.zeros(2)
     for k, (azimuth, elevation) in enumerate(angles.T):

@@ -69,7 +69,7 @@ def path_arc_costates(leg: PhaseSolution, held: Held | None, functions: PhaseFun
         for ends, column in ((start, 0), (end, 1)):
             time, side = leg.breaks[k + column], SIDES[column]
             gradients = functions.path_state_jacobian(time, leg.x(time, side), leg.u(time, side))[rows].T
-            ends[:, k] += gradients @ _fit_directions(gradients, continued[:, column] - ends[:, k])
+            ends[:, k] += gradients @ _fit_coefficients(gradients, continued[:, column] - ends[:, k])
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
     multipliers = _compute_path_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
@@ -88,11 +88,11 @@ def _compute_path_densities(
     gradients = functions.path_state_jacobian(times, x, u)
     for j, point in enumerate(here):
         rows = np.flatnonzero(at_limit[:, point])
-        mu[rows, point] = _fit_directions(gradients[rows, :, j].T, left[:, j])
+        mu[rows, point] = _fit_coefficients(gradients[rows, :, j].T, left[:, j])
     return mu
 
 
-def _fit_directions(directions: Array, vector: Array) -> Array:
+def _fit_coefficients(directions: Array, vector: Array) -> Array:
     """Least-squares coefficients of a vector (n,) by directions (n, n_rows)."""
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
@@ -173,13 +173,18 @@ def map_costates(
     path_push : array (n_states, N)
         The part of it that comes from path constraints without controls.
     """
-    pieces = _CostatePieces.of(collocation, iterate, weights, gradient, path_push)
+    pieces = _CostatePieces.from_multipliers(collocation, iterate, weights, gradient, path_push)
     if collocation.family.has_end_row:
         pieces.extrapolate_costates_along_bounds()
     else:
         pieces.split_boundary_multipliers()
     return Costates(
-        pieces.polynomial(breaks), pieces.start, pieces.end, pieces.lam, pieces.densities, pieces.impulses
+        pieces.build_polynomial(breaks),
+        pieces.start,
+        pieces.end,
+        pieces.lam,
+        pieces.densities,
+        pieces.impulses,
     )
 
 
@@ -249,7 +254,7 @@ class _CostatePieces:
     bounded: Mask
 
     @classmethod
-    def of(
+    def from_multipliers(
         cls,
         collocation: PhaseCollocation,
         iterate: Iterate,
@@ -284,11 +289,11 @@ class _CostatePieces:
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
             here = _segment_points(collocation, k)
-            self._split_rows(k, k, here.start, self.start, 1.0)
+            self._split_boundary_rows(k, k, here.start, self.start, 1.0)
             if collocation.family.ends_at_point:
-                self._split_rows(k, k + 1, here.stop - 1, self.end, -1.0)
+                self._split_boundary_rows(k, k + 1, here.stop - 1, self.end, -1.0)
 
-    def _split_rows(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
+    def _split_boundary_rows(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
         bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it belongs to the bound if that is active up to the
@@ -320,7 +325,7 @@ class _CostatePieces:
             self.impulses[:, k + 1] += change
             self.impulses[:, k] -= change * rule.end_values[0]
 
-    def polynomial(self, breaks: Array) -> PiecewisePolynomial:
+    def build_polynomial(self, breaks: Array) -> PiecewisePolynomial:
         """Costates between the points."""
         collocation = self.collocation
         nodes, values = [], []
@@ -354,7 +359,10 @@ def _segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shar
     """Segments with a multiplier at an interior point, or (trapezoidal rule) at every point; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
-        inside, here = ~shared[:, _segment_points(collocation, k)], pushed[:, _segment_points(collocation, k)]
+        inside, here = (
+            ~shared[:, _segment_points(collocation, k)],
+            pushed[:, _segment_points(collocation, k)],
+        )
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)
 

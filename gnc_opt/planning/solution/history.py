@@ -51,7 +51,7 @@ class Statistics:
             f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"
         )
 
-    def after(self, earlier: Statistics) -> Statistics:
+    def add_earlier(self, earlier: Statistics) -> Statistics:
         """Return these together with what an earlier try of the same solve cost."""
         return replace(
             self,
@@ -133,13 +133,13 @@ SOLVE_FIXED_COST_ITERATIONS = 15
 """What a solve costs beside its iterations (derivatives, estimate of the error, the next mesh), in iterations."""
 
 
-def compute_work(points: int, iterations: int) -> float:
+def compute_solve_work(points: int, iterations: int) -> float:
     """Return what a solve costs, in iterations at one collocation point: the same on every machine."""
     return points * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
 
-def compute_iterations(work: float, points: int) -> int:
-    """Return how many iterations so much work is, setting up paid: the inverse of `compute_work`, rounded up."""
+def count_affordable_iterations(work: float, points: int) -> int:
+    """Return how many iterations so much work is, setting up paid: the inverse of `compute_solve_work`, rounded up."""
     return math.ceil(work / points) - SOLVE_FIXED_COST_ITERATIONS
 
 
@@ -214,7 +214,7 @@ class RefinementIteration:
     @property
     def work(self) -> float:
         """What it cost, in iterations at one collocation point."""
-        return compute_work(self.points, self.iterations)
+        return compute_solve_work(self.points, self.iterations)
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ class History(Printed):
         """The pass whose solution was returned."""
         return self.passes[self.chosen]
 
-    def after(self, earlier: History) -> History:
+    def prepend_history(self, earlier: History) -> History:
         """Return this record with the passes of an earlier attempt before its own."""
         return replace(
             self,

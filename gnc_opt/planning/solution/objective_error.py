@@ -98,7 +98,9 @@ def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: flo
 
 def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
     with np.errstate(all="ignore"):  # what has no value makes the estimate infinite
-        return PhaseObjectiveError(_defect_values(s), _limit_violation_values(s), _compute_control_gains(s))
+        return PhaseObjectiveError(
+            _marginal_defect_costs(s), _marginal_violation_costs(s), _compute_control_gains(s)
+        )
 
 
 def _replace_nan_by_infinity(value: float) -> float:
@@ -110,7 +112,7 @@ def _segment_integrals(s: PhaseSamples, values: Array) -> Array:
     return s.segment_integrals(np.where(s.weights > 0, values, 0.0))
 
 
-def _defect_values(s: PhaseSamples) -> Array:
+def _marginal_defect_costs(s: PhaseSamples) -> Array:
     """d of each segment (K,); a jump of the states at a boundary counts for the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
     rates = evaluate_within_bounds(s.functions.rates, *at, leg.control_bounds)
@@ -119,7 +121,7 @@ def _defect_values(s: PhaseSamples) -> Array:
         exact = _segment_integrals(
             s, weights @ evaluate_within_bounds(s.functions.integrands, *at, leg.control_bounds)
         )
-        total = total + exact - _quadrature_values(leg, s)
+        total = total + exact - _collocation_quadratures(leg, s)
     inner = leg.breaks[1:-1]
     if inner.size:
         jumps = leg.x(inner, "left") - leg.x(inner, "right")
@@ -127,7 +129,7 @@ def _defect_values(s: PhaseSamples) -> Array:
     return total
 
 
-def _quadrature_values(leg: PhaseSolution, s: PhaseSamples) -> Array:
+def _collocation_quadratures(leg: PhaseSolution, s: PhaseSamples) -> Array:
     """Return the weighted integrals of each segment by the collocation points' own quadrature (K,)."""
     weights = np.concatenate([rule.weights for rule in leg.rules])
     weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
@@ -138,19 +140,19 @@ def _quadrature_values(leg: PhaseSolution, s: PhaseSamples) -> Array:
     return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1]))
 
 
-def _limit_violation_values(s: PhaseSamples) -> Array:
+def _marginal_violation_costs(s: PhaseSamples) -> Array:
     """o of each segment (K,)."""
     leg = s.leg
-    total = _price_violations(s, s.x, leg.state_bounds, s.state_multiplier)
+    total = _weigh_violations(s, s.x, leg.state_bounds, s.state_multiplier)
     if leg.path_labels:
         paths = evaluate_within_bounds(
             s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds
         )
-        total = total + _price_violations(s, paths, leg.path_bounds, s.mu)
+        total = total + _weigh_violations(s, paths, leg.path_bounds, s.mu)
     return total
 
 
-def _price_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _weigh_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
     """Return how far limits are exceeded times their multipliers, where these have the right sign (K,).
 
     Errors of equations have both signs: absolute values are taken after integrating over a segment.
@@ -178,10 +180,10 @@ def _compute_control_gains(s: PhaseSamples) -> Array:
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1, initial=0.0))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
-    return _segment_integrals(s, np.sum(_maximise_gain(slope, curvature, lower, upper), axis=0))
+    return _segment_integrals(s, np.sum(_maximise_quadratic_gain(slope, curvature, lower, upper), axis=0))
 
 
-def _maximise_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
+def _maximise_quadratic_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return the largest -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
 
     def gain(step: Array) -> Array:

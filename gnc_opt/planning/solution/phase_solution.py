@@ -197,7 +197,7 @@ class PhaseSolution:
         return np.concatenate(pieces)
 
     @cached_property
-    def flown(self) -> SaturatedControl:
+    def applied(self) -> SaturatedControl:
         """The applied controls: a signal within the bounds."""
         return SaturatedControl(self.u, self.control_bounds, self.rules)
 
@@ -233,7 +233,7 @@ class PhaseSolution:
 
     def saturated_control(self, name: str) -> Signal:
         """Return an applied control over time: a signal within its bounds."""
-        return self._control_signal(name, self.flown)
+        return self._control_signal(name, self.applied)
 
     def integral(self, name: str) -> float:
         """Return the value of a named integral."""

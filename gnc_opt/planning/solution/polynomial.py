@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
-    barycentric_basis,
+    barycentric_interpolation,
     barycentric_weights,
     differentiation_matrix,
     gauss_rule,
@@ -59,7 +59,7 @@ class PiecewisePolynomial:
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
         object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
         _check_break_times(self.breaks)
-        _check_segments(self.breaks.size - 1, self.nodes, self.values)
+        _check_segment_values(self.breaks.size - 1, self.nodes, self.values)
         object.__setattr__(self, "values", self._shared_values())
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
@@ -85,9 +85,9 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
         times = self._clamp_times(np.atleast_1d(read_numbers(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
-        bases = self._cached_grid.kept if times.size <= KEPT_TIMES else self._cached_grid.bases
+        bases = self._cached_grid.kept if times.size <= KEPT_TIMES else self._cached_grid.interpolation_bases
         for found in bases(times.tobytes(), side):
-            values = self._equal_grids[found.group].values[:, :, found.places]
+            values = self._segments_by_grid[found.group].values[:, :, found.places]
             result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
         return result if np.ndim(t) else result[:, 0]
 
@@ -95,8 +95,8 @@ class PiecewisePolynomial:
         """Evaluate at the same places ``tau`` on [-1, 1] of all segments, from within each: (n, K, len(tau))."""
         at = np.atleast_1d(read_numbers(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        for alike in self._equal_grids:
-            basis = barycentric_basis(alike.nodes, alike.weights, at)
+        for alike in self._segments_by_grid:
+            basis = barycentric_interpolation(alike.nodes, alike.weights, at)
             result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
         return result
 
@@ -120,7 +120,9 @@ class PiecewisePolynomial:
         times = np.linspace(self.breaks[:-1], self.breaks[1:], parts, endpoint=False, axis=1)
         return np.append(times.ravel(), self.breaks[-1])
 
-    def rows(self, index: int | slice | Sequence[int] | NDArray[np.integer]) -> "PiecewisePolynomial":
+    def select_components(
+        self, index: int | slice | Sequence[int] | NDArray[np.integer]
+    ) -> "PiecewisePolynomial":
         """Only some of the components; an integer selects one and keeps the vector shape, (1,)."""
         chosen = [index] if isinstance(index, (int, np.integer)) else index
         return PiecewisePolynomial(self.breaks, self.nodes, tuple(v[chosen, :] for v in self.values))
@@ -142,14 +144,14 @@ class PiecewisePolynomial:
         return _time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
-    def _equal_grids(self) -> tuple["_Alike", ...]:
+    def _segments_by_grid(self) -> tuple["_Alike", ...]:
         """Segments with the same nodes, which share one interpolation matrix."""
-        return tuple(_Alike.of(self, places) for places in self._cached_grid.places)
+        return tuple(_Alike.from_segments(self, places) for places in self._cached_grid.places)
 
     def _shared_values(self) -> tuple[Array, ...]:
-        """Return the values as views of what `_equal_grids` keeps, lest a number that is changed in place go unseen."""
+        """Return the values as views of what `_segments_by_grid` keeps, so that changes in place are seen."""
         values = list(self.values)
-        for alike in self._equal_grids:
+        for alike in self._segments_by_grid:
             for j, k in enumerate(np.flatnonzero(alike.places >= 0)):
                 values[k] = alike.values[:, :, j].T
                 values[k].setflags(write=False)
@@ -175,7 +177,7 @@ class _Alike:
     places: Indices
 
     @classmethod
-    def of(cls, signal: PiecewisePolynomial, places: Indices) -> "_Alike":
+    def from_segments(cls, signal: PiecewisePolynomial, places: Indices) -> "_Alike":
         segments = np.flatnonzero(places >= 0)
         values = np.stack([signal.values[k].T for k in segments], axis=2)
         nodes = signal.nodes[segments[0]]
@@ -201,7 +203,7 @@ class _Grid:
         Nodes and their barycentric weights (m,), and the place of each segment (K,) in its group, -1 for those of
         others.
     kept : function
-        `bases`, which remembers those of the last `CACHED_BASES` sets of times.
+        `interpolation_bases`, which remembers those of the last `CACHED_BASES` sets of times.
     """
 
     def __init__(self, breaks: Array, nodes: Sequence[bytes]) -> None:
@@ -214,12 +216,12 @@ class _Grid:
         self.places = [np.full(len(nodes), -1) for _ in groups]
         for places, segments in zip(self.places, groups.values(), strict=True):
             places[segments] = np.arange(len(segments))
-        self.kept = lru_cache(maxsize=CACHED_BASES)(self.bases)
+        self.kept = lru_cache(maxsize=CACHED_BASES)(self.interpolation_bases)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _time_grid, self._given
 
-    def bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
+    def interpolation_bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
         """Return the bases at times within the span, by groups."""
         times, found = np.frombuffer(at), []
         segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, self.breaks.size - 2)
@@ -229,7 +231,7 @@ class _Grid:
             places = self.places[group][segment]
             here = np.flatnonzero(places >= 0)
             if here.size:
-                basis = barycentric_basis(nodes, weights, tau[here])
+                basis = barycentric_interpolation(nodes, weights, tau[here])
                 found.append(_Basis(group, here, places[here], basis))
         return tuple(found)
 
@@ -251,7 +253,7 @@ def _check_break_times(breaks: Array) -> None:
         raise ArgumentError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
 
 
-def _check_segments(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
+def _check_segment_values(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
     if not count == len(nodes) == len(values):
         raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
     good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have the nodes of others

@@ -42,7 +42,7 @@ class Propagation:
     ended: str = ""
 
 
-def propagate(
+def integrate_dynamics(
     leg: PhaseSolution,
     functions: PhaseFunctions,
     *,
@@ -60,19 +60,19 @@ def propagate(
     rtol : float
         Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
     """
-    signal, edges = (leg.flown, leg.flown.jumps) if control == "flown" else (leg.u, leg.breaks)
+    signal, edges = (leg.applied, leg.applied.jump_times) if control == "flown" else (leg.u, leg.breaks)
     states, ended = _integrate_pieces(leg, functions, edges, signal, rtol)
     error = states[:, -1] - leg.x(leg.breaks[-1], "left")
     return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
 
 
-def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
+def integrate_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
     """Return the states (n_states, n_times) to which the applied control leads from the start of a phase.
 
     Times do not decrease; NaN from where the trajectory ends early.
     """
-    edges = np.union1d(leg.flown.jumps, times)
-    states, _ = _integrate_pieces(leg, functions, edges, leg.flown)
+    edges = np.union1d(leg.applied.jump_times, times)
+    states, _ = _integrate_pieces(leg, functions, edges, leg.applied)
     return np.asarray(states[:, np.searchsorted(edges, times)])
 
 
@@ -81,11 +81,11 @@ def compute_segment_errors(leg: PhaseSolution, functions: PhaseFunctions, segmen
 
     Infinite where there is no such trajectory.
     """
-    misses, jumps = np.empty((leg.states.size, segments.size)), leg.flown.jumps
+    misses, jumps = np.empty((leg.states.size, segments.size)), leg.applied.jump_times
     for column, k in enumerate(segments):
         left, right = leg.breaks[k : k + 2]
         edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
-        states, _ = _integrate_pieces(leg, functions, edges, leg.flown)
+        states, _ = _integrate_pieces(leg, functions, edges, leg.applied)
         misses[:, column] = leg.x(right, "left") - states[:, -1]
     return np.where(np.isfinite(misses), misses, np.inf)
 
@@ -101,11 +101,11 @@ def _integrate_pieces(
 
     It starts from the trajectory's state at the first edge; states (n_states, n_edges) are NaN after it ended.
     """
-    tolerance, budget = Tolerance(rtol, state_magnitudes(leg)), Budget(leg.states.labels)
+    tolerance, budget = Tolerance(rtol, compute_state_magnitudes(leg)), Budget(leg.states.labels)
     states = np.full((leg.states.size, edges.size), np.nan)
     states[:, 0] = leg.x(edges[0])
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
-        controls = _control_polynomials(signal, left, right, _find_largest_degree(leg, left, right))
+        controls = _interpolate_controls(signal, left, right, _find_largest_degree(leg, left, right))
         rate = _build_controlled_rates(functions, controls)
         try:
             run = integrate(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
@@ -121,7 +121,7 @@ def _build_controlled_rates(functions: PhaseFunctions, controls: Controls) -> Ca
     return lambda t, x: rates(t, x, controls(np.array([t]))[:, 0])
 
 
-def state_magnitudes(leg: PhaseSolution) -> Array:
+def compute_state_magnitudes(leg: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), shared by the components of a vector."""
     largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
     for variable in leg.states.variables:
@@ -136,9 +136,9 @@ def _find_largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
     return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
 
 
-def _control_polynomials(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
+def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
     """Return the controls on an interval where they are polynomials of at most the given degree."""
-    tau, to_coefficients = _chebyshev_fit(degree)
+    tau, to_coefficients = _chebyshev_fit_matrix(degree)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     values = signal(middle + half * tau)
     if np.all(values == values[:, :1]):  # on a bound, say: no polynomial to evaluate
@@ -155,7 +155,7 @@ def _control_polynomials(signal: Callable[..., Array], left: float, right: float
 
 
 @cache
-def _chebyshev_fit(degree: int) -> tuple[Array, Array]:
+def _chebyshev_fit_matrix(degree: int) -> tuple[Array, Array]:
     """Chebyshev's points on [-1, 1], and what makes coefficients of the values there: exact up to a degree."""
     tau = chebyshev.chebpts1(degree + 1)
     sizes = np.where(np.arange(degree + 1) > 0, 2.0, 1.0) / (degree + 1)

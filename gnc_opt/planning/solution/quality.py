@@ -13,7 +13,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.propagation import propagate
+from gnc_opt.planning.solution.propagation import integrate_dynamics
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
@@ -51,13 +51,12 @@ class Limits:
     values: Array
 
     @classmethod
-    def of(cls, quantities: Callable[[Array, Array, Array], Array], bounds: Interval) -> Limits:
-        """Return the finite limits of an interval."""
+    def from_interval(cls, quantities: Callable[[Array, Array, Array], Array], bounds: Interval) -> Limits:
         both = np.concatenate([bounds.lower, bounds.upper])
         finite, n = np.flatnonzero(np.isfinite(both)), bounds.lower.size
         return cls(quantities, finite % max(n, 1), np.where(finite < n, -1.0, 1.0), both[finite])
 
-    def select(self, chosen: Indices) -> Limits:
+    def select_limits(self, chosen: Indices) -> Limits:
         """Return some of the limits, in the order given; any may come several times."""
         return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
 
@@ -107,27 +106,29 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
         x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
         return Violations(limits, nothing, nothing, x, u)
     controls = samples.u if applied else samples.u_polynomial
-    signal = samples.leg.flown if applied else samples.leg.u
-    tops = _Tops.of(samples, limits, controls)
+    signal = samples.leg.applied if applied else samples.leg.u
+    tops = _Tops.from_samples(samples, limits, controls)
     k, j, excess = tops.limits, tops.samples, tops.excess
     times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
     promise = excess + PEAK_RISE_RATIO * tops.swing
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
-    hidden = hidden[_indices_of_highest(k[hidden], promise[hidden])]
+    hidden = hidden[_find_highest_peaks(k[hidden], promise[hidden])]
     if hidden.size:
         peaks, heights = _locate_peaks(
-            samples, limits.select(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
+            samples, limits.select_limits(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
         )
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
         x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
-    beyond = beyond[_indices_of_highest(k[beyond], excess[beyond])]
-    return Violations(limits.select(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond])
+    beyond = beyond[_find_highest_peaks(k[beyond], excess[beyond])]
+    return Violations(
+        limits.select_limits(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond]
+    )
 
 
-def _indices_of_highest(groups: Indices, values: Array) -> Indices:
+def _find_highest_peaks(groups: Indices, values: Array) -> Indices:
     """Return where the `PEAKS_PER_LIMIT` highest values of each group are."""
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
@@ -159,7 +160,7 @@ class _Tops:
     room: Array
 
     @classmethod
-    def of(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _Tops:
+    def from_samples(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _Tops:
         times, last = samples.times, samples.is_segment_end
         first = np.append(True, last[:-1])
         excess = limits.compute_excess(times, samples.x, controls)
@@ -180,7 +181,7 @@ def _locate_peaks(
     """Return times and heights of the peaks between left and right, one per limit, all narrowed at once."""
     leg, columns = samples.leg, np.arange(left.size)
     times, best = left, np.full(left.size, -np.inf)
-    all_limits = limits.select(np.tile(columns, _TRIED.size))
+    all_limits = limits.select_limits(np.tile(columns, _TRIED.size))
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
         tried = (middle + half * _TRIED[:, None]).ravel()
@@ -254,7 +255,6 @@ NOTHING = Worst(0.0, "nowhere")
 
 
 def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
-    """Measure all phases of a solution."""
     defect = bound = terminal = NOTHING
     for s in samples:
         defect = defect.select_worse(find_worst_defect(s))
@@ -280,8 +280,12 @@ def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
     """Return the worst overshoot of state and control bounds by their polynomials, between samples too."""
     leg, worst = samples.leg, NOTHING
     for limits, scale, labels in (
-        (Limits.of(lambda _, x, __: x, leg.state_bounds), samples.state_scale, leg.states.labels),
-        (Limits.of(lambda _, __, u: u, leg.control_bounds), samples.control_scale, leg.controls.labels),
+        (Limits.from_interval(lambda _, x, __: x, leg.state_bounds), samples.state_scale, leg.states.labels),
+        (
+            Limits.from_interval(lambda _, __, u: u, leg.control_bounds),
+            samples.control_scale,
+            leg.controls.labels,
+        ),
     ):
         found = find_limit_violations(samples, limits)
         if found.times.size:
@@ -297,7 +301,7 @@ def worst_path_violation(samples: PhaseSamples) -> Worst:
     leg = samples.leg
     if not leg.path_labels:
         return NOTHING
-    found = find_limit_violations(samples, Limits.of(samples.functions.paths, leg.path_bounds))
+    found = find_limit_violations(samples, Limits.from_interval(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING
     shares = _distances_to_path_limits(found, samples)
@@ -319,7 +323,7 @@ def _distances_to_path_limits(found: Violations, samples: PhaseSamples) -> Array
 def find_worst_terminal_error(samples: PhaseSamples) -> Worst:
     """Return the largest propagation error of the applied control."""
     leg = samples.leg
-    run = propagate(leg, samples.functions)
+    run = integrate_dynamics(leg, samples.functions)
     misses = np.abs(run.error) / samples.state_scale
     i = int(np.argmax(misses))
     unit = leg.states.units[i]

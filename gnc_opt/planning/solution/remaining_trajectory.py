@@ -14,7 +14,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import SAME_TIME
 
 
-def remaining_solution(solution: Solution, time: float) -> Solution:
+def truncate_solution_before(solution: Solution, time: float) -> Solution:
     """Return what of a solution of one phase lies after a time, which begins there with the state it had.
 
     Costates and multipliers go with it; integrals, cost and bounds remain those of the whole, arcs are left out.

@@ -10,18 +10,18 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.functions import PhaseFunctions
-from gnc_opt.planning.solution.angle_unwrapping import find_periods
+from gnc_opt.planning.solution.angle_unwrapping import find_control_periods
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
     control_spans,
+    equalise_components,
     estimate_required_controls,
     find_inactive_controls,
-    share_largest_component,
     state_spans,
 )
-from gnc_opt.planning.transcription.quadrature import MAX_POINTS, points, weights
+from gnc_opt.planning.transcription.quadrature import MAX_POINTS, collocation_points, quadrature_weights
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, nonzero_magnitude
 
@@ -64,9 +64,8 @@ class PhaseSamples:
     feature_edges: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
-        """Sample a phase."""
-        places = [compute_sample_rule(degree) for degree in leg.mesh.degrees]
+    def from_phase(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
+        places = [choose_sample_points(degree) for degree in leg.mesh.degrees]
         segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
         tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
         halves = 0.5 * np.diff(leg.breaks)[segments]
@@ -108,7 +107,6 @@ class PhaseSamples:
 
     @cached_property
     def is_segment_end(self) -> Mask:
-        """Which samples are the end of their segment."""
         return np.append(self.segments[1:] > self.segments[:-1], True)
 
     @cached_property
@@ -122,7 +120,7 @@ class PhaseSamples:
         starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
         return np.clip(self.times, starts + GONE * (ends - starts), ends - GONE * (ends - starts))
 
-    def sample(self, signal: Callable[..., Array]) -> Array:
+    def sample_signal(self, signal: Callable[..., Array]) -> Array:
         """Evaluate a signal (of times and a side) at the samples, with the limit from inside each segment."""
         values = signal(self.times_within, "right")
         values[:, self.is_segment_end] = signal(self.times_within[self.is_segment_end], "left")
@@ -131,22 +129,22 @@ class PhaseSamples:
     @cached_property
     def x(self) -> Array:
         """States (n, n_samples)."""
-        return self.sample(self.leg.x)
+        return self.sample_signal(self.leg.x)
 
     @cached_property
     def x_rate(self) -> Array:
         """Time derivatives of the state polynomials."""
-        return self.sample(self.leg.x.derivative())
+        return self.sample_signal(self.leg.x.derivative())
 
     @cached_property
     def u_polynomial(self) -> Array:
         """Controls by their collocation polynomials (m, n_samples)."""
-        return self.sample(self.leg.u)
+        return self.sample_signal(self.leg.u)
 
     @cached_property
     def u(self) -> Array:
         """Applied controls, within bounds."""
-        return self.sample(self.leg.flown)
+        return self.sample_signal(self.leg.applied)
 
     @cached_property
     def inactive_controls(self) -> Mask:
@@ -177,22 +175,22 @@ class PhaseSamples:
     @cached_property
     def lam(self) -> Array:
         """Costates (n, n_samples)."""
-        return self.sample(self.leg.lam)
+        return self.sample_signal(self.leg.lam)
 
     @cached_property
     def lam_rate(self) -> Array:
         """Time derivatives of the costate polynomials."""
-        return self.sample(self.leg.lam.derivative())
+        return self.sample_signal(self.leg.lam.derivative())
 
     @cached_property
     def mu(self) -> Array:
         """Path multiplier densities (n_paths, n_samples)."""
-        return self.sample(self.leg.path_multiplier)
+        return self.sample_signal(self.leg.path_multiplier)
 
     @cached_property
     def state_multiplier(self) -> Array:
         """State bound multiplier densities (n, n_samples)."""
-        return self.sample(self.leg.state_multiplier)
+        return self.sample_signal(self.leg.state_multiplier)
 
     @cached_property
     def hamiltonian(self) -> Array:
@@ -212,12 +210,12 @@ class PhaseSamples:
     @cached_property
     def state_scale(self) -> Array:
         """How far each state moves along the phase (n,); see module `spans`."""
-        return state_spans(self.leg, self.functions, self.control_span, lasting=self.has_length)
+        return state_spans(self.leg, self.functions, self.control_span, lasting=self.has_duration)
 
     @cached_property
     def control_span(self) -> Array:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
-        terms = np.abs(self.switching - self.cost_slope)
+        terms = np.abs(self.switching - self.cost_gradient)
         most = float(np.nanmax(self._costate_terms, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
@@ -239,11 +237,11 @@ class PhaseSamples:
         return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[at[0]]) * step[i, 0] ** 2
 
     @cached_property
-    def turns(self) -> Array:
+    def control_periods(self) -> Array:
         """Periods of all that controls act on (m,); 0 for those that are no angles, or have bounds."""
         bounds = self.leg.control_bounds
         unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
-        return find_periods(
+        return find_control_periods(
             self.functions, self.times, self.x, self.u, unbounded & ~self.functions.separable_controls
         )
 
@@ -253,14 +251,14 @@ class PhaseSamples:
         return self.functions.switching(self.times, self.x, self.u, self.lam)
 
     @cached_property
-    def cost_slope(self) -> Array:
+    def cost_gradient(self) -> Array:
         """The part of dH/du that the integrands contribute, (m, n_samples)."""
         return self.functions.switching(self.times, self.x, self.u, np.zeros_like(self.lam))
 
     @cached_property
     def _hamiltonian_changes(self) -> Array:
         amplitude = 0.5 * self.control_span[:, None]
-        slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
+        slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching - self.cost_gradient))
         by_slope = _find_largest_finite(slopes * amplitude)
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
         flown = np.fmax(by_slope, _find_largest_finite(bends))
@@ -270,7 +268,7 @@ class PhaseSamples:
     def _slopes_of_cancelling_costates(self) -> Array:
         """Slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel."""
         leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
-        at = middles, leg.x(middles), leg.flown(middles)
+        at = middles, leg.x(middles), leg.applied(middles)
         none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
         by_cost = np.abs(self.functions.state_gradient(*at, *none))
         by_state = np.abs(self.functions.state_jacobian(*at))
@@ -296,18 +294,18 @@ class PhaseSamples:
         curvature; where costates vanish, by the terms that cancel in their rates. Constant states, and drift
         without the controls, do not count.
         """
-        return max(float(np.sum(self._hamiltonian_changes)), self.least_gain)
+        return max(float(np.sum(self._hamiltonian_changes)), self.rounding_gain)
 
     @property
     def control_gain(self) -> Array:
         """The same of each control, shared by components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
-            share_largest_component(self._hamiltonian_changes, self.leg.controls),
+            equalise_components(self._hamiltonian_changes, self.leg.controls),
             NOTABLE * self.joint_hamiltonian_change,
         )
 
     @property
-    def least_gain(self) -> float:
+    def rounding_gain(self) -> float:
         """Cost per second below which differences of H are rounding."""
         return (
             COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
@@ -352,7 +350,7 @@ class PhaseSamples:
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return max(float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.least_gain)
+        return max(float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.rounding_gain)
 
     @property
     def has_fixed_duration(self) -> bool:
@@ -367,7 +365,7 @@ class PhaseSamples:
         return float(self.times[-1] - self.times[0])
 
     @property
-    def has_length(self) -> bool:
+    def has_duration(self) -> bool:
         """Whether the phase lasts: its duration does not sit on a lower bound of zero."""
         leg = self.leg
         least = max(
@@ -423,7 +421,6 @@ class PhaseSamples:
         return f"{' to '.join(f'{t:.6g}' for t in times)} {self.functions.time_unit}"
 
     def describe_segment(self, segment: int, what: str) -> str:
-        """Return the place of a whole segment."""
         times = self.describe_times(*self.leg.breaks[segment : segment + 2])
         return f"phase {self.leg.name}, segment {segment + 1} ({times}), {what}"
 
@@ -452,12 +449,14 @@ class PhaseSamples:
 
 
 @cache
-def compute_sample_rule(degree: int) -> tuple[Array, Array]:
+def choose_sample_points(degree: int) -> tuple[Array, Array]:
     """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
     n = min(
         degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
     )  # the rule's other tables take as long and are not used here
-    return np.pad(points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(weights(GAUSS, n), 1)
+    return np.pad(collocation_points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(
+        quadrature_weights(GAUSS, n), 1
+    )
 
 
 def _find_largest_finite(values: Array) -> Array:

@@ -41,10 +41,10 @@ class SaturatedControl:
     tolerance: float = 1e-6
 
     @cached_property
-    def held(self) -> Mask:
+    def is_piecewise_constant(self) -> Mask:
         """Which channel is held piecewise constant in which segment, shape (m, K)."""
         values = self.polynomial.evaluate_in_segments(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
-        slack = self.tolerance * _compute_bound_range(self.bounds)
+        slack = self.tolerance * _bound_ranges(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
         return np.asarray(over | under)
@@ -60,10 +60,10 @@ class SaturatedControl:
         return tuple(edges)
 
     @cached_property
-    def jumps(self) -> Array:
+    def jump_times(self) -> Array:
         """Times at which the signal may be discontinuous, ends included; increasing."""
         pieces = [self.polynomial.breaks]
-        pieces += [self._segment_cells[k] for k in np.flatnonzero(self.held.any(axis=0))]
+        pieces += [self._segment_cells[k] for k in np.flatnonzero(self.is_piecewise_constant.any(axis=0))]
         return np.unique(np.concatenate(pieces))
 
     def evaluate_clipped(self, t: ArrayLike, side: Side = "right") -> Array:
@@ -78,8 +78,8 @@ class SaturatedControl:
         values = self.evaluate_clipped(times, side)
         breaks = self.polynomial.breaks
         segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
-        for k in np.unique(segment[np.any(self.held, axis=0)[segment]]):
-            channels, here = np.flatnonzero(self.held[:, k]), np.flatnonzero(segment == k)
+        for k in np.unique(segment[np.any(self.is_piecewise_constant, axis=0)[segment]]):
+            channels, here = np.flatnonzero(self.is_piecewise_constant[:, k]), np.flatnonzero(segment == k)
             cell = np.searchsorted(self._segment_cells[k], times[here], side) - 1
             cell = np.clip(cell, 0, self.rules[k].n - 1)
             nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
@@ -87,7 +87,7 @@ class SaturatedControl:
         return values if np.ndim(t) else values[:, 0]
 
 
-def _compute_bound_range(bounds: Interval) -> Array:
+def _bound_ranges(bounds: Interval) -> Array:
     """Return the ranges of bounds; of fixed controls their size, and 1 where there is neither."""
     span = bounds.upper - bounds.lower
     fixed = nonzero_magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))

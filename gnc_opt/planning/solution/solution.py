@@ -22,7 +22,7 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, table_calls
-from gnc_opt.planning.problem.functions import PhaseFunctions, make_evaluator, phase_functions
+from gnc_opt.planning.problem.functions import PhaseFunctions, compile_expression, phase_functions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -39,7 +39,7 @@ from gnc_opt.planning.solution.history import (
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
-from gnc_opt.planning.solution.propagation import Propagation, propagate
+from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.quality import Quality, measure_quality
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
@@ -209,7 +209,7 @@ class Solution(Printed):
         """
         leg = self.phase(phase)
         problem = self.need_problem("evaluate")
-        function = make_evaluator(problem, leg.name, expression)
+        function = compile_expression(problem, leg.name, expression)
         values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
         if values.shape[0] > 1:
             return np.asarray(values)
@@ -228,7 +228,7 @@ class Solution(Printed):
     @cached_property
     def _samples(self) -> dict[str, PhaseSamples]:
         """Cached: refinement evaluates derived quantities repeatedly."""
-        return {name: PhaseSamples.of(leg, self.functions(name)) for name, leg in self.phases.items()}
+        return {name: PhaseSamples.from_phase(leg, self.functions(name)) for name, leg in self.phases.items()}
 
     # --- quality ----------------------------------------------------------------------------------
 
@@ -285,7 +285,7 @@ class Solution(Printed):
             Times, states and the final miss of each state.
         """
         leg = self.phase(phase)
-        return propagate(leg, self.functions(leg.name), control=control, rtol=rtol)
+        return integrate_dynamics(leg, self.functions(leg.name), control=control, rtol=rtol)
 
     def __str__(self) -> str:
         from gnc_opt.planning.solution.summary import summary
@@ -455,7 +455,7 @@ def _trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:
     names = model.parameters.names
     values = {name: leg.parameters[leg.model_parameters.slice(name)] for name in names}
     if restatement is None:
-        control: Callable[[Array], Array] = leg.flown
+        control: Callable[[Array], Array] = leg.applied
     else:
         signals = [leg.saturated_control(name) for name in model.controls.names]
 
@@ -467,7 +467,7 @@ def _trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:
         model.with_parameters(**values) if names else model,
         leg.initial_time,
         leg.final_time,
-        leg.flown.jumps,
+        leg.applied.jump_times,
         leg.x,
         control,
     )

@@ -44,9 +44,9 @@ def phase_functions_at(problem: Problem, name: str, q: Array, weights: Array | N
     return phase_functions(problem, name, model_parameters(problem, leg, q), q, weights)
 
 
-def problem_fields(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
+def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
     """Return what the solution of a phase keeps of its problem: names, limits, parameters."""
-    initial_time, final_time = leg.times()
+    initial_time, final_time = leg.time_ranges()
     return {
         "states": leg.model.states,
         "controls": leg.model.controls,
@@ -97,7 +97,7 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
         functions = phase_functions_at(problem, name, q)
-        times, _ = _point_times(collocation, extended[part.times])
+        times, _ = _collocation_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
         turned = unwrap_angles(functions, leg.numbers.controls, times, x, u)
         if turned is not u:
@@ -112,20 +112,20 @@ def _compute_integrals(
     if not leg.integrands:
         return np.zeros(0)
     collocation = part.collocation
-    times, spans = _point_times(collocation, extended[part.times])
+    times, spans = _collocation_times(collocation, extended[part.times])
     values = phase_functions_at(problem, name, q).integrands(
         times, extended[collocation.point_states], extended[collocation.point_controls]
     )
-    return np.asarray(values @ (collocation.quadrature * spans))
+    return np.asarray(values @ (collocation.quadrature_weights * spans))
 
 
-def _point_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
+def _collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
     """Times of the collocation points and the durations of their arcs, (N,) each."""
     spans = np.diff(anchors)[collocation.point_arcs]
     return anchors[collocation.point_arcs] + collocation.arc_fractions * spans, spans
 
 
-def _mesh_in_time(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
+def _fix_mesh_times(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     """The mesh with its movable boundaries where they ended, and all boundary times (K + 1,)."""
     # Far from t = 0 the narrowest segment of the shortest span must still be seen by its boundaries.
     shortest = SHORTEST + ROUNDING * float(np.max(np.abs(anchors))) / float(np.min(mesh.arc_widths))
@@ -149,17 +149,17 @@ def _extract_phase(
     leg, collocation = problem.phases[part.name], part.collocation
     q = iterate.x[transcription.parameter_places]
     anchors = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
-    times, spans = _point_times(collocation, anchors)
+    times, spans = _collocation_times(collocation, anchors)
     functions = phase_functions_at(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
     lam = point_costates(collocation, iterate.lam_g)
-    weights = collocation.quadrature * np.maximum(spans, SHORTEST)
+    weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
     paths = split_duplicate_path_multipliers(collocation, paths, weights, mixed)
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
-    mesh, breaks = _mesh_in_time(collocation.mesh, anchors)
+    mesh, breaks = _fix_mesh_times(collocation.mesh, anchors)
     costates = map_costates(
         collocation,
         breaks,
@@ -184,19 +184,15 @@ def _extract_phase(
         state_multipliers=costates.densities,
         control_multipliers=iterate.lam_x[collocation.point_controls] / weights,
         state_impulses=costates.impulses,
-        time_multipliers=_time_multipliers(part, iterate.lam_x),
+        time_multipliers=np.append(iterate.lam_x, [0.0])[np.minimum(part.times[[0, -1]], iterate.lam_x.size)],
         duration_multiplier=transcription.duration_multiplier(part.name, iterate.lam_g),
         integrals=integrals,
         integral_weights=gradients.integrals[part.name],
         composed_controls=tuple(leg.model.composed_controls.values()),
         turns=leg.numbers.turns,
-        **problem_fields(problem, leg, q),
+        **copy_problem_data(problem, leg, q),
     )
     return path_arc_costates(found, leg.numbers.arcs, functions)
-
-
-def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:
-    return np.asarray([lam_x[place] if place < lam_x.size else 0.0 for place in part.times[[0, -1]]])
 
 
 def state_polynomial(

@@ -100,36 +100,36 @@ def summary(solution: SummarisedSolution) -> str:
     >>> print(summary(solution).splitlines()[0].partition(",")[0])
     rest to rest in minimum time: refined (converged)
     """
-    quality = known_quality(solution)
+    quality = find_known_quality(solution)
     lines = [
-        _headline(solution),
+        _headline_text(solution),
         *_failure_lines(solution),
-        *_optimality(solution),
-        *_accuracy(solution, quality),
-        _times(solution),
-        *_refinement(solution),
+        *_optimality_lines(solution),
+        *_accuracy_lines(solution, quality),
+        _phase_times_line(solution),
+        *_refinement_lines(solution),
         *_bound_lines(solution),
-        *_reformulated_norms(solution),
+        *_reformulated_norm_lines(solution),
         _labelled_line("mesh", mesh_text(solution)),
-        _labelled_line("time spent", _time_spent(solution)),
+        _labelled_line("time spent", _time_spent_line(solution)),
     ]
     if not solution.converged:
-        lines += list(_between_nodes(quality))
-    lines += list(_overshoot(solution))
-    lines += [_labelled_line("table", str(found)) for found in left_tables(solution)]
+        lines += list(_node_violation_lines(quality))
+    lines += list(_overshoot_lines(solution))
+    lines += [_labelled_line("table", str(found)) for found in exited_tables(solution)]
     if quality is not None and solution.problem is None:
         lines.append(_labelled_line("note", "accuracy and defect were measured when the solution was saved"))
     return "\n".join(lines)
 
 
-def known_quality(solution: SummarisedSolution) -> Quality | None:
+def find_known_quality(solution: SummarisedSolution) -> Quality | None:
     """Return the quality figures, measured now or stored in the file; None if neither is possible."""
     if solution.problem is None and "quality" not in vars(solution):
         return None
     return solution.quality
 
 
-def overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
+def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     """Return the controls whose polynomial leaves its bounds between nodes.
 
     Returns
@@ -143,14 +143,14 @@ def overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     worst = np.max(np.maximum(lower - values, values - upper), axis=1, initial=0.0)
     span = (upper - lower)[:, 0]
     relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
-    held = np.any(leg.flown.held, axis=1).tolist()
+    held = np.any(leg.applied.is_piecewise_constant, axis=1).tolist()
     return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}
 
 
 def mesh_text(solution: SummarisedSolution) -> str:
     """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the name of each of several phases before it."""
     named = [
-        f"{name} {_mesh_words(leg.mesh)}" if len(solution.phases) > 1 else _mesh_words(leg.mesh)
+        f"{name} {_mesh_text(leg.mesh)}" if len(solution.phases) > 1 else _mesh_text(leg.mesh)
         for name, leg in solution.phases.items()
     ]
     scheme = next(iter(solution.phases.values())).scheme
@@ -174,13 +174,13 @@ def optimality_text(solution: SummarisedSolution) -> str:
     return unknown if solution.history is None else _LOADED_CHECK.get(solution.history.status, unknown)
 
 
-def _mesh_words(mesh: Mesh) -> str:
+def _mesh_text(mesh: Mesh) -> str:
     low, high = min(mesh.degrees), max(mesh.degrees)
     words = f"{counted(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
     return words + f", {counted(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
-def _headline(solution: SummarisedSolution) -> str:
+def _headline_text(solution: SummarisedSolution) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
@@ -201,7 +201,7 @@ def _failure_lines(solution: SummarisedSolution) -> Iterator[str]:
         yield _labelled_line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
 
 
-def _optimality(solution: SummarisedSolution) -> Iterator[str]:
+def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
     """Yield the result of the optimality check, its open conditions, and the bounds that it needs."""
     if not solution.status.solved:
         return
@@ -216,7 +216,7 @@ def _optimality(solution: SummarisedSolution) -> Iterator[str]:
         yield _labelled_line("what to do", missing)
 
 
-def _accuracy(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
+def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
     """Yield the accuracy of a solved problem; without the problem, its figures when it was saved."""
     if solution.problem is not None:
         if solution.status.solved:
@@ -227,7 +227,7 @@ def _accuracy(solution: SummarisedSolution, quality: Quality | None) -> Iterator
         yield _labelled_line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
 
 
-def _refinement(solution: SummarisedSolution) -> Iterator[str]:
+def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
     """Yield the requested and reached error of a refinement, and what was moved or seen on the way."""
     if MOVED_START in solution.provenance:
         yield _labelled_line(MOVED_START, solution.provenance[MOVED_START])
@@ -250,7 +250,7 @@ def _bound_lines(solution: SummarisedSolution) -> Iterator[str]:
         yield _labelled_line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
 
 
-def _reformulated_norms(solution: SummarisedSolution) -> Iterator[str]:
+def _reformulated_norm_lines(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
             yield _labelled_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
@@ -261,7 +261,7 @@ def time_unit(solution: SummarisedSolution) -> str:
     return "s" if solution.problem is None else solution.problem.time_unit
 
 
-def _times(solution: SummarisedSolution) -> str:
+def _phase_times_line(solution: SummarisedSolution) -> str:
     unit = time_unit(solution)
     return _labelled_line(
         "time",
@@ -272,15 +272,14 @@ def _times(solution: SummarisedSolution) -> str:
     )
 
 
-def _time_spent(solution: SummarisedSolution) -> str:
+def _time_spent_line(solution: SummarisedSolution) -> str:
     """Return the wall time of all refinement iterations, and the work of the last solve."""
     spent = solution.statistics
     seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
     return f"{seconds:.2f} s; last solve: {spent.text}"
 
 
-def _between_nodes(quality: Quality | None) -> Iterator[str]:
-    """Yield defect and violations between the nodes."""
+def _node_violation_lines(quality: Quality | None) -> Iterator[str]:
     if quality is None:
         return
     yield _labelled_line(
@@ -297,9 +296,9 @@ def _propagation_text(quality: Quality) -> str:
     return f"integration of the applied control stops: {quality.propagation_location}"
 
 
-def _overshoot(solution: SummarisedSolution) -> Iterator[str]:
+def _overshoot_lines(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.phases.values():
-        over = overshooting_controls(leg)
+        over = find_overshooting_controls(leg)
         if not over:
             continue
         units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
@@ -312,7 +311,7 @@ def _overshoot(solution: SummarisedSolution) -> Iterator[str]:
         )
 
 
-def left_tables(solution: SummarisedSolution) -> list[OutsideTable]:
+def exited_tables(solution: SummarisedSolution) -> list[OutsideTable]:
     """Return where the trajectory is outside of tables; nothing without the problem, which alone knows them."""
     return [] if solution.problem is None else solution.outside_tables()
 

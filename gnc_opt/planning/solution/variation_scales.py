@@ -81,15 +81,15 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     """Return how far each state moves along a phase (n_states,); ``used`` (n_controls,) are the controls' spans."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
-    moved = share_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    moved = equalise_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return nonzero_magnitude(share_largest_component(size, leg.states))
-    movable = share_largest_component(_reachable_motion(leg, functions, used), leg.states)
+        return nonzero_magnitude(equalise_components(size, leg.states))
+    movable = equalise_components(_reachable_state_motion(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
     return _choose_fallback_span(
-        _choose_fallback_span(spans, *(_finite_width(box) for box in boxes)), size, np.ones(size.size)
+        _choose_fallback_span(spans, *(box.finite_width for box in boxes)), size, np.ones(size.size)
     )
 
 
@@ -109,29 +109,29 @@ def control_spans(
         Controls needed for the trajectory's motion (`estimate_required_controls`): the span of a constant control
         without range, or its own size if less.
     """
-    extent, size = _finite_width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
+    extent, size = leg.control_bounds.finite_width, np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = np.maximum(_limit_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
-    spans = share_largest_component(spans, leg.controls)
+    spans = np.maximum(_limit_spans_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
+    spans = equalise_components(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = share_largest_component(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
+    spans = equalise_components(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = share_largest_component(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    spans = equalise_components(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
     return _choose_fallback_span(np.where(spans > ROUNDING, spans, extent), nonzero_magnitude(size))
 
 
 def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) that the motion needs, by the least moved state; zero without effect."""
     middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
-    moved = share_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
-    x, u = leg.x(middles), leg.flown(middles)
+    moved = equalise_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    x, u = leg.x(middles), leg.applied(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     lasts = leg.breaks[-1] - leg.breaks[0]
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
@@ -150,10 +150,10 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
     return np.asarray(least)
 
 
-def _reachable_motion(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+def _reachable_state_motion(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return how far the controls could move each state within the phase, directly or through another (n_states,)."""
     middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
-    x, u = leg.x(middles), leg.flown(middles)
+    x, u = leg.x(middles), leg.applied(middles)
     # A median, as one violent instant says nothing about the phase.
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
@@ -169,31 +169,25 @@ def _reachable_motion(leg: PhaseSolution, functions: PhaseFunctions, used: Array
 def _mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     """Return by how much each control differs from its mean, on average (n_controls,); a constant one by its span."""
     times = leg.sample_times()
-    lasts, u = times[-1] - times[0], leg.flown(times)
+    lasts, u = times[-1] - times[0], leg.applied(times)
     mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
     pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
     return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
-def _limit_to_range(spans: Array, extent: Array) -> Array:
+def _limit_spans_to_range(spans: Array, extent: Array) -> Array:
     return np.where(
         extent > 0, np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent), spans
     )
 
 
-def share_largest_component(values: Array, layout: Layout) -> Array:
+def equalise_components(values: Array, layout: Layout) -> Array:
     """Return the largest value among the components of each variable."""
     values = np.where(np.isfinite(values), values, 0.0)  # a copy
     for variable in layout.variables:
         rows = layout.slice(variable.name)
         values[rows] = np.max(values[rows], initial=0.0)
     return values
-
-
-def _finite_width(box: Interval) -> Array:
-    """Return the finite widths of an interval; 0 where there is none."""
-    width = box.upper - box.lower
-    return np.where(np.isfinite(width), width, 0.0)
 
 
 def _choose_fallback_span(values: Array, *others: Array) -> Array:

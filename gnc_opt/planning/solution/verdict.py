@@ -246,19 +246,22 @@ class Verdict:
     def table(self) -> str:
         """Return all conditions, one per line: name, result, value, place of the worst violation."""
         return "\n".join(
-            [*_table_rows([(c.name, c, "") for c in self.conditions], "condition"), f"verdict: {self.word}"]
+            [
+                *_condition_rows([(c.name, c, "") for c in self.conditions], "condition"),
+                f"verdict: {self.word}",
+            ]
         )
 
     def __str__(self) -> str:
         """What fails first and what to do; the worst condition of each group; the verdict."""
         groups = list(self.groups.items())
         failing = next((found for _, found in groups if any(c in self.open for c in found)), ())
-        messages = [line for c in failing if c in self.open for line in _message(c)]
+        messages = [line for c in failing if c in self.open for line in _condition_message(c)]
         also = ", ".join(c.name for c in self.open if c not in failing)
         if also:
             messages.append(f"also: {also}")
-        worst = [(group, most_severe(found)) for group, found in groups]
-        rows = _table_rows([(group, c, f"{c.name}: ") for group, c in worst], "group")
+        worst = [(group, worst_condition(found)) for group, found in groups]
+        rows = _condition_rows([(group, c, f"{c.name}: ") for group, c in worst], "group")
         return "\n".join([*messages, *rows, f"verdict: {self.word}"])
 
     @property
@@ -288,7 +291,7 @@ class Verdict:
 SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
 
 
-def most_severe(conditions: Iterable[Condition]) -> Condition:
+def worst_condition(conditions: Iterable[Condition]) -> Condition:
     """Return the condition that fails, or else is inconclusive, with the largest value other than zero."""
 
     def severity(condition: Condition) -> tuple[int, bool, float]:
@@ -305,7 +308,7 @@ def violation_text(value: float) -> str:
     return f"margin {-value:.1e}" if value < 0.0 else f"{value:.1e}"
 
 
-def _table_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
+def _condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
     rows = [(title, "result", "violation", "largest at")]
     rows += [
         (name, c.result.value, violation_text(c.value), f"{prefix}{c.location_text}")
@@ -315,7 +318,7 @@ def _table_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[s
     return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in rows]
 
 
-def _message(condition: Condition) -> list[str]:
+def _condition_message(condition: Condition) -> list[str]:
     """Return what fails, where, what it costs if that is known, and what to do."""
     lines = [
         f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",

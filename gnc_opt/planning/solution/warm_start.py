@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.problem.guess.initial_guess import phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -66,8 +66,8 @@ def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
-        boundaries = phase_guess(leg, np.asarray(collocation.mesh.breaks))
-        points = phase_guess(leg, collocation.fractions)
+        boundaries = build_phase_guess(leg, np.asarray(collocation.mesh.breaks))
+        points = build_phase_guess(leg, collocation.fractions)
         x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
         x[collocation.boundary_states] = boundaries.states
         free_times = part.times < transcription.n_variables
@@ -85,7 +85,7 @@ def set_integral_variables(transcription: Transcription, problem: Problem, x: Ar
     places = transcription.integral_places
     if not places.size:
         return x
-    values = transcription.evaluate(problem, x)[0]
+    values = transcription.evaluate_derivatives(problem, x)[0]
     x = x.copy()
     x[places] -= np.nan_to_num(values[-places.size :])
     return x
@@ -110,10 +110,10 @@ def start_from_solution(
     lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
     for name, part in transcription.parts.items():
         leg = problem.phases[name]
-        old = _matching_phases(guess, leg)
-        _put_phase(transcription, part, old, x, lam_x, lam_g)
-    _put_parameters(transcription, problem, guess, x, lam_x)
-    _put_end_rows(transcription, guess, lam_g)
+        old = _find_matching_phase(guess, leg)
+        _fill_phase_variables(transcription, part, old, x, lam_x, lam_g)
+    _fill_parameters(transcription, problem, guess, x, lam_x)
+    _fill_end_multipliers(transcription, guess, lam_g)
     box = transcription.variable_interval(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     return ProgramStart(set_integral_variables(transcription, problem, x), lam_x, lam_g)
@@ -129,7 +129,7 @@ def mesh_with_fixed_breaks(leg: PhaseSolution) -> Mesh:
     return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
 
 
-def _matching_phases(guess: Solution, leg: Phase) -> PhaseSolution:
+def _find_matching_phase(guess: Solution, leg: Phase) -> PhaseSolution:
     old = guess.phases.get(leg.name)
     if old is None:
         raise ProblemError(
@@ -141,18 +141,18 @@ def _matching_phases(guess: Solution, leg: Phase) -> PhaseSolution:
     ):
         if mine.labels != theirs.labels:
             raise ProblemError(
-                f"the guess for {leg.where} has the {kind} {list(theirs.labels)}, "
+                f"the guess for {leg.label} has the {kind} {list(theirs.labels)}, "
                 f"but the model has {list(mine.labels)}: use guess_from_solution()."
             )
     return old
 
 
-def _put_phase(
+def _fill_phase_variables(
     transcription: Transcription, part: PhasePart, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _stretched_times(old, collocation.fractions)
-    breaks = _stretched_times(old, np.asarray(collocation.mesh.breaks))
+    points = _stretch_times(old, collocation.fractions)
+    breaks = _stretch_times(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
     # A point that ends its segment takes the limit from within: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.rules])
@@ -163,15 +163,15 @@ def _put_phase(
     shared = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
     x[collocation.point_states[~shared]] = states[~shared]
-    x[collocation.point_controls] = sample(old.flown.evaluate_clipped)
+    x[collocation.point_controls] = sample(old.applied.evaluate_clipped)
     free_times = part.times < transcription.n_variables
-    times = _stretched_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
+    times = _stretch_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:
             lam_x[place] = multiplier
-    weights = collocation.quadrature * np.diff(times)[collocation.point_arcs]
-    _put_impulses(collocation, old, lam_x)
+    weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arcs]
+    _fill_impulses(collocation, old, lam_x)
     np.add.at(lam_x, collocation.point_states, sample(old.state_multiplier) * weights)
     lam_x[collocation.point_controls] = sample(old.control_multiplier) * weights
     if old.path_labels:
@@ -184,14 +184,14 @@ def _put_phase(
         lam_g[rows] = values
 
 
-def _put_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
+def _fill_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
     places, impulses = collocation.boundary_states, old.state_impulses
     lam_x[places[:, 0]], lam_x[places[:, -1]] = impulses[:, 0], impulses[:, -1]
     if collocation.mesh == old.mesh:
         lam_x[places] = impulses
 
 
-def _put_parameters(
+def _fill_parameters(
     transcription: Transcription, problem: Problem, guess: Solution, x: Array, lam_x: Array
 ) -> None:
     for name in problem.parameters.names:
@@ -201,7 +201,7 @@ def _put_parameters(
             lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
 
 
-def _put_end_rows(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
+def _fill_end_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
     """Multipliers of boundary constraints, of durations, and of the rows that define integrals: -dJ/dI."""
     values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
     known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
@@ -213,8 +213,7 @@ def _put_end_rows(transcription: Transcription, guess: Solution, lam_g: Array) -
         lam_g[row] = known.get(label, 0.0)
 
 
-def _stretched_times(old: PhaseSolution, fractions: Array) -> Array:
-    """Times on the old phase at fractions of it."""
+def _stretch_times(old: PhaseSolution, fractions: Array) -> Array:
     first, last = old.breaks[0], old.breaks[-1]
     return np.asarray(first + fractions * (last - first))
 
@@ -256,7 +255,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
         common = dict(zip(problem.phases, solution.phases.values(), strict=True))
     guessed = problem
     for name, leg in common.items():
-        guessed = _with_phase(guessed, name, leg)
+        guessed = _with_phase_guess(guessed, name, leg)
     if guessed is problem:
         raise ProblemError(
             f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
@@ -271,21 +270,21 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     return guessed.with_parameter_guess(**shared) if shared else guessed
 
 
-def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     """Return the problem with one phase's trajectory as its guess; itself if they share no variable."""
     signals = [leg.state(v) for v in leg.states.names]
     signals += [leg.saturated_control(v) for v in leg.controls.names]
     signals += [leg.saturated_control(c.name) for c in leg.composed_controls]
     known = {signal.name: signal for signal in signals}
     values: dict[str, Callable[[Any], Array]] = {
-        v.name: _signal_guess(leg, known[v.name])
+        v.name: _guess_from_signal(leg, known[v.name])
         for v in problem.phases[name].guessable_names.values()
         if v.name in known and len(known[v.name].labels) == v.size
     }
     return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
 
 
-def _signal_guess(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
+def _guess_from_signal(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
     """Return a signal as a guess that can be evaluated just outside the phase."""
     first, last = float(leg.breaks[0]), float(leg.breaks[-1])
     return lambda t: np.asarray(signal(min(max(float(t), first), last)))

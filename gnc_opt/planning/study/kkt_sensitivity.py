@@ -44,7 +44,7 @@ from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
-from gnc_opt.planning.transcription.scaling import scale_variables
+from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import ACTIVE
 
@@ -89,7 +89,7 @@ def predict_solution(
     phases, _ = extract_phases(transcription, problem, Iterate(x, start.lam_x, start.lam_g))
     values = x[transcription.parameter_places]
     guess = replace(last, phases=phases, parameter_values=values, problem=problem.frozen())
-    return MovedSolution(guess, x, scale_variables(transcription, problem, start.x))
+    return MovedSolution(guess, x, choose_variable_scales(transcription, problem, start.x))
 
 
 def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
@@ -107,12 +107,14 @@ def _predict_change(problem: Problem, last: Solution) -> Array | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ProblemWarning)  # one-sided derivatives predict, too
             point = KktPoint(last)
-            return point.respond(_subtract_data(point.program.transcription, old, problem)).variables
+            return point.differentiate_solution(
+                _subtract_problem_data(point.program.transcription, old, problem)
+            ).variables
     except GncOptError:
         return None
 
 
-def _subtract_data(transcription: Transcription, old: Problem, new: Problem) -> Change:
+def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> Change:
     """Return the difference between the data of two problems; limits that are not finite do not move."""
 
     def moved(before: Array, after: Array) -> Array:
@@ -124,7 +126,7 @@ def _subtract_data(transcription: Transcription, old: Problem, new: Problem) -> 
     lower, upper = moved(here.lower, there.lower), moved(here.upper, there.upper)
     row_lower, row_upper = moved(rows.lower, new_rows.lower), moved(rows.upper, new_rows.upper)
     return Change(
-        transcription.numbers(new) - transcription.numbers(old),
+        transcription.problem_data(new) - transcription.problem_data(old),
         np.where(lower != 0, lower, upper),
         np.where(row_lower != 0, row_lower, row_upper),
     )
@@ -144,7 +146,7 @@ class Change:
     Attributes
     ----------
     numbers : array (n_numbers,)
-        Of model parameters and fixed times, in the order of ``Transcription.numbers``.
+        Of model parameters and fixed times, in the order of ``Transcription.problem_data``.
     limits, row_limits : array (n_variables,), (n_constraints,)
         Of the active limits of variables and rows.
     """
@@ -174,7 +176,7 @@ class KktPoint:
     def __init__(self, solution: Solution) -> None:
         trouble = self._solve_conditions(solution)
         if trouble:
-            trouble = self._solve_conditions(tighten_solution(solution))
+            trouble = self._solve_conditions(tighten_solution_tolerance(solution))
         if trouble:
             raise GncOptError(trouble)
         self._warn_of_weak_limits()
@@ -183,20 +185,20 @@ class KktPoint:
 
     def _solve_conditions(self, solution: Solution) -> str:
         """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
-        self.program = ProgramPoint.of(solution, held=add_constraint_contacts)
+        self.program = ProgramPoint.from_solution(solution, held=add_constraint_contacts)
         return self._solve_newton() or self._find_wrong_limit()
 
     def _solve_newton(self) -> str:
         """Apply Newton's method to the conditions; return what is wrong if it fails, else an empty text."""
         best = np.inf
         for _ in range(8):
-            self._factorise()
-            residual = self.program.residual
+            self._factorise_kkt_system()
+            residual = self.program.kkt_residual
             size = float(np.max(np.abs(residual), initial=0.0))
             if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
-            self.program = self.program.take_step(self._system.solve(-residual))
+            self.program = self.program.take_step(self._system.solve_system(-residual))
         if not best <= _RESIDUAL and not size <= _RESIDUAL:
             worst = self._system.labels[int(np.argmax(np.abs(residual)))]
             return (
@@ -205,10 +207,10 @@ class KktPoint:
             )
         return ""
 
-    def _factorise(self) -> None:
+    def _factorise_kkt_system(self) -> None:
         point = self.program
         free, held = np.flatnonzero(~self.program.variables.active), np.flatnonzero(self.program.rows.active)
-        matrix = saddle_matrix(point.hessian[free][:, free], point.jacobian[held][:, free])
+        matrix = saddle_matrix(point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free])
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePoint(matrix, free.size, labels, self.program.problem.name)
 
@@ -217,7 +219,9 @@ class KktPoint:
         culprits = [
             limits.labels[i]
             for limits, values, multipliers in self._limits_and_multipliers()
-            for i in np.flatnonzero((limits.push(multipliers) < -ACTIVE) | (limits.room(values) < -ACTIVE))
+            for i in np.flatnonzero(
+                (limits.active_multipliers(multipliers) < -ACTIVE) | (limits.slack(values) < -ACTIVE)
+            )
         ]
         if not culprits:
             return ""
@@ -231,7 +235,7 @@ class KktPoint:
         weak = [
             limits.labels[i]
             for limits, values, multipliers in self._limits_and_multipliers()
-            for i in np.flatnonzero(limits.weak(values, multipliers))
+            for i in np.flatnonzero(limits.weakly_active(values, multipliers))
         ]
         if weak:
             others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""
@@ -241,39 +245,38 @@ class KktPoint:
             )
 
     def _limits_and_multipliers(self) -> list[tuple[ProgramLimits, Array, Array]]:
-        """Limits of variables and of rows, each with values and multipliers."""
         point = self.program
         # Multipliers that are not unique tell nothing by their signs.
         unique = np.nan if self._system.redundant else 1.0
         bounds, rows = point.multiplier_densities
-        return [(point.variables, point.x, unique * bounds), (point.rows, point.values, unique * rows)]
+        return [(point.variables, point.x, unique * bounds), (point.rows, point.row_values, unique * rows)]
 
     # --- derivatives ------------------------------------------------------------------------------
 
-    def respond(self, change: Change) -> Response:
+    def differentiate_solution(self, change: Change) -> Response:
         """Return the derivative of the minimum in a direction of the data."""
         point, scales, rows = self.program, self.program.scaling.variables, self.program.scaling.rows
-        n_rest = point.numbers.size - change.numbers.size
+        n_rest = point.parameter_values.size - change.numbers.size
         direction = np.concatenate([change.numbers, np.zeros(n_rest)])
         moved = np.where(self.program.variables.active, change.limits, 0.0) / scales
         shifted = np.where(self.program.rows.active, change.row_limits, 0.0) * rows
         of_lagrangian, of_gradient, of_rows = (
             v.full().ravel()
             for v in _directional_derivatives(self.program.transcription)(
-                point.x, point.numbers, point.lam, direction
+                point.x, point.parameter_values, point.lam, direction
             )
         )
         free, held = ~self.program.variables.active, self.program.rows.active
         right = np.concatenate(
             [
-                (of_gradient + point.hessian @ moved)[free],
-                (of_rows + point.jacobian @ moved - shifted)[held],
+                (of_gradient + point.lagrangian_hessian @ moved)[free],
+                (of_rows + point.row_jacobian @ moved - shifted)[held],
             ]
         )
-        solved = self._system.solve(-right)
+        solved = self._system.solve_system(-right)
         variables = moved.copy()
         variables[free] = solved[: int(np.sum(free))]
-        objective = float(of_lagrangian[0] + point.gradient @ moved - point.lam @ shifted)
+        objective = float(of_lagrangian[0] + point.lagrangian_gradient @ moved - point.lam @ shifted)
         return Response(objective / self.program.scaling.objective, variables * scales)
 
 
@@ -289,7 +292,7 @@ def _directional_derivatives(transcription: Transcription) -> Any:
     return transcription.built["sensitivity"]
 
 
-def tighten_solution(solution: Solution) -> Solution:
+def tighten_solution_tolerance(solution: Solution) -> Solution:
     """Return the solution on its own mesh, sharp enough to separate active limits from others; itself if that fails."""
     problem = solution.need_problem("solve")
     options = SolverOptions(tolerance=SENSITIVITY_SOLVE_TOLERANCE)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.solution.propagation import state_magnitudes
+from gnc_opt.planning.solution.propagation import compute_state_magnitudes
 from gnc_opt.planning.solution.solution import Solution
 
 SAME_MINIMUM_TOLERANCE = 1e-6
@@ -123,5 +123,5 @@ def _sample_states(solution: Solution) -> Array:
     rows: list[Array] = []
     for leg in solution.phases.values():
         times = np.linspace(leg.initial_time, leg.final_time, 21)
-        rows.append((leg.x(times) / state_magnitudes(leg)[:, None]).ravel())
+        rows.append((leg.x(times) / compute_state_magnitudes(leg)[:, None]).ravel())
     return np.concatenate(rows)

@@ -108,13 +108,12 @@ def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) ->
 
 
 def _with_solution_guess(relaxation: Relaxation, solution: Solution) -> Problem:
-    """Return a relaxation with the solution's flight as its guess."""
     problem = relaxation.problem
     for name, leg in problem.phases.items():
         flown = solution.phase(name)
         times = np.linspace(flown.initial_time, flown.final_time, 201)
         states = flown.x(times, "right")[relaxation.states[name]]
-        controls = flown.flown(times, "right")[relaxation.controls[name]]
+        controls = flown.applied(times, "right")[relaxation.controls[name]]
         values = {n: states[leg.model.states.slice(n)] for n in leg.model.states.names}
         values |= {n: controls[leg.model.controls.slice(n)] for n in leg.model.controls.names}
         leg.guess(times, **values)
@@ -147,13 +146,13 @@ def _fulfils_time_optimal_theorem(problem: Problem, solution: Solution) -> bool:
         _is_time_optimal(problem, leg, solution.phase().final_time)
         and bool(np.all(leg.numbers.final.fixed))
         and _has_linear_dynamics(leg)
-        and _has_equilibrium(leg, solution)
+        and _is_final_state_equilibrium(leg, solution)
     )
 
 
 def _is_time_optimal(problem: Problem, leg: Phase, found: float) -> bool:
     """Whether the cost is the final time, and the solution's is not the least that is allowed."""
-    initial, final = leg.times()
+    initial, final = leg.time_ranges()
     slope = ca.jacobian(problem.sense * problem.cost, leg.final_time)
     others = [s for s in ca.symvar(problem.cost) if s.element_hash() != leg.final_time.element_hash()]
     time_alone = all(s.element_hash() == leg.initial_time.element_hash() for s in others)
@@ -166,7 +165,7 @@ def _has_linear_dynamics(leg: Phase) -> bool:
     """Whether dx/dt = A x + b(u), and no path constraint is other than one of controls, or a convex one of states."""
     t, x, u, _ = leg.model.arguments()
     rates, rows = leg.model.derivative(), leg.path_expression()
-    curved = has_kinks(rates) or _depends_on(ca.jacobian(rates, x), ca.vertcat(x, u))
+    curved = has_kinks(rates) or _does_depend(ca.jacobian(rates, x), ca.vertcat(x, u))
     if curved or ca.depends_on(ca.vertcat(rates, rows), t):
         return False
     box = leg.path_interval()
@@ -183,7 +182,7 @@ def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> 
     """Whether ``lower <= row(x) <= upper`` is a convex set, by its constant Hessian."""
     hessian = ca.hessian(row, x)[0]
     p = leg.model.symbols("parameter")
-    if _depends_on(hessian, x) or has_kinks(row):
+    if _does_depend(hessian, x) or has_kinks(row):
         return False
     values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(leg.model.parameter_values).full())
     slack = ROUNDING * np.max(np.abs(values), initial=0.0)
@@ -192,11 +191,11 @@ def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> 
     )
 
 
-def _depends_on(expression: Any, symbols: Any) -> bool:
+def _does_depend(expression: Any, symbols: Any) -> bool:
     return bool(ca.depends_on(expression, symbols))
 
 
-def _has_equilibrium(leg: Phase, solution: Solution) -> bool:
+def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
     """Whether an admissible control holds the final state, as far as least squares find one."""
     flown = solution.phase()
     t, target = flown.final_time, leg.numbers.final.lower
@@ -214,7 +213,7 @@ def _has_equilibrium(leg: Phase, solution: Solution) -> bool:
     if not box.lower.size:
         return bool(np.all(np.abs(residuals(np.zeros(0))) <= EQUAL))
     inner = np.where(box.fixed, np.inf, box.upper), np.where(box.fixed, -np.inf, box.lower)
-    starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), flown.flown(t, "left"))
+    starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), flown.applied(t, "left"))
     for start in starts:
         free = ~box.fixed
         held = np.where(box.fixed, box.lower, start)

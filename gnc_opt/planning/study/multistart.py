@@ -77,7 +77,6 @@ class Refining:
 
 
 def _halve_segments(mesh: Mesh) -> Mesh:
-    """Return the mesh with every segment cut in two."""
     breaks = np.asarray(mesh.breaks)
     middles = 0.5 * (breaks[:-1] + breaks[1:])
     return Mesh(tuple(np.sort(np.concatenate([breaks, middles]))), tuple(np.repeat(mesh.degrees, 2).tolist()))
@@ -157,8 +156,8 @@ class Multistart(Printed):
         """The best minimum; raises `GncOptError` if there is none."""
         if not self.minima:
             raise GncOptError(
-                f"none of {self.finished} starts of '{self.problem_name}' found a minimum ({_format(self.failures)}): "
-                "solve() it once and look at the violations, or try more starts."
+                f"none of {self.finished} starts of '{self.problem_name}' found a minimum "
+                f"({_failures_text(self.failures)}): solve() it once and look at the violations, or try more starts."
             )
         return self.minima[0]
 
@@ -180,11 +179,11 @@ class Multistart(Printed):
                 f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.standing}"
             )
         if self.failures:
-            lines.append(f"without a minimum: {_format(self.failures)}")
+            lines.append(f"without a minimum: {_failures_text(self.failures)}")
         return "\n".join(lines)
 
 
-def _format(failures: Mapping[str, int]) -> str:
+def _failures_text(failures: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
 
 
@@ -306,9 +305,9 @@ class _Search:
                 for starts in (range(0, n, 2), range(1, n, 2)):
                     if not self.pool.interrupted:
                         done = self.pool.run(
-                            coarse, starts, lambda start: show(_task_answer(start).objective)
+                            coarse, starts, lambda start: show(_task_result(start).objective)
                         )
-                        endings += [_task_answer(start) for start in done]
+                        endings += [_task_result(start) for start in done]
                         coarse = replace(coarse, durations=_find_phase_durations(endings))
             except KeyboardInterrupt:  # between two runs
                 self.pool.interrupted = True
@@ -324,8 +323,8 @@ class _Search:
             if not batch:
                 break
             with _progress_meter("refinements", len(batch), self.progress, self.problem.sense) as show:
-                done = self.pool.run(refining, batch, lambda minimum: show(_task_answer(minimum).objective))
-            answers = {id(minimum.item): _task_answer(minimum) for minimum in done}
+                done = self.pool.run(refining, batch, lambda minimum: show(_task_result(minimum).objective))
+            answers = {id(minimum.item): _task_result(minimum) for minimum in done}
             finer += [answers.get(id(minimum), minimum) for minimum in batch]
         return [*finer, *waiting]
 
@@ -356,7 +355,7 @@ def _build_problem(builder: Builder) -> Problem:
     return expect(builder(), Problem, "what the builder returned", "return the problem")  # type: ignore[no-any-return]
 
 
-def _task_answer(done: Done[Item, Answer]) -> Answer:
+def _task_result(done: Done[Item, Answer]) -> Answer:
     """Return what a task answered, or raise what prevented it."""
     from gnc_opt.workers import WorkerDied
 

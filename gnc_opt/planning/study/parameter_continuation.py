@@ -249,7 +249,7 @@ class _Walk:
                 if (
                     self.tol is not None
                     and found.structure != ()
-                    and _arc_kinds(found) != _arc_kinds(solutions[-1])
+                    and _list_arc_kinds(found) != _list_arc_kinds(solutions[-1])
                 ):
                     events.append(f"structure changes between {values[-1]:.10g} and {value:.10g}")
                 values.append(value)
@@ -284,5 +284,5 @@ class _Walk:
             return found, miss
 
 
-def _arc_kinds(solution: Solution) -> tuple[object, ...]:
+def _list_arc_kinds(solution: Solution) -> tuple[object, ...]:
     return tuple((arc.phase, arc.channel, arc.kind) for arc in solution.structure)

@@ -33,7 +33,9 @@ class Relaxation:
 
 def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each largest closed set with all states of the cost."""
-    found = (_restrict_problem(problem, part) for part in _find_maximal_sets(list(_closed_sets(problem))))
+    found = (
+        _restrict_problem(problem, part) for part in _find_maximal_sets(list(_closed_state_sets(problem)))
+    )
     return [relaxation for relaxation in found if relaxation is not None]
 
 
@@ -43,17 +45,17 @@ def _find_maximal_sets(sets: list[Mask]) -> Iterator[Mask]:
             yield own
 
 
-def _closed_sets(problem: Problem) -> Iterator[Mask]:
+def _closed_state_sets(problem: Problem) -> Iterator[Mask]:
     """Yield, per state, all that it needs: each set once, with at least a state in every phase."""
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
     needs = np.eye(owner.size, dtype=bool)
-    ties = [_compute_end_dependence(problem, problem.constraint_expression())]
+    ties = [_end_dependence_on_states(problem, problem.constraint_expression())]
     for i, leg in enumerate(legs):
         own, x = owner == i, leg.model.symbols("state")
-        needs[np.ix_(own, own)] |= _dependence(leg.model.derivative(), x)
+        needs[np.ix_(own, own)] |= _dependence_matrix(leg.model.derivative(), x)
         rows = np.zeros((leg.path_expression().numel(), owner.size), dtype=bool)
-        rows[:, own] = _dependence(leg.path_expression(), x)
+        rows[:, own] = _dependence_matrix(leg.path_expression(), x)
         ties.append(rows)
     every = np.vstack(ties)
     # Phases stay joined: what links them ties states, whatever else is left out.
@@ -71,7 +73,6 @@ def _closed_sets(problem: Problem) -> Iterator[Mask]:
 
 
 def _transitive_closure(needs: Mask) -> Mask:
-    """Return all that each needs, directly or not."""
     while True:
         more = (needs.astype(int) @ needs) > 0
         if np.array_equal(more, needs):
@@ -79,7 +80,7 @@ def _transitive_closure(needs: Mask) -> Mask:
         needs = more
 
 
-def _dependence(expression: Any, symbols: Any) -> Mask:
+def _dependence_matrix(expression: Any, symbols: Any) -> Mask:
     """Return which rows depend on which symbols, (n_rows, n_symbols)."""
     pattern = np.zeros((expression.numel(), symbols.numel()), dtype=bool)
     if pattern.size:
@@ -88,13 +89,14 @@ def _dependence(expression: Any, symbols: Any) -> Mask:
     return pattern
 
 
-def _compute_end_dependence(problem: Problem, expression: Any) -> Mask:
-    """Return on which states of all phases rows depend, by end points or by integrals."""
+def _end_dependence_on_states(problem: Problem, expression: Any) -> Mask:
     columns = []
     for leg in problem.phases.values():
-        ends = _dependence(expression, leg.ends("initial")) | _dependence(expression, leg.ends("final"))
-        along = _dependence(leg.integrand_expression(), leg.model.symbols("state"))
-        used = _dependence(expression, leg.integral_symbols())
+        ends = _dependence_matrix(expression, leg.end_states("initial")) | _dependence_matrix(
+            expression, leg.end_states("final")
+        )
+        along = _dependence_matrix(leg.integrand_expression(), leg.model.symbols("state"))
+        used = _dependence_matrix(expression, leg.integral_symbols())
         columns.append(ends | ((used.astype(int) @ along) > 0))
     return np.hstack(columns)
 
@@ -112,9 +114,9 @@ class _Part:
             if used
         }
         moved = ca.vertcat(rates, *self.integrands.values())
-        self.controls = np.any(_dependence(moved, u), axis=0)
-        alone = ~np.any(_dependence(paths, x)[:, ~states], axis=1)
-        limited = _dependence(paths, u)
+        self.controls = np.any(_dependence_matrix(moved, u), axis=0)
+        alone = ~np.any(_dependence_matrix(paths, x)[:, ~states], axis=1)
+        limited = _dependence_matrix(paths, u)
         self.rows = alone & ~np.any(limited, axis=1)
         while True:  # rows on states and controls that are left bring their other controls along
             more = alone & (self.rows | np.any(limited[:, self.controls], axis=1))
@@ -125,8 +127,7 @@ class _Part:
         self.rates, self.paths = rates, paths[np.flatnonzero(self.rows)]
 
     @property
-    def expressions(self) -> Any:
-        """All of them, stacked."""
+    def stack_expressions(self) -> Any:
         return ca.vertcat(self.rates, self.paths, *self.integrands.values())
 
     def build_reduced_model(self, used: set[int]) -> tuple[Model, Any, Any]:
@@ -137,14 +138,14 @@ class _Part:
             (old.states, self.states, model.state),
             (old.controls, self.controls, model.control),
         ):
-            for name, places in _kept_components(layout, kept):
+            for name, places in _select_kept_variables(layout, kept):
                 v = layout[name]
                 nominal = None if v.nominal is None else np.broadcast_to(v.nominal, v.size)[places]
                 declare(name, len(places), unit=v.unit, nominal=nominal)
         parameters = np.array(
             [s.element_hash() in used for s in ca.vertsplit(p)] if p.numel() else [], dtype=bool
         )
-        for name, places in _kept_components(old.parameters, parameters):
+        for name, places in _select_kept_variables(old.parameters, parameters):
             value = old.parameter_values[old.parameters.slice(name)][places]
             model.parameter(name, value, unit=old.parameters[name].unit)
         kept = ((x, self.states), (u, self.controls), (p, parameters))
@@ -158,30 +159,30 @@ class _Part:
 def _restrict_problem(problem: Problem, kept: Mask) -> Relaxation | None:
     """Return the problem of a closed set of states; None if the cost needs others."""
     conditions, cost = problem.constraint_expression(), problem.cost
-    if np.any(_compute_end_dependence(problem, cost)[:, ~kept]):
+    if np.any(_end_dependence_on_states(problem, cost)[:, ~kept]):
         return None
-    alone = ~np.any(_compute_end_dependence(problem, conditions)[:, ~kept], axis=1)
+    alone = ~np.any(_end_dependence_on_states(problem, conditions)[:, ~kept], axis=1)
     conditions = conditions[np.flatnonzero(alone)]
     ends = ca.vertcat(cost, conditions)
     parts, first = [], 0
     for leg in problem.phases.values():
         last = first + leg.model.states.size
-        integrals = np.any(_dependence(ends, leg.integral_symbols()), axis=0)
+        integrals = np.any(_dependence_matrix(ends, leg.integral_symbols()), axis=0)
         parts.append(_Part(leg, kept[first:last], integrals))
         first = last
-    return _declare_relaxation(problem, parts, conditions, problem.constraint_interval(), alone)
+    return _build_relaxed_problem(problem, parts, conditions, problem.constraint_interval(), alone)
 
 
-def _declare_relaxation(
+def _build_relaxed_problem(
     problem: Problem, parts: list[_Part], conditions: Any, limits: Interval, alone: Mask
 ) -> Relaxation:
     used = {
         s.element_hash()
-        for e in (problem.cost, conditions, *(p.expressions for p in parts))
+        for e in (problem.cost, conditions, *(p.stack_expressions for p in parts))
         for s in ca.symvar(e)
     }
     states = ", ".join(
-        dict.fromkeys(name for p in parts for name, _ in _kept_components(p.leg.model.states, p.states))
+        dict.fromkeys(name for p in parts for name, _ in _select_kept_variables(p.leg.model.states, p.states))
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
     before, after = _declare_parameters(problem, relaxed, parts, used)
@@ -193,15 +194,15 @@ def _declare_relaxation(
         kept = np.flatnonzero(part.states)
         before += [old, part.leg.initial_time, part.leg.final_time]
         after += [new, leg.initial_time, leg.final_time]
-        before += [part.leg.ends("initial")[kept], part.leg.ends("final")[kept]]
-        after += [leg.ends("initial"), leg.ends("final")]
+        before += [part.leg.end_states("initial")[kept], part.leg.end_states("final")[kept]]
+        after += [leg.end_states("initial"), leg.end_states("final")]
         before += [part.leg.integrands[name][0] for name in part.integrands]
         after += [leg.integrands[name][0] for name in part.integrands]
     cost, rows = (
         _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
-        label = _name_row(problem.constraint_labels()[place])
+        label = _row_constraint_name(problem.constraint_labels()[place])
         relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
     (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
@@ -244,13 +245,12 @@ def _declare_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
-        leg.path(_name_row(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+        leg.path(_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
         leg.integral(_substitute_symbols(integrand, before, after), name)
 
 
-def _kept_components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
-    """Yield the variables of which components are kept, and which of theirs."""
+def _select_kept_variables(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
     chosen = np.asarray(kept, dtype=bool)
     for name in layout.names:
         places = np.flatnonzero(chosen[layout.slice(name)]).tolist()
@@ -258,8 +258,7 @@ def _kept_components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str
             yield name, places
 
 
-def _name_row(label: str) -> str:
-    """Return the name of a constraint that is one row of another."""
+def _row_constraint_name(label: str) -> str:
     return label.replace("[", " ").rstrip("]")
 
 

@@ -209,10 +209,10 @@ def sensitivity(
             "initial='x', final='x', time='final' or constraint='c'."
         )
     _check_solution(solution)
-    point = _factorise_once(solution)
+    point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
     quantity, changes = _find_quantity_changes(point.program, solution, kind, name, phase)
-    responses = [point.respond(change) for change in changes]
+    responses = [point.differentiate_solution(change) for change in changes]
     return _collect_derivatives(point.program, solution, quantity, changes, responses)
 
 
@@ -225,8 +225,7 @@ def _check_solution(solution: Solution) -> None:
         )
 
 
-def _factorise_once(solution: Solution) -> KktPoint:
-    """Factorise once per solution."""
+def _get_factorised_kkt(solution: Solution) -> KktPoint:
     if solution not in _POINTS:
         _POINTS[solution] = KktPoint(solution)
         _warn_of_singular_controls(_POINTS[solution].program, solution)
@@ -273,29 +272,29 @@ def _find_quantity_changes(
 ) -> tuple[str, list[Change]]:
     """Name the quantity and return one direction per component."""
     if kind == "parameter":
-        return f"parameter '{name}'", _parameter_changes(program, name, phase)
+        return f"parameter '{name}'", _parameter_data_changes(program, name, phase)
     if kind == "constraint":
-        return f"boundary constraint '{name}'", _constraint_changes(program, solution, name)
+        return f"boundary constraint '{name}'", _constraint_data_changes(program, solution, name)
     leg = solution.phase(phase)
     if kind == "time":
         if name not in ("initial", "final"):
             raise ProblemError(
                 f"sensitivity() knows no time {name!r}: {did_you_mean(str(name), ('initial', 'final'))}"
             )
-        return f"{name} time of phase '{leg.name}'", [_time_change(program, leg.name, name)]
-    return f"{kind} value of '{name}' in phase '{leg.name}'", _state_changes(program, leg, kind, name)
+        return f"{name} time of phase '{leg.name}'", [_time_data_change(program, leg.name, name)]
+    return f"{kind} value of '{name}' in phase '{leg.name}'", _state_data_changes(program, leg, kind, name)
 
 
-def _zero_change(program: ProgramPoint) -> Change:
+def _zero_data_change(program: ProgramPoint) -> Change:
     transcription = program.transcription
     return Change(
-        np.zeros(transcription.numbers(program.problem).size),
+        np.zeros(transcription.problem_data(program.problem).size),
         np.zeros(transcription.n_variables),
         np.zeros(transcription.n_constraints),
     )
 
 
-def _parameter_changes(program: ProgramPoint, name: str, phase: str | None) -> list[Change]:
+def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None) -> list[Change]:
     """Model parameters, in every phase that has them (or in one)."""
     problem = program.problem
     if name in problem.parameters:
@@ -314,13 +313,13 @@ def _parameter_changes(program: ProgramPoint, name: str, phase: str | None) -> l
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _zero_change(program)
+        change = _zero_data_change(program)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
 
 
-def _state_changes(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[Change]:
+def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[Change]:
     rows = leg.states.slice(name)
     collocation = program.transcription.parts[leg.name].collocation
     places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
@@ -331,16 +330,16 @@ def _state_changes(program: ProgramPoint, leg: PhaseSolution, end: str, name: st
                 f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not held by a "
                 "given value or limit, so that there is nothing to differentiate by: choose a state that is."
             )
-        change = _zero_change(program)
+        change = _zero_data_change(program)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
 
 
-def _time_change(program: ProgramPoint, phase: str, end: str) -> Change:
+def _time_data_change(program: ProgramPoint, phase: str, end: str) -> Change:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _zero_change(program)
+    change = _zero_data_change(program)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
@@ -354,7 +353,7 @@ def _time_change(program: ProgramPoint, phase: str, end: str) -> Change:
     return change
 
 
-def _constraint_changes(program: ProgramPoint, solution: Solution, name: str) -> list[Change]:
+def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: str) -> list[Change]:
     solution.multiplier(name)  # refuses unknown names
     rows = program.transcription.constraint_rows
     changes = []
@@ -365,7 +364,7 @@ def _constraint_changes(program: ProgramPoint, solution: Solution, name: str) ->
             raise ProblemError(
                 f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit changes nothing."
             )
-        change = _zero_change(program)
+        change = _zero_data_change(program)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes
@@ -380,16 +379,16 @@ def _collect_derivatives(
     problem, transcription = program.problem, program.transcription
     layout = problem.parameters
     values = np.stack([r.variables[transcription.parameter_places] for r in responses])
-    parameters = {name: _stack_values(list(values[:, layout.slice(name)])) for name in layout.names}
+    parameters = {name: _stack_components(list(values[:, layout.slice(name)])) for name in layout.names}
     phases = {
         name: _phase_sensitivity(program, part, solution.phases[name], changes, responses)
         for name, part in transcription.parts.items()
     }
-    objective = _stack_values([np.array([problem.sense * r.objective]) for r in responses])
+    objective = _stack_components([np.array([problem.sense * r.objective]) for r in responses])
     return Sensitivity(quantity, objective, phases, parameters)
 
 
-def _stack_values(components: list[Array]) -> Array | float:
+def _stack_components(components: list[Array]) -> Array | float:
     """One value per component; a single component and a single value lose their axis."""
     flat = [c[0] if c.size == 1 else c for c in components]
     if len(flat) > 1:
@@ -404,7 +403,7 @@ def _phase_sensitivity(
     changes: list[Change],
     responses: list[Response],
 ) -> PhaseSensitivity:
-    pieces = [_differentiate(program, part, leg, c, r) for c, r in zip(changes, responses, strict=True)]
+    pieces = [_differentiate_phase(program, part, leg, c, r) for c, r in zip(changes, responses, strict=True)]
     anchors = [piece[0] for piece in pieces]
     scalar = len(pieces) == 1
 
@@ -421,15 +420,15 @@ def _phase_sensitivity(
     inner = np.stack([a[1:-1] for a in anchors])
     return PhaseSensitivity(
         leg.name,
-        _stack_values([a[:1] for a in anchors]),
-        _stack_values([a[-1:] for a in anchors]),
+        _stack_components([a[:1] for a in anchors]),
+        _stack_components([a[-1:] for a in anchors]),
         inner[0] if scalar else inner,
         signals(leg.states, [piece[1] for piece in pieces]),
         signals(leg.controls, [piece[2] for piece in pieces]),
     )
 
 
-def _differentiate(
+def _differentiate_phase(
     program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, response: Response
 ) -> tuple[Array, PiecewisePolynomial, PiecewisePolynomial]:
     """Derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
@@ -437,14 +436,14 @@ def _differentiate(
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
-    rates = _rate_changes(program, part, leg, change, moved)
+    rates = _scaled_rate_derivatives(program, part, leg, change, moved)
     states = state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = interpolate_points(leg.breaks, leg.rules, response.variables[collocation.point_controls])
-    shifts = _break_changes(transcription, part, anchors)
+    shifts = _boundary_time_derivatives(transcription, part, anchors)
     return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
 
 
-def _break_changes(transcription: Transcription, part: PhasePart, anchors: Array) -> Array:
+def _boundary_time_derivatives(transcription: Transcription, part: PhasePart, anchors: Array) -> Array:
     """Derivatives of the times of the segment boundaries, (K + 1,)."""
     mesh = part.collocation.mesh
     starts = anchors[mesh.segment_arcs] + mesh.arc_starts * np.diff(anchors)[mesh.segment_arcs]
@@ -465,7 +464,7 @@ def _remove_node_motion(
     return PiecewisePolynomial(change.breaks, change.nodes, tuple(values))
 
 
-def _rate_changes(
+def _scaled_rate_derivatives(
     program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, moved: Array
 ) -> Array:
     """Derivatives of dx/dt times the arc's duration at the points, (n_states, N)."""
@@ -482,7 +481,7 @@ def _rate_changes(
     p = model_parameters(problem, own, q)
     functions = phase_functions(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
-        other.model.parameters.size for other in _earlier_phases(problem, part.name)
+        other.model.parameters.size for other in _list_earlier_phases(problem, part.name)
     )  # where this phase's parameters start among the numbers
     directions = [
         time_changes[None, :],
@@ -491,17 +490,17 @@ def _rate_changes(
         change.numbers[offset : offset + p.size],
         moved[program.transcription.parameter_places],
     ]
-    derivative = _rate_derivative(problem, own)
+    derivative = _directional_rate_derivative(problem, own)
     change_of_f = evaluate_columns(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
 
-def _earlier_phases(problem: Problem, phase: str) -> list[Phase]:
+def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
     names = list(problem.phases)
     return [problem.phases[n] for n in names[: names.index(phase)]]
 
 
-def _rate_derivative(problem: Problem, leg: Phase) -> Any:
+def _directional_rate_derivative(problem: Problem, leg: Phase) -> Any:
     """Return (t, x, u, p, q and their changes) -> change of dx/dt."""
 
     def build() -> Any:
@@ -511,4 +510,4 @@ def _rate_derivative(problem: Problem, leg: Phase) -> Any:
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 
-    return problem.reuse(("rate derivative", leg.name), build)
+    return problem.cache(("rate derivative", leg.name), build)

@@ -314,7 +314,7 @@ class _Line:
                     "what the family of sweep() returned",
                     "return the problem",
                 )
-                solution = self._solve(problem, neighbour)
+                solution = self._solve_point(problem, neighbour)
                 if solution.status is Status.INTERRUPTED and not self._has_time_limit:
                     raise KeyboardInterrupt
                 outputs = functions.outputs if solution.status.solved else {}
@@ -337,7 +337,7 @@ class _Line:
     def _has_time_limit(self) -> bool:
         return self.options is not None and self.options.max_wall_time is not None
 
-    def _solve(self, problem: Problem, neighbour: Solution | None) -> Solution:
+    def _solve_point(self, problem: Problem, neighbour: Solution | None) -> Solution:
         if neighbour is not None:
             problem.check()
             warm = solve_mesh(problem, guess=neighbour, mesh=self.mesh, options=self.options)

@@ -23,29 +23,29 @@ from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 
 
-def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
+def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
     """Refuse arcs that are given for another number of segments."""
     held, segments = leg.numbers.arcs, collocation.mesh.segments
     for kinds in (held.controls, held.paths, held.states) if held else ():
         if kinds and len(kinds[0]) != segments:
             raise ProblemError(
-                f"arcs of {leg.where} are given for {len(kinds[0])} segments, but its mesh has {segments}: "
+                f"arcs of {leg.label} are given for {len(kinds[0])} segments, but its mesh has {segments}: "
                 "give one column per segment."
             )
 
 
-def hold_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Put the bounds of controls at the points of their arcs."""
     _apply_arc_bounds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
 
 
-def hold_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Put the bounds of path constraint rows at the points of their arcs."""
     if held.paths:
         _apply_arc_bounds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
 
 
-def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
+def fix_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
     """Put the bounds of states at the start and the points of their arcs.
 
     These determine the ends of the segments, which get no bound; neither does a start that is handed over on the bound.
@@ -67,7 +67,7 @@ def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseColloca
             if k == 0 and i in going_on:
                 box.lower[start], box.upper[start] = -np.inf, np.inf
             elif k == 0 or row[k - 1] is not kind:
-                box.lower[start] = box.upper[start] = _active_limits(bounds, kind)[i]
+                box.lower[start] = box.upper[start] = _select_active_limits(bounds, kind)[i]
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
@@ -84,7 +84,9 @@ def _find_continued_states(leg: Phase, held: Held) -> set[int]:
     return found
 
 
-def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
+def loosen_monotone_bounds(
+    box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
+) -> None:
     """Loosen the bounds of states that only rise, or only fall, but at the one end at which they say everything."""
     rising, falling = find_monotone_states(problem, leg)
     if not np.any(rising | falling):
@@ -99,7 +101,7 @@ def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: Pha
                 limits[boundaries[idle]] = limits[points] = wider[i]
 
 
-def drop_inactive_constraints(
+def drop_implied_state_bounds(
     box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
 ) -> None:
     """Drop the bounds of states that hold by themselves, since a vector keeps its length."""
@@ -108,16 +110,16 @@ def drop_inactive_constraints(
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 
-def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_junction_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Put states on their bounds at junctions; what else holds there is for rows to say."""
     for junction in held.junctions:
         i = junction.constraint - collocation.n_paths
         if i >= 0 and junction.conditions:
             place = collocation.boundary_states[i, junction.boundary]
-            box.lower[place] = box.upper[place] = _active_limits(bounds, junction.kind)[i]
+            box.lower[place] = box.upper[place] = _select_active_limits(bounds, junction.kind)[i]
 
 
-def _active_limits(bounds: Interval, kind: ArcKind) -> Array:
+def _select_active_limits(bounds: Interval, kind: ArcKind) -> Array:
     return bounds.upper if kind is ArcKind.UPPER else bounds.lower
 
 
@@ -132,7 +134,7 @@ def _kinds_at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
 def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
     for kind in (ArcKind.LOWER, ArcKind.UPPER):
         here = kinds == kind
-        limits = np.broadcast_to(_active_limits(bounds, kind)[:, None], kinds.shape)
+        limits = np.broadcast_to(_select_active_limits(bounds, kind)[:, None], kinds.shape)
         box.lower[places[here]] = box.upper[places[here]] = limits[here]
     released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
@@ -146,21 +148,21 @@ def find_junctions(leg: Phase) -> tuple[Junction, ...]:
     return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
 
 
-def junction_orders(junction: Junction, n_paths: int) -> range:
+def junction_derivative_orders(junction: Junction, n_paths: int) -> range:
     """Return which derivatives have a row: that a state is on its bound needs none."""
     return range(0 if junction.constraint < n_paths else 1, junction.conditions)
 
 
 def count_junction_rows(junction: Junction, n_paths: int) -> int:
     """Return how many rows a junction has."""
-    return len(junction_orders(junction, n_paths)) + (junction.tangent != 0)
+    return len(junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
-def junction_values(junction: Junction, paths: Interval, order: int | None) -> Array:
+def junction_row_values(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
-        values[0] = _active_limits(paths, junction.kind)[junction.constraint]
+        values[0] = _select_active_limits(paths, junction.kind)[junction.constraint]
     return values
 
 
@@ -186,7 +188,7 @@ def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> B
 # --- smooth controls ----------------------------------------------------------------------------------------
 
 
-def smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
+def list_smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
     """Return the controls of a phase that are one polynomial over several segments."""
     return () if leg.numbers.arcs is None else leg.numbers.arcs.smooth
 

@@ -44,7 +44,6 @@ class PhaseCollocation:
 
     @property
     def family(self) -> Family:
-        """Properties of the scheme."""
         return get_family(self.scheme)
 
     @cached_property
@@ -52,19 +51,19 @@ class PhaseCollocation:
         """The collocation rule of each segment."""
         return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
-    def _spread_rows(self, starts: Array, widths: Array) -> Array:
+    def _index_row_ranges(self, starts: Array, widths: Array) -> Array:
         pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.rules)]
         return np.concatenate(pieces)
 
     @cached_property
     def fractions(self) -> Array:
         """Collocation times as fractions of the phase on the mesh as given, shape (N,); for guesses."""
-        return self._spread_rows(np.asarray(self.mesh.breaks), self.mesh.widths)
+        return self._index_row_ranges(np.asarray(self.mesh.breaks), self.mesh.widths)
 
     @cached_property
     def arc_fractions(self) -> Array:
         """Collocation times as fractions of their arcs, shape (N,)."""
-        return self._spread_rows(self.mesh.arc_starts, self.mesh.arc_widths)
+        return self._index_row_ranges(self.mesh.arc_starts, self.mesh.arc_widths)
 
     @cached_property
     def point_arcs(self) -> Indices:
@@ -72,7 +71,7 @@ class PhaseCollocation:
         return np.repeat(self.mesh.segment_arcs, self.mesh.degrees)
 
     @cached_property
-    def quadrature(self) -> Array:
+    def quadrature_weights(self) -> Array:
         """Quadrature weights as fractions of the arcs, shape (N,); they sum to 1 over each arc."""
         widths = self.mesh.arc_widths
         return np.concatenate([0.5 * widths[k] * r.weights for k, r in enumerate(self.rules)])
@@ -80,7 +79,7 @@ class PhaseCollocation:
     # --- variables --------------------------------------------------------------------------------
 
     @cached_property
-    def _numbering(self) -> tuple[Indices, Indices, Indices, int]:
+    def _number_variables(self) -> tuple[Indices, Indices, Indices, int]:
         n, m, mesh = self.n_states, self.n_controls, self.mesh
         starts, ends = self.family.starts_at_point, self.family.ends_at_point
         degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.offsets)
@@ -94,28 +93,28 @@ class PhaseCollocation:
         boundary = np.concatenate([[self.first_variable], inner])
         if starts:
             points[offsets[:-1]] = boundary[:-1]
-        grids = (_collocation_grid(boundary, n), _collocation_grid(points, n), _collocation_grid(controls, m))
+        grids = (_index_grid(boundary, n), _index_grid(points, n), _index_grid(controls, m))
         return *grids, int(places[-1]) - self.first_variable
 
     @property
     def boundary_states(self) -> Indices:
         """Variables of the states at the segment boundaries, shape (n_states, K + 1)."""
-        return self._numbering[0]
+        return self._number_variables[0]
 
     @property
     def point_states(self) -> Indices:
         """Variables of the states at the collocation points, shape (n_states, N)."""
-        return self._numbering[1]
+        return self._number_variables[1]
 
     @property
     def point_controls(self) -> Indices:
         """Variables of the controls at the collocation points, shape (n_controls, N)."""
-        return self._numbering[2]
+        return self._number_variables[2]
 
     @property
     def n_variables(self) -> int:
         """Number of state and control variables of the phase."""
-        return self._numbering[3]
+        return self._number_variables[3]
 
     # --- rows -------------------------------------------------------------------------------------
 
@@ -126,7 +125,6 @@ class PhaseCollocation:
 
     @property
     def n_dynamics_rows(self) -> int:
-        """Number of scalar dynamics rows."""
         return self.n_states * sum(self._row_counts)
 
     @property
@@ -150,26 +148,24 @@ class PhaseCollocation:
         return (start + np.arange(self.n_paths * self.mesh.size)).reshape(self.mesh.size, self.n_paths).T
 
     def row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
-        """Return the name of every row, in order."""
         labels = []
         for k, count in enumerate(self._row_counts):
             for i in range(count):
-                where = self.family.row_place(i, self.mesh.degrees[k])
+                where = self.family.row_location(i, self.mesh.degrees[k])
                 place = f"phase {phase}, segment {k + 1}, {where}"
                 labels += [f"{s} defect, {place}" for s in states]
-        for k, j in self._segment_points():
+        for k, j in self._list_segment_points():
             labels += [f"path {c}, phase {phase}, segment {k + 1}, point {j + 1}" for c in paths]
         return labels
 
     def variable_labels(self, phase: str, states: tuple[str, ...], controls: tuple[str, ...]) -> list[str]:
-        """Return the name of every variable of the phase, in order."""
         labels = [""] * self.n_variables
         for k, column in enumerate(self.boundary_states.T):
             place = "start" if k == 0 else f"end of segment {k}"
             for name, index in zip(states, column, strict=True):
                 labels[index - self.first_variable] = f"{name}, phase {phase}, {place}"
         for (k, j), xs, us in zip(
-            self._segment_points(), self.point_states.T, self.point_controls.T, strict=True
+            self._list_segment_points(), self.point_states.T, self.point_controls.T, strict=True
         ):
             place = f"segment {k + 1}, point {j + 1}"
             for name, index in zip((*states, *controls), (*xs, *us), strict=True):
@@ -178,7 +174,7 @@ class PhaseCollocation:
                 )
         return labels
 
-    def _segment_points(self) -> list[tuple[int, int]]:
+    def _list_segment_points(self) -> list[tuple[int, int]]:
         return [(k, j) for k, n in enumerate(self.mesh.degrees) for j in range(n)]
 
     # --- constant matrices --------------------------------------------------------------------------
@@ -193,7 +189,7 @@ class PhaseCollocation:
         return self.family.dynamics_matrix(self.rules[k].integration)
 
     @cached_property
-    def linear_part(self) -> tuple[Indices, Indices, Array]:
+    def linear_dynamics_entries(self) -> tuple[Indices, Indices, Array]:
         """Entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
@@ -207,9 +203,13 @@ class PhaseCollocation:
     def segment_nodes(self, k: int) -> Indices:
         """Variables of the states that the rows of segment k join, shape (n_states, nodes)."""
         points = self.point_states[:, self.mesh.offsets[k] : self.mesh.offsets[k + 1]]
-        return self.family.row_nodes(self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]])
+        return self.family.row_variables(
+            self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]
+        )
 
-    def weights(self, n_outputs: int, dynamics: Indices, paths: Indices) -> tuple[Indices, Indices, Array]:
+    def output_weights(
+        self, n_outputs: int, dynamics: Indices, paths: Indices
+    ) -> tuple[Indices, Indices, Array]:
         """Entries (rows, point outputs, values) by which point values enter the rows.
 
         ``dynamics`` and ``paths`` are the places of Delta f and of the path constraints among the ``n_outputs``.
@@ -228,7 +228,7 @@ class PhaseCollocation:
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
 
-def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
+def assemble_weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
     """Assemble sparse entries (rows, columns, values) into a csc matrix."""
     rows, columns, values = (np.concatenate([np.asarray(e[i]) for e in entries]) for i in range(3))
     matrix = scipy.sparse.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))
@@ -236,6 +236,6 @@ def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -
     return matrix
 
 
-def _collocation_grid(first: Indices, count: int) -> Indices:
+def _index_grid(first: Indices, count: int) -> Indices:
     """Places of so many variables from each of some places on, (count, n); those of one place lie side by side."""
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

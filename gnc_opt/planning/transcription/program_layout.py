@@ -17,7 +17,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     count_junction_rows,
     find_junctions,
-    smooth_controls,
+    list_smooth_controls,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -63,13 +63,13 @@ class Numbering:
         self.scheme = scheme
         self.parts: dict[str, PhasePart] = {}
         self._movable = {name: mesh.movable for name, mesh in meshes.items()}
-        self._direct, self._defined = problem.reuse("integrals of the end rows", self._sort_integrals)
-        self._place_phases(meshes)
-        self._place_end_rows()
+        self._direct, self._defined = problem.cache("integrals of the end rows", self._classify_integrals)
+        self._number_phases(meshes)
+        self._number_end_rows()
 
     # --- places -----------------------------------------------------------------------------------
 
-    def _sort_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
+    def _classify_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
         """Split integrals into those with constant coefficients in (cost, constraints) and the others."""
         outputs = ca.vertcat(self.problem.sense * self.problem.cost, self.problem.constraint_expression())
         direct: dict[tuple[str, str], Array] = {}
@@ -83,7 +83,7 @@ class Numbering:
                     defined.append((leg.name, label))
         return direct, defined
 
-    def _place_phases(self, meshes: Mapping[str, Mesh]) -> None:
+    def _number_phases(self, meshes: Mapping[str, Mesh]) -> None:
         variable = row = 0
         collocations = {}
         for name, leg in self.problem.phases.items():
@@ -103,7 +103,7 @@ class Numbering:
             (name, anchor)
             for name, collocation in collocations.items()
             for anchor in collocation.mesh.anchors
-            if not self._is_fixed(name, anchor)
+            if not self._is_anchor_fixed(name, anchor)
         ]
         time_place = {key: variable + i for i, key in enumerate(free_times)}
         variable += len(free_times)
@@ -119,10 +119,10 @@ class Numbering:
         self._smooth = [
             build_smoothness_rows(smooth, collocations[name])
             for name, leg in self.problem.phases.items()
-            for smooth in smooth_controls(leg)
+            for smooth in list_smooth_controls(leg)
         ]
         self._first_smooth_row = row
-        self.junctions = self._place_junctions(row + sum(values.shape[0] for _, values in self._smooth))
+        self.junctions = self._number_junction_rows(row + sum(values.shape[0] for _, values in self._smooth))
         self._first_end_row = row + sum(values.shape[0] for _, values in self._smooth)
         self._first_end_row += sum(rows.size for *_, rows in self.junctions)
         for k, (name, collocation) in enumerate(collocations.items()):
@@ -132,7 +132,7 @@ class Numbering:
             ]
             self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
 
-    def _place_junctions(self, row: int) -> list[tuple[str, Junction, Indices]]:
+    def _number_junction_rows(self, row: int) -> list[tuple[str, Junction, Indices]]:
         """Phase, junction and rows of each junction of a state constraint."""
         placed = []
         for name, leg in self.problem.phases.items():
@@ -142,12 +142,12 @@ class Numbering:
                 row += count
         return placed
 
-    def _is_fixed(self, name: str, anchor: int) -> bool:
+    def _is_anchor_fixed(self, name: str, anchor: int) -> bool:
         if anchor in self._movable[name]:
             return False
         return is_time_fixed(self.problem.phases[name], min(anchor, 1))
 
-    def _place_end_rows(self) -> None:
+    def _number_end_rows(self) -> None:
         self._durations = [
             name for name, part in self.parts.items() if np.all(part.times[[0, -1]] < self.n_variables)
         ]
@@ -174,7 +174,6 @@ class Numbering:
 
     @cached_property
     def row_labels(self) -> tuple[str, ...]:
-        """The name of every constraint row."""
         labels: list[str] = []
         for name, part in self.parts.items():
             leg = self.problem.phases[name]
@@ -188,7 +187,6 @@ class Numbering:
 
     @cached_property
     def variable_labels(self) -> tuple[str, ...]:
-        """The name of every variable."""
         labels: list[str] = []
         for name, part in self.parts.items():
             model = self.problem.phases[name].model
@@ -201,4 +199,4 @@ class Numbering:
 
 def is_time_fixed(leg: Phase, end: int) -> bool:
     """Whether the phase's initial (0) or final (1) time is a given number."""
-    return bool(leg.times()[end].fixed[0])
+    return bool(leg.time_ranges()[end].fixed[0])

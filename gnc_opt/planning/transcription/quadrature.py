@@ -56,7 +56,7 @@ class CollocationRule:
     def integrate_to(self, tau: ArrayLike) -> Array:
         """Values at ``points`` → integral of their interpolant from -1 to ``tau``, shape (len(tau), n)."""
         at = np.atleast_1d(np.asarray(tau, dtype=float))
-        return np.asarray(_legendre_integrals(at, self.n) @ _float_modes(self.scheme, self.n))
+        return np.asarray(_legendre_integrals(at, self.n) @ _legendre_transform(self.scheme, self.n))
 
 
 def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
@@ -67,7 +67,7 @@ def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     ArgumentError
         Unknown scheme, or a number of points that is not an integer in range.
     """
-    return _build_rule(*_checked_rule(scheme, n))
+    return _build_rule(*_check_rule_arguments(scheme, n))
 
 
 def gauss_rule(n: int) -> CollocationRule:
@@ -75,33 +75,35 @@ def gauss_rule(n: int) -> CollocationRule:
     return collocation_rule(GAUSS, n)
 
 
-def points(scheme: Scheme, n: int) -> Array:
+def collocation_points(scheme: Scheme, n: int) -> Array:
     """The ``n`` points of a family, ascending, shape (n,). Errors as `collocation_rule`."""
-    return _points_and_weights(*_checked_rule(scheme, n))[0]
+    return _points_and_weights(*_check_rule_arguments(scheme, n))[0]
 
 
-def weights(scheme: Scheme, n: int) -> Array:
+def quadrature_weights(scheme: Scheme, n: int) -> Array:
     """The ``n`` quadrature weights of a family, shape (n,). Errors as `collocation_rule`."""
-    return _points_and_weights(*_checked_rule(scheme, n))[1]
+    return _points_and_weights(*_check_rule_arguments(scheme, n))[1]
 
 
 def barycentric_weights(nodes: ArrayLike) -> Array:
     """Barycentric weights ``1 / prod_k (x_j - x_k)``, the largest scaled to ±1, shape (len(nodes),)."""
-    return _cached_barycentric_weights(_float_vector(nodes).tobytes())
+    return _cached_barycentric_weights(_read_float_vector(nodes).tobytes())
 
 
 def differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Values on ``nodes`` → derivative at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
-    x, w = _float_vector(nodes), barycentric_weights(nodes)
-    return np.asarray(interpolation_matrix(x, at) @ _square_differentiation(x, w))
+    x, w = _read_float_vector(nodes), barycentric_weights(nodes)
+    return np.asarray(interpolation_matrix(x, at) @ _square_differentiation_matrix(x, w))
 
 
 def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Values on ``nodes`` → value at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
-    return barycentric_basis(_float_vector(nodes), barycentric_weights(nodes), _float_vector(at))
+    return barycentric_interpolation(
+        _read_float_vector(nodes), barycentric_weights(nodes), _read_float_vector(at)
+    )
 
 
-def barycentric_basis(x: Array, w: Array, at: Array) -> Array:
+def barycentric_interpolation(x: Array, w: Array, at: Array) -> Array:
     """Return `interpolation_matrix` for nodes and abscissae that have been read, and the nodes' barycentric weights."""
     gap = at[:, None] - x
     nearest = np.min(np.abs(gap), axis=1, keepdims=True)
@@ -112,7 +114,7 @@ def barycentric_basis(x: Array, w: Array, at: Array) -> Array:
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
 
 
-def _checked_rule(scheme: Scheme, n: int) -> tuple[Scheme, int]:
+def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
     fewest = get_family(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, and more segments where that is too few"
@@ -127,8 +129,8 @@ def _build_rule(scheme: Scheme, n: int) -> CollocationRule:
         nodes = get_family(scheme).state_nodes(x)
         w = _reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
-        differentiation = _square_differentiation(nodes, w)[collocated]
-        integration = _legendre_integrals(x, n) @ _decimal_modes(scheme, n)
+        differentiation = _square_differentiation_matrix(nodes, w)[collocated]
+        integration = _legendre_integrals(x, n) @ _decimal_legendre_transform(scheme, n)
         end_values = _legendre_derivatives_at_one(nodes, w)
     tables = map(_round_to_float, (nodes, differentiation, end_values, integration))
     return CollocationRule(scheme, n, *_points_and_weights(scheme, n), *tables)
@@ -146,23 +148,25 @@ def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Number
         symmetric = get_family(scheme).symmetric
         x = _to_decimals(get_family(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic from about 1e-14: the third step reaches the last digit
-            x = _newton_step(scheme, n, x)
+            x = _polish_points(scheme, n, x)
         if symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
-        modes = _legendre(x, n - 1)
-        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(get_family(scheme).square_norms(n)))
+        modes = _legendre_polynomials(x, n - 1)
+        return x, 1 / sum(
+            modes[k] ** 2 / g for k, g in enumerate(get_family(scheme).legendre_square_norms(n))
+        )
 
 
-def _newton_step(scheme: Scheme, n: int, x: Numbers) -> Numbers:
+def _polish_points(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
-    modes = _legendre(x, n)
-    series = get_family(scheme).series(n)
+    modes = _legendre_polynomials(x, n)
+    series = get_family(scheme).polynomial_coefficients(n)
     value = sum(c * modes[k] for k, c in series.items())
     slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
     return np.asarray(x - value / slope)
 
 
-def _legendre(x: Numbers, degree: int) -> list[Numbers]:
+def _legendre_polynomials(x: Numbers, degree: int) -> list[Numbers]:
     """P_0 ... P_degree at ``x`` by the three-term recurrence; floats or Decimals."""
     modes = [x * 0 + 1, x]
     for k in range(1, degree):
@@ -172,22 +176,22 @@ def _legendre(x: Numbers, degree: int) -> list[Numbers]:
 
 def _legendre_integrals(x: Numbers, n: int) -> Numbers:
     """Integrals of P_0 ... P_{n-1} from -1 to ``x``, shape (len(x), n)."""
-    modes = _legendre(x, n)
+    modes = _legendre_polynomials(x, n)
     return np.stack([x + 1] + [(modes[k + 1] - modes[k - 1]) / (2 * k + 1) for k in range(1, n)], axis=1)
 
 
 @cache
-def _decimal_modes(scheme: Scheme, n: int) -> Numbers:
+def _decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
     """Values at the points → Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _decimal_points_and_weights(scheme, n)
     with _use_decimal_digits():
-        pairs = zip(_legendre(x, n - 1), get_family(scheme).square_norms(n), strict=True)
+        pairs = zip(_legendre_polynomials(x, n - 1), get_family(scheme).legendre_square_norms(n), strict=True)
         return np.stack([w * mode / norm for mode, norm in pairs])
 
 
 @cache
-def _float_modes(scheme: Scheme, n: int) -> Array:
-    return _round_to_float(_decimal_modes(scheme, n))
+def _legendre_transform(scheme: Scheme, n: int) -> Array:
+    return _round_to_float(_decimal_legendre_transform(scheme, n))
 
 
 def _reciprocal_products(x: Numbers) -> Numbers:
@@ -196,7 +200,7 @@ def _reciprocal_products(x: Numbers) -> Numbers:
     return np.asarray(1 / gap.prod(axis=1))
 
 
-def _square_differentiation(x: Numbers, w: Numbers) -> Numbers:
+def _square_differentiation_matrix(x: Numbers, w: Numbers) -> Numbers:
     """Values on ``x`` (barycentric weights ``w``) → derivative at the same nodes; floats or Decimals."""
     gap = x[:, None] - x
     np.fill_diagonal(gap, 1)
@@ -237,7 +241,7 @@ def _round_to_float(values: Numbers) -> Array:
     return table
 
 
-def _float_vector(values: ArrayLike) -> Array:
+def _read_float_vector(values: ArrayLike) -> Array:
     vector = np.atleast_1d(np.asarray(values, dtype=float))
     if vector.ndim != 1:
         raise ArgumentError(f"expected a vector of nodes or abscissae, got an array of shape {vector.shape}")

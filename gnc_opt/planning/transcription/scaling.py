@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.guess.initial_guess import phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES, phase_magnitudes, typical_magnitudes
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -34,7 +34,7 @@ class Scaling:
     objective: float
 
 
-def scale_variables(
+def choose_variable_scales(
     transcription: Transcription, problem: Problem, start: Array, *, overridden: bool = True
 ) -> Array:
     """Return the typical magnitude of every variable, shape (n_variables,), as the user says or as found."""
@@ -45,7 +45,7 @@ def scale_variables(
         scales[collocation.boundary_states] = states[:, None]
         scales[collocation.point_states] = states[:, None]
         scales[collocation.point_controls] = controls[:, None]
-        span = max(abs(phase_guess(problem.phases[name], SAMPLES).times[1]), 1e-3)
+        span = max(abs(build_phase_guess(problem.phases[name], SAMPLES).times[1]), 1e-3)
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     for places, interval in ((transcription.parameter_places, problem.parameter_interval()),):
@@ -53,11 +53,11 @@ def scale_variables(
     return scales
 
 
-def scale_rows(
+def choose_row_scales(
     transcription: Transcription, problem: Problem, start: Array, scales: Array
 ) -> tuple[Array, float]:
     """Return row scales (n_constraints,) and the objective's scale, for a guess and scales of the variables."""
-    gradient, nonzeros, room = _scaled_derivatives(transcription, problem, start)
+    gradient, nonzeros, room = _derivative_magnitudes(transcription, problem, start)
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
@@ -70,30 +70,29 @@ def scale_rows(
     return factors, 1.0 / steepest if steepest > 0 else 1.0
 
 
-def _scaled_derivatives(
+def _derivative_magnitudes(
     transcription: Transcription, problem: Problem, start: Array
 ) -> tuple[Array, Array, Array]:
     """Largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""
     box = transcription.variable_interval(problem)
-    usual = scale_variables(transcription, problem, start, overridden=False)
+    usual = choose_variable_scales(transcription, problem, start, overridden=False)
     size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)
     offset = NEARBY * size * np.cos(_GOLDEN_ANGLE * np.arange(start.size))
     gradient, nonzeros = np.zeros(start.size), np.zeros(transcription.constraints.jacobian_pattern[0].size)
     limits, room = transcription.row_interval(problem), np.zeros(transcription.n_constraints)
     for point in (start, start + offset):
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
-        values, slope, jacobian = transcription.evaluate(problem, inside)
+        values, slope, jacobian = transcription.evaluate_derivatives(problem, inside)
         gradient, nonzeros = (
-            np.maximum(gradient, _matrix_size(slope)),
-            np.maximum(nonzeros, _matrix_size(jacobian)),
+            np.maximum(gradient, _finite_magnitudes(slope)),
+            np.maximum(nonzeros, _finite_magnitudes(jacobian)),
         )
-        room = np.maximum(room, _replace_nonfinite(np.minimum(values - limits.lower, limits.upper - values)))
+        room = np.maximum(
+            room,
+            np.nan_to_num(np.minimum(values - limits.lower, limits.upper - values), posinf=0.0, neginf=0.0),
+        )
     return gradient, nonzeros, room
 
 
-def _replace_nonfinite(values: Array) -> Array:
-    return np.where(np.isfinite(values), values, 0.0)
-
-
-def _matrix_size(values: Array) -> Array:
+def _finite_magnitudes(values: Array) -> Array:
     return np.where(np.isfinite(values), np.abs(values), 0.0)

@@ -61,10 +61,10 @@ class Family(ABC):
         """Return the points to some 14 digits."""
 
     @abstractmethod
-    def series(self, n: int) -> dict[int, int]:
+    def polynomial_coefficients(self, n: int) -> dict[int, int]:
         """Return the polynomial whose simple roots the points are: Legendre degree → coefficient."""
 
-    def square_norms(self, n: int) -> list[Decimal]:
+    def legendre_square_norms(self, n: int) -> list[Decimal]:
         """Return the sums ``sum_i w_i P_k(x_i)²``, k = 0 ... n-1."""
         return [Decimal(2) / (2 * k + 1) for k in range(n)]
 
@@ -76,7 +76,7 @@ class Family(ABC):
 
     @abstractmethod
     def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
-        """Return the coefficients (rows, nodes) of the states of `row_nodes` in the dynamics rows.
+        """Return the coefficients (rows, nodes) of the states of `row_variables` in the dynamics rows.
 
         ``differentiation`` (n, n + 1) and ``end_values`` (n + 1,) map values on state nodes to the derivative at the
         points and the value at +1.
@@ -90,10 +90,10 @@ class Family(ABC):
         return np.eye(len(integration))
 
     @abstractmethod
-    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         """Return the variables (n_states, nodes) that the rows join: states at a segment's start, points and end."""
 
-    def row_place(self, row: int, n: int) -> str:
+    def row_location(self, row: int, n: int) -> str:
         """Name what the row of a segment of n points is about."""
         return f"point {row + 1}"
 
@@ -106,7 +106,7 @@ class Gauss(Family):
     def approximate_points(self, n: int) -> Iterable[float]:
         return [float(x) for x in scipy.special.roots_legendre(n)[0]]
 
-    def series(self, n: int) -> dict[int, int]:
+    def polynomial_coefficients(self, n: int) -> dict[int, int]:
         return {n: 1}
 
     def state_nodes(self, points: Numbers) -> Numbers:
@@ -124,11 +124,11 @@ class Gauss(Family):
         n = len(integration)
         return np.vstack([np.eye(n), np.zeros((1, n))])
 
-    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([start, points, end])
 
-    def row_place(self, row: int, n: int) -> str:
-        return "end" if row == n else super().row_place(row, n)
+    def row_location(self, row: int, n: int) -> str:
+        return "end" if row == n else super().row_location(row, n)
 
 
 class Radau(Family):
@@ -139,7 +139,7 @@ class Radau(Family):
     def approximate_points(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
 
-    def series(self, n: int) -> dict[int, int]:
+    def polynomial_coefficients(self, n: int) -> dict[int, int]:
         return {n: 1, n - 1: 1}
 
     def state_nodes(self, points: Numbers) -> Numbers:
@@ -148,7 +148,7 @@ class Radau(Family):
     def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
         return differentiation
 
-    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([points, end])
 
 
@@ -162,11 +162,11 @@ class Lobatto(Family):
     def approximate_points(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
 
-    def series(self, n: int) -> dict[int, int]:
+    def polynomial_coefficients(self, n: int) -> dict[int, int]:
         return {n: 1, n - 2: -1}
 
-    def square_norms(self, n: int) -> list[Decimal]:
-        return [*super().square_norms(n)[:-1], Decimal(2) / (n - 1)]
+    def legendre_square_norms(self, n: int) -> list[Decimal]:
+        return [*super().legendre_square_norms(n)[:-1], Decimal(2) / (n - 1)]
 
     def state_nodes(self, points: Numbers) -> Numbers:
         """Return the points and the midpoint of the widest gap, of two equal gaps the positive one."""
@@ -181,10 +181,10 @@ class Lobatto(Family):
     def dynamics_matrix(self, integration: Array) -> Array:
         return integration[1:, :]
 
-    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return points
 
-    def row_place(self, row: int, n: int) -> str:
+    def row_location(self, row: int, n: int) -> str:
         return f"point {row + 2}"
 
 

@@ -16,27 +16,27 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.problem.arcs import Junction
-from gnc_opt.planning.problem.expressions import parameter_arguments
-from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.expressions import model_parameter_arguments
+from gnc_opt.planning.problem.interval import Interval, unbounded
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
-    check_segments,
+    check_arc_segments,
     controls_at_junction,
-    drop_inactive_constraints,
+    drop_implied_state_bounds,
     find_junctions,
-    hold_controls,
-    hold_paths,
-    hold_states,
-    junction_orders,
-    junction_values,
-    loosen_one_way,
-    meet_limits,
-    smooth_controls,
+    fix_controls,
+    fix_junction_states,
+    fix_paths,
+    fix_states,
+    junction_derivative_orders,
+    junction_row_values,
+    list_smooth_controls,
+    loosen_monotone_bounds,
     smoothness_entries,
 )
-from gnc_opt.planning.transcription.collocation import weight_matrix
+from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import Numbering, PhasePart, is_time_fixed
 from gnc_opt.planning.transcription.scheme import Scheme
@@ -68,10 +68,12 @@ class Transcription(Numbering):
         self.built: dict[Any, Any] = {}
         phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
         junctions = [self._junction_block(*placed) for placed in self.junctions]
-        self.program = SeparableProgram(self._is_linear(), (*phase_blocks, *junctions, self._end_block()))
+        self.program = SeparableProgram(
+            self._constant_coefficients(), (*phase_blocks, *junctions, self._boundary_block())
+        )
         self.objective, self.constraints = (
-            self.program.rows(0, 1),
-            self.program.rows(1, 1 + self.n_constraints),
+            self.program.select_rows(0, 1),
+            self.program.select_rows(1, 1 + self.n_constraints),
         )
 
     # --- blocks -----------------------------------------------------------------------------------
@@ -80,16 +82,16 @@ class Transcription(Numbering):
         """Dynamics and path constraints; integrals apart, so that an objective made of them needs no dynamics."""
         collocation = self.parts[leg.name].collocation
         n_states, n_paths = leg.model.states.size, len(leg.path_labels)
-        rows, columns, values = collocation.weights(
+        rows, columns, values = collocation.output_weights(
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
-        blocks = [self._point_block(leg, "dynamics", [(rows + 1, columns, values)])]
-        entries = self._integral_entries(leg)
+        blocks = [self._collocation_block(leg, "dynamics", [(rows + 1, columns, values)])]
+        entries = self._integral_weight_entries(leg)
         if entries:  # integrals may be declared only to be read
-            blocks.append(self._point_block(leg, "integrals", entries))
+            blocks.append(self._collocation_block(leg, "integrals", entries))
         return blocks
 
-    def _point_block(
+    def _collocation_block(
         self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
     ) -> PointBlock:
         """Rates times the duration, and other functions, at every collocation point; fixed times are data."""
@@ -99,7 +101,7 @@ class Transcription(Numbering):
         end_places = np.stack([part.times[collocation.point_arcs], part.times[collocation.point_arcs + 1]])
         is_free = np.any(end_places < self.n_variables, axis=1)
         free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
-        fixed_times = [self._symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed]
+        fixed_times = [self._mx_symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed]
         parameter_places = np.tile(self.parameter_places[:, None], (1, n_points))
         variables = np.vstack(
             [collocation.point_states, collocation.point_controls, end_places[free], parameter_places]
@@ -107,15 +109,16 @@ class Transcription(Numbering):
         data = ca.vertcat(
             ca.MX(ca.DM(collocation.arc_fractions.reshape(1, -1))),
             *fixed_times,
-            ca.repmat(self._symbols.models[leg.name], 1, n_points),
+            ca.repmat(self._mx_symbols.models[leg.name], 1, n_points),
         )
-        function = self.problem.reuse(
-            ("point", leg.name, of, *free.tolist()), lambda: self._point_function(leg, of, free, fixed)
+        function = self.problem.cache(
+            ("point", leg.name, of, *free.tolist()),
+            lambda: self._collocation_point_function(leg, of, free, fixed),
         )
-        weights = weight_matrix(1 + self.n_constraints, function.rows * n_points, *entries)
+        weights = assemble_weight_matrix(1 + self.n_constraints, function.n_rows * n_points, *entries)
         return PointBlock(function, variables.astype(np.int64), data, weights)
 
-    def _point_function(
+    def _collocation_point_function(
         self, leg: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
     ) -> PointFunction:
         """The same on any mesh: by states, controls, those ends of the arc that are free, and free parameters."""
@@ -128,20 +131,22 @@ class Transcription(Numbering):
             else (leg.integrand_expression(), ca.SX(0, 1))
         )
         outputs = self.problem.bind(leg, ca.vertcat(span * rates, others))
-        return PointFunction.build(
+        return PointFunction.differentiate(
             "point",
             ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
             ca.vertcat(fraction, ends[fixed.tolist()], p),
             ca.substitute(outputs, t, ends[0] + fraction * span),
         )
 
-    def _integral_entries(self, leg: Phase) -> list[Any]:
+    def _integral_weight_entries(self, leg: Phase) -> list[Any]:
         collocation = self.parts[leg.name].collocation
         entries = []
         for place, label in enumerate(leg.integrands):
             columns = place + len(leg.integrands) * np.arange(collocation.mesh.size)
             for row, coefficient in self._integral_rows(leg.name, label):
-                entries.append((np.full(columns.size, row), columns, coefficient * collocation.quadrature))
+                entries.append(
+                    (np.full(columns.size, row), columns, coefficient * collocation.quadrature_weights)
+                )
         return entries
 
     def _integral_rows(self, phase: str, label: str) -> list[tuple[int, float]]:
@@ -161,7 +166,7 @@ class Transcription(Numbering):
         segment, ends = min(junction.boundary, mesh.segments - 1), ca.SX.sym("ends", 2)
         arc = int(mesh.segment_arcs[segment])
         found = constraint_order(self.problem, leg, junction.constraint)
-        orders = junction_orders(junction, len(leg.path_labels))
+        orders = junction_derivative_orders(junction, len(leg.path_labels))
         outputs = ca.vertcat(*[found.derivatives[k] for k in orders], ca.SX(0, 1))
         beside = controls_at_junction(part.collocation, junction)
         points = ca.SX.sym("points", u.numel(), beside.points.shape[1])
@@ -172,7 +177,7 @@ class Transcription(Numbering):
         time = ends[0] + fraction * (ends[1] - ends[0])
         places = part.times[[arc, arc + 1]]
         free, fixed = np.flatnonzero(places < self.n_variables), np.flatnonzero(places >= self.n_variables)
-        function = PointFunction.build(
+        function = PointFunction.differentiate(
             "junction",
             ca.vertcat(x, ca.vec(points), ends[free.tolist()], self.problem.parameter_symbols()),
             ca.vertcat(ends[fixed.tolist()], p),
@@ -181,14 +186,14 @@ class Transcription(Numbering):
         states = part.collocation.boundary_states[:, junction.boundary]
         variables = np.concatenate([states, beside.points.T.ravel(), places[free], self.parameter_places])
         data = ca.vertcat(
-            self._symbols.times[(places[fixed] - self.n_variables).tolist()], self._symbols.models[name]
+            self._mx_symbols.times[(places[fixed] - self.n_variables).tolist()], self._mx_symbols.models[name]
         )
-        weights = weight_matrix(
+        weights = assemble_weight_matrix(
             1 + self.n_constraints, rows.size, (1 + rows, np.arange(rows.size), np.ones(rows.size))
         )
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
-    def _end_block(self) -> PointBlock:
+    def _boundary_block(self) -> PointBlock:
         """The cost and the end rows as one function of end points, parameters and integrals."""
         places = [
             place
@@ -201,15 +206,15 @@ class Transcription(Numbering):
         ]
         variables = np.concatenate([*places, self.parameter_places, self.integral_places])
         arcs = [len(boundaries) for boundaries in self._movable.values()]
-        function = self.problem.reuse(("end rows", *arcs, *self._durations), self._end_function)
+        function = self.problem.cache(("end rows", *arcs, *self._durations), self._boundary_function)
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
-        weights = weight_matrix(
+        weights = assemble_weight_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
         )
-        data = ca.vertcat(*self._symbols.models.values())
+        data = ca.vertcat(*self._mx_symbols.models.values())
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
-    def _end_function(self) -> PointFunction:
+    def _boundary_function(self) -> PointFunction:
         """The same on any mesh with so many movable boundaries."""
         phases = self.problem.phases.values()
         arguments: list[Any] = []
@@ -217,7 +222,7 @@ class Transcription(Numbering):
         for leg in phases:
             inner = ca.SX.sym("boundary", len(self._movable[leg.name]))
             times = ca.vertcat(leg.initial_time, inner, leg.final_time)
-            arguments += [leg.ends("initial"), leg.ends("final"), times]
+            arguments += [leg.end_states("initial"), leg.end_states("final"), times]
             arc_lengths += [times[1:] - times[:-1]] if self._movable[leg.name] else []
         defined = [self.problem.phases[name].integrands[label][0] for name, label in self._defined]
         arguments += [self.problem.parameter_symbols(), *defined]
@@ -232,11 +237,11 @@ class Transcription(Numbering):
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
         for leg in phases:
             outputs = self.problem.bind(leg, outputs)
-        data = ca.vertcat(*parameter_arguments(self.problem.phases.values()))
-        return PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
+        data = ca.vertcat(*model_parameter_arguments(self.problem.phases.values()))
+        return PointFunction.differentiate("ends", ca.vertcat(*arguments), data, outputs)
 
-    def _is_linear(self) -> Any:
-        entries = [part.collocation.linear_part for part in self.parts.values()]
+    def _constant_coefficients(self) -> Any:
+        entries = [part.collocation.linear_dynamics_entries for part in self.parts.values()]
         entries.append(smoothness_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
         return scipy.sparse.coo_array(
@@ -246,7 +251,7 @@ class Transcription(Numbering):
     # --- the program as CasADi functions ------------------------------------------------------------
 
     @cached_property
-    def _symbols(self) -> _Symbols:
+    def _mx_symbols(self) -> _Symbols:
         models = {
             name: ca.MX.sym(f"{name}_parameters", leg.model.parameters.size)
             for name, leg in self.problem.phases.items()
@@ -265,31 +270,31 @@ class Transcription(Numbering):
     @cached_property
     def nlp(self) -> NlpProblem:
         """The scaled program with its sparse derivatives, ready for a solver."""
-        s = self._symbols
+        s = self._mx_symbols
         arguments = s.scales * s.x, s.times
         sigma, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.n_constraints)
         multipliers = ca.vertcat(s.objective_scale * sigma, s.row_scales * lam)
-        f, gradient = self.objective.values_and_jacobian(*arguments)
-        g, jacobian = self.constraints.values_and_jacobian(*arguments)
-        hessian = self.program.hessian(*arguments, multipliers)
+        f, gradient = self.objective.evaluate_rows_and_jacobian(*arguments)
+        g, jacobian = self.constraints.evaluate_rows_and_jacobian(*arguments)
+        hessian = self.program.evaluate_hessian(*arguments, multipliers)
         n, m = self.n_variables, self.n_constraints
         _, columns = self.objective.jacobian_pattern
         scaled = gradient * s.objective_scale * s.scales[columns.tolist()]
-        gradient = ca.densify(_sparse_matrix(n, 1, columns, 0 * columns, scaled))
+        gradient = ca.densify(_build_sparse_matrix(n, 1, columns, 0 * columns, scaled))
         rows, columns = self.constraints.jacobian_pattern
         # vec: of a vector of one entry CasADi picks a row.
         scaled = jacobian * ca.vec(s.row_scales[rows.tolist()]) * s.scales[columns.tolist()]
-        jacobian = _sparse_matrix(m, n, rows, columns, scaled)
+        jacobian = _build_sparse_matrix(m, n, rows, columns, scaled)
         rows, columns = self.program.hessian_pattern
-        hessian = _sparse_matrix(
+        hessian = _build_sparse_matrix(
             n, n, rows, columns, hessian * s.scales[rows.tolist()] * s.scales[columns.tolist()]
         )
         point, names = [s.x, s.p], ["x", "p"]
         return NlpProblem(
             x=s.x,
             p=s.p,
-            f=s.objective_scale * self.objective.values(*arguments),
-            g=s.row_scales * self.constraints.values(*arguments),
+            f=s.objective_scale * self.objective.evaluate_rows(*arguments),
+            g=s.row_scales * self.constraints.evaluate_rows(*arguments),
             grad_f=ca.Function(
                 "nlp_grad_f", point, [s.objective_scale * f, gradient], names, ["f", "grad_f_x"]
             ),
@@ -303,7 +308,7 @@ class Transcription(Numbering):
             ),
         )
 
-    def evaluate(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
+    def evaluate_derivatives(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
         """Return rows (n_constraints,), objective gradient (n_variables,) and Jacobian nonzeros, all physical."""
         ones = np.ones(self.n_variables), np.ones(self.n_constraints)
         p = self.parameter_vector(problem, *ones, 1.0)
@@ -312,7 +317,7 @@ class Transcription(Numbering):
 
     # --- numbers ----------------------------------------------------------------------------------
 
-    def numbers(self, problem: Problem) -> Array:
+    def problem_data(self, problem: Problem) -> Array:
         """Model parameters and fixed times of a problem."""
         models = [leg.model.parameter_values for leg in problem.phases.values()]
         return np.concatenate([*models, self.fixed_times(problem)])
@@ -321,23 +326,23 @@ class Transcription(Numbering):
         self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
     ) -> Array:
         """Stack the program's parameters: model parameters, fixed times and scales."""
-        return np.concatenate([self.numbers(problem), scales, row_scales, [objective_scale]])
+        return np.concatenate([self.problem_data(problem), scales, row_scales, [objective_scale]])
 
     def fixed_times(self, problem: Problem) -> Array:
         """Initial and final time of each phase where fixed, else 0, shape (2 * n_phases,)."""
-        times = [leg.times()[end] for leg in problem.phases.values() for end in (0, 1)]
+        times = [leg.time_ranges()[end] for leg in problem.phases.values() for end in (0, 1)]
         return np.asarray([t.lower[0] if t.fixed[0] else 0.0 for t in times])
 
     def variable_interval(self, problem: Problem) -> Interval:
         """Bounds of all variables, in physical units."""
-        box = free(self.n_variables)
+        box = unbounded(self.n_variables)
         for name, part in self.parts.items():
-            self._put_phase_bounds(box, problem, problem.phases[name], part)
+            self._set_phase_bounds(box, problem, problem.phases[name], part)
         q = problem.parameter_interval()
         box.lower[self.parameter_places], box.upper[self.parameter_places] = q.lower, q.upper
         return box
 
-    def _put_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhasePart) -> None:
+    def _set_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhasePart) -> None:
         collocation, numbers = part.collocation, leg.numbers
         controls = (
             numbers.controls if numbers.turns is None else numbers.turns.solver_bounds(numbers.controls)
@@ -348,11 +353,11 @@ class Transcription(Numbering):
             (collocation.point_controls, controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
-        loosen_one_way(box, problem, leg, collocation)
-        drop_inactive_constraints(box, problem, leg, collocation)
-        check_segments(leg, collocation)
+        loosen_monotone_bounds(box, problem, leg, collocation)
+        drop_implied_state_bounds(box, problem, leg, collocation)
+        check_arc_segments(leg, collocation)
         if numbers.arcs is not None:
-            hold_controls(box, numbers.arcs, numbers.controls, collocation)
+            fix_controls(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value that rounding puts beyond a bound must not cross it.
@@ -362,9 +367,9 @@ class Transcription(Numbering):
                 np.clip(values.upper, lower, upper),
             )
         if numbers.arcs is not None:
-            hold_states(box, leg, numbers.arcs, collocation)
-            meet_limits(box, numbers.arcs, numbers.states, collocation)
-        for place, time in zip(part.times[[0, -1]], leg.times(), strict=True):
+            fix_states(box, leg, numbers.arcs, collocation)
+            fix_junction_states(box, numbers.arcs, numbers.states, collocation)
+        for place, time in zip(part.times[[0, -1]], leg.time_ranges(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
 
@@ -377,7 +382,7 @@ class Transcription(Numbering):
             box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
             held = problem.phases[name].numbers.arcs
             if held is not None:
-                hold_paths(box, held, paths, part.collocation)
+                fix_paths(box, held, paths, part.collocation)
         for i, name in enumerate(self._durations):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
@@ -385,7 +390,7 @@ class Transcription(Numbering):
         for name, junction, rows in self.junctions:
             leg = problem.phases[name]
             order = constraint_order(self.problem, leg, junction.constraint).order
-            values = junction_values(junction, leg.path_interval(), order)
+            values = junction_row_values(junction, leg.path_interval(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))
@@ -407,7 +412,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
     fixed = tuple(is_time_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    held = tuple((smooth_controls(leg), find_junctions(leg)) for leg in problem.phases.values())
+    held = tuple((list_smooth_controls(leg), find_junctions(leg)) for leg in problem.phases.values())
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)
@@ -418,7 +423,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
     return built
 
 
-def _sparse_matrix(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:
+def _build_sparse_matrix(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:
     """Build an MX matrix from column-major (row, column) places and its nonzeros."""
     starts = np.searchsorted(columns, np.arange(n_columns + 1))
     pattern = ca.Sparsity(n_rows, n_columns, starts.tolist(), rows.tolist())

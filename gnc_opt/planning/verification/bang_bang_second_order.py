@@ -35,16 +35,16 @@ from gnc_opt.planning.solution.quality import find_worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.critical_cone import direction_optimal_gradient
-from gnc_opt.planning.verification.feasibility import combine_results
-from gnc_opt.planning.verification.goh_transformation import find_flat_controls
+from gnc_opt.planning.verification.critical_cone import best_direction_gradient
+from gnc_opt.planning.verification.feasibility import combine_condition_results
+from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
 
 MOST_ORDERS = 120
 """Orders of simultaneous switches that are tried."""
 
 
-def check_strict_switches(samples: list[PhaseSamples]) -> Condition:
+def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
     """Switching functions cross zero with the right slope at every switch, and vanish nowhere else."""
     meaning = (
         "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
@@ -53,13 +53,13 @@ def check_strict_switches(samples: list[PhaseSamples]) -> Condition:
         f"it has the wrong sign by more than {NEGLIGIBLE:.0e} of H; what is less is zero within the errors of costates."
     )
     worst = min(filter(None, map(_find_worst_crossing, samples)), default=None)
-    touched = next(filter(None, map(_find_touched_zero, samples)), "")
+    touched = next(filter(None, map(_find_zero_without_crossing, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
     if touched and (worst is None or not worst.is_violation):
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
-    result = combine_results(least > NEGLIGIBLE, worst.is_violation)
+    result = combine_condition_results(least > NEGLIGIBLE, worst.is_violation)
     return Condition(name, result, -least, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
 
 
@@ -73,12 +73,10 @@ class _Crossing:
 
     @property
     def is_violation(self) -> bool:
-        """Whether it violates a necessary condition."""
         return self.slope < -NEGLIGIBLE and not self.harmless
 
 
 def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
-    """The worst crossing of a phase, or None without a switch."""
     leg = s.leg
     times, channels = find_inner_switches(s)
     if not times.size:
@@ -88,12 +86,12 @@ def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
         times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times
     )
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
-    at = beside, leg.x(beside), leg.flown(beside), leg.lam(beside), leg.path_multiplier(beside)
-    values = direction_optimal_gradient(s, *at)
+    at = beside, leg.x(beside), leg.applied(beside), leg.lam(beside), leg.path_multiplier(beside)
+    values = best_direction_gradient(s, *at)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
     unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
-    falls = np.sign(leg.flown(times, "left") - leg.flown(times))[channels, np.arange(times.size)]
+    falls = np.sign(leg.applied(times, "left") - leg.applied(times))[channels, np.arange(times.size)]
     signed = np.min(falls * slopes * unit, axis=0)
     found = []
     for slope, t, i in zip(signed, times, channels, strict=True):
@@ -122,15 +120,15 @@ def _switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) 
 
 
 def _evaluate_switching_functions(s: PhaseSamples) -> Array:
-    return direction_optimal_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
+    return best_direction_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
 
 
-def _find_touched_zero(s: PhaseSamples) -> str:
+def _find_zero_without_crossing(s: PhaseSamples) -> str:
     """Where a switching function touches zero along a bang arc, or nothing."""
     times, channels = find_inner_switches(s)
     worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.at_control_bounds, axis=0)
-    affine = np.all(find_flat_controls(s), axis=1) | np.all(on_bound, axis=1)
+    affine = np.all(mask_zero_curvature(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
@@ -165,9 +163,9 @@ class SecondOrder:
     attained: bool
 
     @property
-    def result(self) -> ConditionResult:
+    def condition_result(self) -> ConditionResult:
         """Whether the form is positive definite."""
-        return combine_results(self.least > self.error, self.least < -self.error and self.attained)
+        return combine_condition_results(self.least > self.error, self.least < -self.error and self.attained)
 
 
 def check_bang_bang_second_order(
@@ -184,13 +182,13 @@ def check_bang_bang_second_order(
     def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
 
-    reason = explain_inapplicability(samples)
-    switches = {} if reason else {s.leg.name: Switches.of(s) for s in samples}
+    reason = explain_inapplicable_theorem(samples)
+    switches = {} if reason else {s.leg.name: Switches.from_samples(s) for s in samples}
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
     if reason:
         return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
-    unknowns = Unknowns.of(solution, samples, switches)
+    unknowns = Unknowns.from_switches(solution, samples, switches)
     every = itertools.product(*(s.list_orders() for s in switches.values()))
     found = [
         _second_order_for_switch_order(
@@ -198,19 +196,19 @@ def check_bang_bang_second_order(
         )
         for orders in every
     ]
-    worst = min(found, key=lambda f: (f.result is not ConditionResult.FAIL, f.least - f.error))
+    worst = min(found, key=lambda f: (f.condition_result is not ConditionResult.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
     if worst.freedom == 0:
         place = "no degree of freedom, as many conditions as switching times"
     elif len(found) > 1:
         place += f", {len(found)} orders of simultaneous switches"
-    if worst.result is ConditionResult.INCONCLUSIVE:
+    if worst.condition_result is ConditionResult.INCONCLUSIVE:
         small = abs(worst.least) <= worst.error
         place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
         place = NOT_FLOWN if np.isnan(worst.least) else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
-    return condition(worst.result, value, -worst.error, f"phase {phases}: {place}")
+    return condition(worst.condition_result, value, -worst.error, f"phase {phases}: {place}")
 
 
 def _second_order_for_switch_order(
@@ -221,20 +219,21 @@ def _second_order_for_switch_order(
     orders: dict[str, tuple[int, ...]],
     switches: dict[str, Switches],
 ) -> SecondOrder:
-    """Return the second order of the switching-time problem for one order of the switches of every phase."""
-    pieces = {name: switches[name].build_pieces(order) for name, order in orders.items()}
-    coarse, fine = (InducedProblem.of(solution, samples, ends, unknowns, pieces, n) for n in (1, 2))
-    if not (coarse.finite and fine.finite):
+    pieces = {name: switches[name].piecewise_control(order) for name, order in orders.items()}
+    coarse, fine = (
+        InducedProblem.integrate_controls(solution, samples, ends, unknowns, pieces, n) for n in (1, 2)
+    )
+    if not (coarse.is_finite and fine.is_finite):
         return SecondOrder(np.nan, np.nan, unknowns.scale.size, False)
     free, conditions = unknowns.free, fine.conditions
     gradient, jacobian = _extrapolate_richardson(fine.gradient, coarse.gradient), conditions.jacobian
     jacobian = _extrapolate_richardson(jacobian, coarse.conditions.jacobian)
     cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
-    at_lower, at_upper = conditions.active
+    at_lower, at_upper = conditions.active_limits
     active, rows, norms, multipliers = estimate_nearest_multipliers(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
     precedences = _switch_order_constraints(unknowns, orders, switches)[:, free]
-    residual, precedence_multipliers = _explain_residual_by_order(
+    residual, precedence_multipliers = _fit_switch_order_multipliers(
         gradient[free] + rows.T @ multipliers, precedences
     )
     wrong = np.maximum(-sides * multipliers, 0.0) / cost
@@ -250,7 +249,7 @@ def _second_order_for_switch_order(
     null = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(kept.shape[1])
     if not null.shape[1]:
         return SecondOrder(np.inf, 0.0, 0, True)
-    (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
+    (h_fine, size), (h_coarse, _) = fine.lagrangian_hessian(every), coarse.lagrangian_hessian(every)
     hessian = _extrapolate_richardson(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = null.T @ hessian @ null
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
@@ -278,7 +277,7 @@ def estimate_nearest_multipliers(
         Of the conditions divided by the norms.
     """
     free, conditions = induced.unknowns.free, induced.conditions
-    at_lower, at_upper = conditions.active
+    at_lower, at_upper = conditions.active_limits
     norms = np.linalg.norm(jacobian[:, free], axis=1)
     # What only given unknowns could change is no condition on the others.
     told = norms > RANK * np.linalg.norm(jacobian, axis=1)
@@ -290,7 +289,6 @@ def estimate_nearest_multipliers(
 
 
 def _extrapolate_richardson(fine: Array, coarse: Array) -> Array:
-    """Richardson's extrapolation from two grids."""
     return np.asarray(fine + (fine - coarse) / (2**ORDER - 1))
 
 
@@ -300,14 +298,14 @@ def _switch_order_constraints(
     """Combinations of the unknowns that must not be negative for the order of the switches to hold (k, n)."""
     rows = [np.zeros((0, unknowns.scale.size))]
     for name, order in orders.items():
-        own = switches[name].precedences(order)
+        own = switches[name].order_constraints(order)
         block = np.zeros((own.shape[0], unknowns.scale.size))
         block[:, unknowns.places[name][: own.shape[1]]] = own
         rows.append(block)
     return np.vstack(rows)
 
 
-def _explain_residual_by_order(residual: Array, precedences: Array) -> tuple[Array, Array]:
+def _fit_switch_order_multipliers(residual: Array, precedences: Array) -> tuple[Array, Array]:
     """Return the gradient less the multipliers of the order of simultaneous switches, and these multipliers."""
     if not precedences.size:
         return residual, np.zeros(precedences.shape[0])
@@ -320,10 +318,10 @@ def is_bang_bang(samples: list[PhaseSamples]) -> bool:
     return bool(samples) and all(np.all(np.any(s.at_control_bounds, axis=0)) for s in samples)
 
 
-def explain_inapplicability(samples: list[PhaseSamples]) -> str:
+def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
     """Why the induced problem says nothing, or nothing."""
     for s in samples:
-        if not s.has_length:
+        if not s.has_duration:
             return f"phase {s.leg.name} has no length"
         on_bound = np.any(s.at_control_bounds, axis=0)
         if not np.all(on_bound):

@@ -13,7 +13,11 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import free_control_directions, undetermined_controls
-from gnc_opt.planning.optimality.cost_scale import average_over_time, exclude_switches, lasting_minimum_index
+from gnc_opt.planning.optimality.cost_scale import (
+    average_over_time,
+    lasting_minimum_index,
+    mask_interior_controls,
+)
 from gnc_opt.planning.optimality.reference_scales import (
     CHEAP_AFFINE,
     CHEAP_CURVED,
@@ -24,19 +28,19 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import build_condition, combine_results
+from gnc_opt.planning.verification.feasibility import combine_condition_results, judge_violation
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
-    coupled_gains,
+    compute_coupled_gains,
+    control_search_bounds,
+    draw_low_discrepancy_points,
     find_coupled_minima,
-    low_discrepancy_points,
-    search_bounds,
 )
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, SMALL, TINY
 
 
-def compute_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
+def compute_hamiltonian_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
     """Return by what gains in H of each control alone are measured (m,), cost per second."""
     bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1, initial=0.0)
     least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
@@ -57,14 +61,14 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         # However cheap a control is: multipliers may be rounding, what the cost itself curves by is not.
         clear = np.isfinite(miss) & (miss > NOTABLE) & find_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
-        share = np.where(clear, loss, 0.0) / compute_gain_scales(s, scales)[:, None]
+        share = np.where(clear, loss, 0.0) / compute_hamiltonian_gain_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
         means = average_over_time(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
         root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
         # The place is that of the largest mean.
         by_phase = np.where(means == np.max(means, axis=1, keepdims=True), root_mean[:, None], 0.0)
         violation = np.maximum(by_phase, average_over_time(s.times, gain) * np.sqrt(tolerance))
-        worst = worst.select_worse(_find_worst_control(s, violation, "dH/du of "))
+        worst = worst.select_worse(_locate_worst_control(s, violation, "dH/du of "))
     return worst
 
 
@@ -89,7 +93,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
         gain = average_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.select_worse(_find_worst_control(s, gain, "switching function of "))
+        worst = worst.select_worse(_locate_worst_control(s, gain, "switching function of "))
     return worst
 
 
@@ -107,7 +111,7 @@ def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None)
     return loss, at_lower | at_upper
 
 
-def _find_worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
+def _locate_worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
     if not loss.size:
         return NOTHING
     i, j = find_worst_index(loss)
@@ -132,7 +136,7 @@ def check_minimum_principle(
             f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
             f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
         )
-    found = build_condition("minimum principle", worst, tolerance, meaning)
+    found = judge_violation("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
@@ -151,10 +155,10 @@ def _hamiltonian_gains(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[Array, Array, bool]:
     """Return what other controls gain in H and its share along the phase, and whether they had to be searched for."""
-    apart = _compute_separable_gain(s)
-    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scatter_controls(s), s.lam)
+    apart = _separable_gain(s)
+    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _distribute_control_samples(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
-    others, searched = coupled_gains(s, deviation, cost, tolerance)
+    others, searched = compute_coupled_gains(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
     for other in others:
         gain = gain + np.interp(s.times, other.times, other.gain)
@@ -164,7 +168,7 @@ def _hamiltonian_gains(
 
 def minimum_principle_loss(solution: Solution) -> float:
     """Return the integral of H less its least value, in the objective's unit; not finite where H has no value."""
-    samples = [s for s in solution.samples().values() if s.has_length and s.leg.controls.size]
+    samples = [s for s in solution.samples().values() if s.has_duration and s.leg.controls.size]
     return float(
         sum(s.weights @ _hamiltonian_gains(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples)
     )
@@ -174,24 +178,24 @@ def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and minimising controls (m, n_times); those with a slope of rounding stay."""
     times, u = find_coupled_minima(s)
     apart = s.functions.separable_controls
-    lower, upper = (limit[:, None] for limit in search_bounds(s))
+    lower, upper = (limit[:, None] for limit in control_search_bounds(s))
     slope = s.control_gradient[:, np.searchsorted(s.times, times)]
     clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SMALL * s.joint_hamiltonian_change)
     return times, np.where(clear, np.where(slope > 0, lower, upper), u)
 
 
-def _compute_separable_gain(s: PhaseSamples) -> Array:
+def _separable_gain(s: PhaseSamples) -> Array:
     """What H loses at most by other values of its separable controls: each goes where its slope says."""
     apart = s.functions.separable_controls
-    lower, upper = (limit[apart, None] for limit in search_bounds(s))
+    lower, upper = (limit[apart, None] for limit in control_search_bounds(s))
     slope, u = s.control_gradient[apart], s.u[apart]
     return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
 
 
-def _scatter_controls(s: PhaseSamples) -> Array:
+def _distribute_control_samples(s: PhaseSamples) -> Array:
     """Separable controls anywhere between their limits: a step of H, whose slope is zero, shows nowhere else."""
-    lower, upper = search_bounds(s)
-    shares = low_discrepancy_points(s.u.shape[1], s.u.shape[0])
+    lower, upper = control_search_bounds(s)
+    shares = draw_low_discrepancy_points(s.u.shape[1], s.u.shape[0])
     other = lower[:, None] + (upper - lower)[:, None] * shares
     return np.where(s.functions.separable_controls[:, None], other, s.u)
 
@@ -205,11 +209,11 @@ def check_legendre_clebsch(
         "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
         "its sign reversed, in shares of H's scale): negative curvature means a maximum, none leaves it open."
     )
-    found = [_least_curvature(s) for s in samples]
+    found = [_find_least_lasting_curvature(s) for s in samples]
     vanishing = [place is not None and abs(value) <= tolerance for value, place in found]
     # Where the form vanishes since H is affine in controls, the generalised condition judges; here, the others.
     found = [
-        _least_curvature(s, ~here) if affine else told
+        _find_least_lasting_curvature(s, ~here) if affine else told
         for s, here, told, affine in zip(samples, singular, found, vanishing, strict=True)
     ]
     places = [(value, place) for value, place in found if place is not None]
@@ -217,16 +221,16 @@ def check_legendre_clebsch(
         nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
-    result = combine_results(least >= tolerance, not least > -tolerance)
+    result = combine_condition_results(least >= tolerance, not least > -tolerance)
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
-def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
+def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
     """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long."""
     unit = s.control_span / np.sqrt(s.control_gain)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     least = np.full(s.times.size, np.inf)
-    for j, basis in enumerate(free_control_directions(s, _controls_between_bounds(s) & among, unit)):
+    for j, basis in enumerate(free_control_directions(s, _mask_interior_controls(s) & among, unit)):
         if basis.size:
             reduced = basis.T @ scaled[:, :, j] @ basis
             finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
@@ -261,7 +265,7 @@ def check_singular_arcs(
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 
 
-def find_undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
+def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     """Where controls are between their bounds, and H or constraints do not determine them.
 
     Returns
@@ -273,10 +277,10 @@ def find_undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     """
     loss = _first_order_gains(s, s.control_span[:, None], s.control_scale)[0] / s.control_gain[:, None]
     unit = s.control_span / np.sqrt(s.control_gain)
-    inside = _controls_between_bounds(s)
+    inside = _mask_interior_controls(s)
     some, whole = undetermined_controls(s, inside, unit, tolerance)
     singular = some & (loss <= tolerance) & (np.abs(_hamiltonian_curvature(s)) <= tolerance)
-    return exclude_switches(s.times, singular), inside & whole
+    return mask_interior_controls(s.times, singular), inside & whole
 
 
 def _hamiltonian_curvature(s: PhaseSamples) -> Array:
@@ -284,7 +288,7 @@ def _hamiltonian_curvature(s: PhaseSamples) -> Array:
     return np.asarray(np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_gain)[:, None])
 
 
-def _controls_between_bounds(s: PhaseSamples) -> Mask:
+def _mask_interior_controls(s: PhaseSamples) -> Mask:
     """Where each control that does something is between its bounds, and not only on its way across, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, NOTABLE * s.control_scale)
-    return exclude_switches(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))
+    return mask_interior_controls(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

@@ -29,7 +29,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.cost_scale import compute_parameter_scales
 from gnc_opt.planning.optimality.costate_jumps import (
     explain_costate_jumps,
-    explain_end_gap,
+    explain_transversality,
     integrate_nearby_multipliers,
 )
 from gnc_opt.planning.optimality.reference_scales import Scales
@@ -42,15 +42,15 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.scheme import GAUSS
-from gnc_opt.planning.verification.feasibility import path_reach
-from gnc_opt.planning.verification.recomputed_solution import evaluate_ends
+from gnc_opt.planning.verification.feasibility import reach_of_path_constraints
+from gnc_opt.planning.verification.recomputed_solution import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))
 """The ends of a phase and their samples."""
 
 
-def add_end_constraints(
+def add_active_constraints_at_ends(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> tuple[Solution, EndGradients]:
     """Return the solution of the problem with these boundary constraints, their multipliers with it, and its ends."""
@@ -68,11 +68,11 @@ def add_end_constraints(
         box = leg.path_interval()
         for row in rows:
             label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
-            expression = _path_constraint_at_end(leg, row, end)
+            expression = _path_expression_at_end(leg, row, end)
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
-        pushes.append(explain_end_gap(s, at, ends).multipliers[rows])
+        pushes.append(explain_transversality(s, at, ends).multipliers[rows])
     problem.forget_builds()
     stated = replace(
         solution,
@@ -80,7 +80,7 @@ def add_end_constraints(
         constraint_multipliers=np.concatenate(pushes),
         constraint_labels=problem.constraint_labels(),
     )
-    return stated, evaluate_ends(stated)
+    return stated, boundary_gradients(stated)
 
 
 def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
@@ -89,7 +89,7 @@ def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     if not pure.size:
         return pure
     end, point = s.times[[at]], leg.point_times[[at]]
-    values = np.hstack([s.functions.paths(t, leg.x(t), leg.flown(t)) for t in (end, point)])
+    values = np.hstack([s.functions.paths(t, leg.x(t), leg.applied(t)) for t in (end, point)])
     near = (
         np.any(leg.path_bounds.near(values, AT_LIMIT * s.path_scale), axis=0)
         & ~leg.path_bounds.fixed[:, None]
@@ -97,10 +97,12 @@ def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
 
-def _path_constraint_at_end(leg: Phase, row: int, end: str) -> ca.SX:
+def _path_expression_at_end(leg: Phase, row: int, end: str) -> ca.SX:
     t, x, _, _ = leg.model.arguments()
     time = leg.initial_time if end == "initial" else leg.final_time
-    return ca.substitute(leg.path_expression()[int(row)], ca.vertcat(t, x), ca.vertcat(time, leg.ends(end)))
+    return ca.substitute(
+        leg.path_expression()[int(row)], ca.vertcat(t, x), ca.vertcat(time, leg.end_states(end))
+    )
 
 
 def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
@@ -111,7 +113,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
         share, total = _adjoint_residuals(s, s.mu, scales, tolerance)
         if s.leg.scheme != GAUSS and s.pure_paths.size:
             share = np.fmin(
-                share, _adjoint_residuals(s, _path_multipliers_without_atoms(s), scales, tolerance)[0]
+                share, _adjoint_residuals(s, _path_multipliers_without_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
         i = int(np.argmax(np.abs(total[:, k]) * along.radius))
@@ -139,14 +141,14 @@ def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: fl
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
 
-def _path_multipliers_without_atoms(s: PhaseSamples) -> Array:
+def _path_multipliers_without_impulses(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) by the points inside of segments: those at boundaries have atoms."""
     leg = s.leg
     inner = [np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool) for rule in leg.rules]
     nodes = tuple(rule.points[here] for rule, here in zip(leg.rules, inner, strict=True))
     values = tuple(v[:, here] for v, here in zip(leg.path_multiplier.values, inner, strict=True))
     mu, pure = s.mu.copy(), s.pure_paths
-    mu[pure] = s.sample(PiecewisePolynomial(leg.breaks, nodes, values))[pure]
+    mu[pure] = s.sample_signal(PiecewisePolynomial(leg.breaks, nodes, values))[pure]
     return mu
 
 
@@ -156,10 +158,10 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     for s in samples:
         own = scales.phases[s.leg.name]
         # The multiplier that would explain the gap must be one that the end's bounds can exert.
-        pushes = {end: explain_end_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
+        pushes = {end: explain_transversality(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
             left = push.gap - push.explained
-            left = np.copysign(_inadmissible_multipliers(left, s.x[:, at], push.limits, s.state_scale), left)
+            left = np.copysign(_multipliers_of_wrong_sign(left, s.x[:, at], push.limits, s.state_scale), left)
             violation = float(ellipsoid.maximise_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_cheap_control_error(s, left))
@@ -177,7 +179,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     boxes, lasts = leg.duration_bounds, np.array([leg.duration])
     # A multiplier of the duration counts only if a bound of the duration can exert it.
     exerted = np.array([leg.duration_multiplier])
-    alone = np.copysign(_inadmissible_multipliers(exerted, lasts, boxes, lasts), exerted)
+    alone = np.copysign(_multipliers_of_wrong_sign(exerted, lasts, boxes, lasts), exerted)
     duration = float((exerted - alone)[0])
     gaps = np.array(
         [
@@ -192,7 +194,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
     # Multipliers are known for times that are variables only.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
-    violation = np.maximum(_inadmissible_multipliers(gaps, times, box, span), told) * s.span / scales.cost
+    violation = np.maximum(_multipliers_of_wrong_sign(gaps, times, box, span), told) * s.span / scales.cost
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
     return worst.select_worse(
@@ -200,7 +202,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     )
 
 
-def _inadmissible_multipliers(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _multipliers_of_wrong_sign(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Size of bound multipliers that the bounds cannot exert: >= 0 needs the upper, <= 0 the lower bound."""
     at_lower, at_upper = box.near(values, AT_LIMIT * scale)
     # A given value takes any multiplier; whether it is met is for the boundary conditions to say.
@@ -212,7 +214,7 @@ def check_complementarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
     """Return what multipliers contribute to the cost away from their limits, or from the wrong side of them."""
-    worst = _check_end_multipliers(solution, ends, scales)
+    worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
         worst = worst.select_worse(_check_bound_impulses(s, scales))
@@ -231,7 +233,7 @@ def check_complementarity(
                 leg.path_multipliers,
                 paths,
                 leg.path_bounds,
-                path_reach(s, scales, times, x, u),
+                reach_of_path_constraints(s, scales, times, x, u),
             ),
         ):
             if labels:
@@ -242,7 +244,7 @@ def check_complementarity(
     return worst
 
 
-def _check_end_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
+def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Multipliers of boundary constraints that are not at the limit which could exert them."""
     nu, values = solution.constraint_multipliers, ends.constraints
     if not nu.size:
@@ -286,13 +288,13 @@ def check_parameter_stationarity(
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
-        atoms = _parameter_atoms(s, ends)
+        atoms = _parameter_gradients_of_impulses(s, ends)
         gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier a bound would have to exert is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
     violation = (
-        _inadmissible_multipliers(-left, values, box, compute_parameter_scales(solution))
+        _multipliers_of_wrong_sign(-left, values, box, compute_parameter_scales(solution))
         * scales.parameters
         / scales.cost
     )
@@ -300,13 +302,13 @@ def check_parameter_stationarity(
     return Worst(float(violation[i]), f"parameter {solution.free_parameters.labels[i]}")
 
 
-def _parameter_atoms(s: PhaseSamples, ends: EndGradients) -> Array:
+def _parameter_gradients_of_impulses(s: PhaseSamples, ends: EndGradients) -> Array:
     """What pushes of no duration do to parameters, where path constraints are touched or met at an end (q, n_atoms)."""
     leg = s.leg
-    pushes = [explain_end_gap(s, at, ends).multipliers for at in (0, -1)]
+    pushes = [explain_transversality(s, at, ends).multipliers for at in (0, -1)]
     atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[2], pushes[1]])
     times = leg.breaks[[0, *range(1, leg.mesh.segments), -1]]
-    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (leg.x, leg.flown))
+    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (leg.x, leg.applied))
     none = np.zeros_like(x)
     by_parameter, idle = (
         s.functions.parameter_gradient(times, x, u, none, mu) for mu in (atoms, 0.0 * atoms)

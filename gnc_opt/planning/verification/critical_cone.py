@@ -48,7 +48,7 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
     return None
 
 
-def direction_optimal_gradient(
+def best_direction_gradient(
     s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array, mu: Array
 ) -> Array:
     """Return d(H + mu.c)/du (m, n_times), by a magnitude that is zero as if its direction were the best."""
@@ -66,7 +66,7 @@ def direction_optimal_gradient(
     return gradient
 
 
-def hold_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def fix_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with directions held where their magnitude is, and angles that do nothing there."""
     strong = cone.strong.copy()
     for s in samples:
@@ -91,7 +91,7 @@ def hold_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]
     return replace(cone, strong=strong)
 
 
-def hold_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with its path constraints held where their arcs begin, too."""
     point = cone.point
     found = []
@@ -101,7 +101,7 @@ def hold_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cri
         if not rows.size:
             continue
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
-        at = breaks, s.leg.x(breaks), s.leg.flown(breaks)
+        at = breaks, s.leg.x(breaks), s.leg.applied(breaks)
         places, gradients = path_gradients_at_boundaries(point.transcription, part, s.functions, at)
         values = gradients[:, rows, starts] * point.scaling.variables[places[:, starts]]
         lines = np.tile(np.arange(rows.size), places.shape[0])
@@ -143,31 +143,31 @@ class CriticalCone:
     further: Any = None
 
     @classmethod
-    def of(cls, point: ProgramPoint) -> CriticalCone:
+    def from_program_point(cls, point: ProgramPoint) -> CriticalCone:
         """Tell from the gradient of the Lagrangian which limits push.
 
         By continuity the variation of what is limited vanishes at the ends of an arc on its limit too: a node at the
         limit is held if it shares a segment with one that is pushed there.
         """
         strong, weak = [], []
-        of_variables, of_rows = _variables_by_line(point)
+        of_variables, of_rows = _list_variables_along_segments(point)
         for limits, values, multipliers, lines in (
             (point.variables, point.x, point.multiplier_densities[0], of_variables),
-            (point.rows, point.values, point.multiplier_densities[1], of_rows),
+            (point.rows, point.row_values, point.multiplier_densities[1], of_rows),
         ):
-            told = ProgramLimits.of(limits.box, values, multipliers, limits.labels)
-            doubtful = told.weak(values, multipliers)
+            told = ProgramLimits.from_values(limits.box, values, multipliers, limits.labels)
+            doubtful = told.weakly_active(values, multipliers)
             held = told.active & ~doubtful
-            _hold_limits_along_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
+            _extend_active_limits_along_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
             strong.append(held)
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
 
-    def admits(self, direction: Array, samples: list[PhaseSamples]) -> bool:
+    def admits_direction(self, direction: Array, samples: list[PhaseSamples]) -> bool:
         """Whether a direction stays within the limits: weakly active ones at the nodes, active ones between them."""
         point = self.point
-        changes = np.concatenate([direction, point.jacobian @ direction])[self.weak]
-        values = np.concatenate([point.x, point.values])[self.weak]
+        changes = np.concatenate([direction, point.row_jacobian @ direction])[self.weak]
+        values = np.concatenate([point.x, point.row_values])[self.weak]
         lower, upper = (
             np.concatenate([getattr(limits.box, side) for limits in (point.variables, point.rows)])[self.weak]
             for side in ("lower", "upper")
@@ -181,9 +181,9 @@ class CriticalCone:
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
-        dx = s.sample(_interpolate_nodes(breaks, part.collocation, change))
+        dx = s.sample_signal(_interpolate_states(breaks, part.collocation, change))
         rules = part.collocation.rules
-        du = s.sample(interpolate_points(breaks, rules, change[part.collocation.point_controls]))
+        du = s.sample_signal(interpolate_points(breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
         dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)
@@ -203,7 +203,7 @@ class CriticalCone:
         return np.concatenate(worst)
 
 
-def _variables_by_line(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
+def _list_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
     """Variables of each state along each segment, ends included, and of each control; rows of each path constraint."""
     variables, rows = [], []
     for part in point.transcription.parts.values():
@@ -217,7 +217,7 @@ def _variables_by_line(point: ProgramPoint) -> tuple[list[Indices], list[Indices
     return variables, rows
 
 
-def _hold_limits_along_arcs(
+def _extend_active_limits_along_arcs(
     lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask
 ) -> None:
     """Hold, in place, what is at the same limit as a pushed node of its line."""
@@ -243,7 +243,7 @@ def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
     return np.asarray(np.hstack([start, middle, end]))
 
 
-def _interpolate_nodes(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
+def _interpolate_states(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
     """Return the polynomials through the varied states at the start, the points and the end of each segment."""
     values = tuple(change[_state_node_variables(collocation, k)] for k in range(collocation.mesh.segments))
     nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.rules)

@@ -40,13 +40,13 @@ LAYER_STEPS = 512
 """Steps per segment, at least, at which integrals are evaluated again where a scan denies them."""
 
 
-def build_condition(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+def judge_violation(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def combine_results(passes: bool, fails: bool) -> ConditionResult:
+def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
     """Return FAIL, PASS, or INCONCLUSIVE where neither is certain."""
     if fails:
         return ConditionResult.FAIL
@@ -59,7 +59,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     for s in samples:
         for at in (s, s.resample_evenly(SCANNED)):
             worst = worst.select_worse(_find_worst_defect(s, at, scales, tolerance))
-    return build_condition(
+    return judge_violation(
         "dynamics",
         worst,
         tolerance,
@@ -73,7 +73,7 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
     rates = evaluate_within_bounds(at.functions.rates, at.times, at.x, at.u, leg.control_bounds)
     residual = at.x_rate - rates
     total, running = at.segment_integrals(residual), at.running_integrals(residual)
-    held = np.flatnonzero(np.any(leg.flown.held, axis=0))
+    held = np.flatnonzero(np.any(leg.applied.is_piecewise_constant, axis=0))
     if held.size:  # the control jumps inside of these
         total[:, held] = compute_segment_errors(leg, s.functions, held) if at is s else 0.0
         running[:, np.isin(at.segments, held)] = 0.0
@@ -89,12 +89,14 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
     what = leg.states.labels[i]
     if k in held:
         jumping = [
-            name for name, jumps in zip(leg.controls.labels, leg.flown.held[:, k], strict=True) if jumps
+            name
+            for name, jumps in zip(leg.controls.labels, leg.applied.is_piecewise_constant[:, k], strict=True)
+            if jumps
         ]
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
     worst = Worst(float(shares[k]), s.describe_segment(k, what))
     weighted = s.segment_integrals(np.sum(s.lam * residual, axis=0)) if at is s else None
-    if s.has_length and worst.value <= tolerance and weighted is not None and np.all(np.isfinite(weighted)):
+    if s.has_duration and worst.value <= tolerance and weighted is not None and np.all(np.isfinite(weighted)):
         ends = leg.lam(leg.breaks[1:], "left")
         weighted[held] = np.sum(ends * total, axis=0)[held]
         price = np.abs(np.cumsum(weighted)) / scales.cost
@@ -112,12 +114,14 @@ def check_limits(
     values = solution.parameter_values
     worst = _worst_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
-        worst = worst.select_worse(_control_violation(s, scales)).select_worse(_state_violation(s, scales))
+        worst = worst.select_worse(_worst_control_violation(s, scales)).select_worse(
+            _worst_state_violation(s, scales)
+        )
         if s.leg.path_labels:
             for at in (s, s.resample_evenly(SCANNED_PATHS)):
-                worst = worst.select_worse(_path_violation(s, at, scales))
-            worst = worst.select_worse(_path_violation_price(s, scales))
-    return build_condition(
+                worst = worst.select_worse(_worst_path_violation(s, at, scales))
+            worst = worst.select_worse(_path_violation_cost(s, scales))
+    return judge_violation(
         "limits",
         worst,
         tolerance,
@@ -126,7 +130,7 @@ def check_limits(
     )
 
 
-def _control_violation(s: PhaseSamples, scales: Scales) -> Worst:
+def _worst_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """At the nodes: between them the applied control keeps its bounds."""
     leg = s.leg
     if not leg.controls.size:
@@ -140,8 +144,8 @@ def _control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     return Worst(float(violation[i, j]), s.describe_time(leg.point_times[j], leg.controls.labels[i]))
 
 
-def _state_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    found = find_limit_violations(s, Limits.of(lambda _, x, __: x, s.leg.state_bounds))
+def _worst_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
+    found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
     shares = found.excess / scales.phases[s.leg.name].along.radius[found.limits.rows]
@@ -152,20 +156,20 @@ def _state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     return Worst(float(shares[i]), s.describe_time(found.times[i], what))
 
 
-def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
+def _worst_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     """By the distance to the limit along the constraint's own gradient, at peaks and at samples that violate it."""
-    limits = Limits.of(s.functions.paths, s.leg.path_bounds)
+    limits = Limits.from_interval(s.functions.paths, s.leg.path_bounds)
     found = find_limit_violations(at, limits, applied=True)
     if not found.times.size:
         return NOTHING
-    shares = _path_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
+    shares = _distances_to_path_limits(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
     i = int(np.argmax(shares))
     most = float(shares[i])
     excess = limits.compute_excess(at.times, at.x, at.u)
     beyond = np.flatnonzero(np.any(excess > 0, axis=0))
     for k in range(limits.rows.size) if beyond.size else ():
-        here = limits.select(np.full(beyond.size, k))
-        beside = _path_distances(
+        here = limits.select_limits(np.full(beyond.size, k))
+        beside = _distances_to_path_limits(
             s, scales, here, excess[k, beyond], (at.times[beyond], at.x[:, beyond], at.u[:, beyond])
         )
         most = max(most, float(np.max(beside)))
@@ -173,18 +177,18 @@ def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     return Worst(most, s.describe_time(found.times[i], what))
 
 
-def _path_distances(
+def _distances_to_path_limits(
     s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
 ) -> Array:
     """Return distances to limits (n,) in shares of the reach, each at a time of its own."""
     rows = limits.rows
-    reach = path_reach(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = reach_of_path_constraints(s, scales, *at)[rows, np.arange(rows.size)]
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def path_reach(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
+def reach_of_path_constraints(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
     """Return how far deviations of controls and states move each path constraint (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
@@ -194,8 +198,7 @@ def path_reach(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
 
 
-def _path_violation_price(s: PhaseSamples, scales: Scales) -> Worst:
-    """What the violations of a path constraint gain in the cost by its multiplier."""
+def _path_violation_cost(s: PhaseSamples, scales: Scales) -> Worst:
     values, box = s.functions.paths(s.times, s.x, s.u), s.leg.path_bounds
     above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
@@ -211,7 +214,7 @@ def check_table_ranges(solution: Solution) -> Condition:
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
         worst, refused = worst.select_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
-    result = combine_results(not worst.value, refused)
+    result = combine_condition_results(not worst.value, refused)
     meaning = (
         "Tables must be used within their data (distance outside over the length of the axis). FAIL if the table has "
         "outside='error'."
@@ -232,11 +235,11 @@ def check_boundary_conditions(
         ):
             labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
             worst = worst.select_worse(
-                _end_state_violation(values, interval, ellipsoid, labels, leg.states.units)
+                _worst_boundary_error(values, interval, ellipsoid, labels, leg.states.units)
             )
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         interval = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
-        lasts = np.full(3, s.span if s.has_length else 1.0)
+        lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.select_worse(_worst_interval_violation(times, interval, lasts, labels, ("s",) * 3))
         # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
@@ -246,7 +249,7 @@ def check_boundary_conditions(
         nothing = Interval(np.zeros(2), np.zeros(2))
         worst = worst.select_worse(_worst_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
     worst = worst.select_worse(_boundary_constraint_violation(solution, ends, scales))
-    return build_condition(
+    return judge_violation(
         "boundary conditions",
         worst,
         tolerance,
@@ -255,10 +258,9 @@ def check_boundary_conditions(
     )
 
 
-def _end_state_violation(
+def _worst_boundary_error(
     values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    """Misses of the states of an end, together."""
     if not values.size:
         return NOTHING
     miss = np.maximum(values - box.upper, 0.0) - np.maximum(box.lower - values, 0.0)
@@ -294,7 +296,7 @@ def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scale
     return Worst(float(share[i]), f"constraint {solution.constraint_labels[i]} off by {excess[i]:.3g}")
 
 
-def check_cost(
+def check_reported_cost(
     stored: Solution,
     checked: list[PhaseSamples],
     ends: EndGradients,
@@ -311,12 +313,12 @@ def check_cost(
         if not leg.integral_labels:
             continue
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        narrow = integrate_samples(s.resample_evenly(SCANNED))
+        narrow = integrate_cost_terms(s.resample_evenly(SCANNED))
         if (
             np.max(np.abs(leg.integral_weights * (narrow - leg.integrals)), initial=0.0)
             > tolerance * yardstick
         ):
-            narrow = integrate_samples(
+            narrow = integrate_cost_terms(
                 s.resample_evenly(SCANNED, LAYER_STEPS)
             )  # of layers, the scan itself may be in error
         rows = [
@@ -330,7 +332,7 @@ def check_cost(
             _, i = find_worst_index(errors)
             place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
             worst = worst.select_worse(Worst(float(errors[0, i]), place))
-    return build_condition(
+    return judge_violation(
         "cost",
         worst,
         tolerance,
@@ -339,7 +341,7 @@ def check_cost(
     )
 
 
-def integrate_samples(s: PhaseSamples) -> Array:
+def integrate_cost_terms(s: PhaseSamples) -> Array:
     """Return the integrals (n_integrals,) by the quadrature of the samples."""
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 

@@ -11,7 +11,7 @@ Along arcs of the first order that meet the strengthened generalised Legendre-Cl
 Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are bang elsewhere; Aronna, Discrete
 Contin. Dyn. Syst. S 11(6), 2018, with others that H determines). y may jump where a singular arc begins or ends, in
 the place of moving that time. If the end depends on h, the form has to curve in it by itself
-(`find_gaining_end_control`).
+(`find_improving_final_control`).
 
 On a mesh, y has a degree less by two than the states, since quadrature sees the wrong curvature of controls that
 alternate faster. Arcs are cut narrow at their ends, so that y can nearly jump.
@@ -29,15 +29,19 @@ import scipy
 
 from gnc_opt.arrays import Indices, Mask
 from gnc_opt.planning.optimality.active_set import free_control_directions
-from gnc_opt.planning.optimality.kkt import unit_variations, variation_weights
+from gnc_opt.planning.optimality.kkt import unit_variation_matrix, variation_norm_weights
 from gnc_opt.planning.optimality.switches import find_inner_switches
-from gnc_opt.planning.problem.functions import end_function
+from gnc_opt.planning.problem.functions import endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
-from gnc_opt.planning.transcription.quadrature import differentiation_matrix, points, weights
-from gnc_opt.planning.verification.control_conditions import find_undetermined
+from gnc_opt.planning.transcription.quadrature import (
+    collocation_points,
+    differentiation_matrix,
+    quadrature_weights,
+)
+from gnc_opt.planning.verification.control_conditions import mask_undetermined_controls
 from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.planning.verification.singular_arcs import COUPLED, TOO_LARGE, analyse_singular_arcs
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, RANK
@@ -51,10 +55,10 @@ SINGULAR_SEGMENT_MIN_POINTS = 6
 OMITTED = 2
 """By how much the degree of y is less than that of the states."""
 
-_RADAU = ((points, -1.0), (weights, 1.0))
+_RADAU = ((collocation_points, -1.0), (quadrature_weights, 1.0))
 
 
-def find_flat_controls(s: PhaseSamples) -> Mask:
+def mask_zero_curvature(s: PhaseSamples) -> Mask:
     """Where H does not curve upwards in a control (n_controls, n_samples)."""
     # A control that rests at zero has no size, but what it could do to the flight.
     unit = np.maximum(s.control_scale, s.control_span)
@@ -62,10 +66,10 @@ def find_flat_controls(s: PhaseSamples) -> Mask:
     return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
 
 
-def singular_samples(s: PhaseSamples) -> Mask:
+def mask_singular_samples(s: PhaseSamples) -> Mask:
     """Where a control is between its bounds, H does not curve in it, and no active constraint determines it (m, n)."""
     inside: Mask = ~np.any(s.at_control_bounds, axis=0)
-    singular = find_flat_controls(s) & inside & ~s.inactive_controls
+    singular = mask_zero_curvature(s) & inside & ~s.inactive_controls
     if not np.any(singular):
         return singular
     bases = free_control_directions(s, inside, s.control_span)
@@ -73,14 +77,14 @@ def singular_samples(s: PhaseSamples) -> Mask:
     return np.asarray(singular & left)
 
 
-def singular_segments(s: PhaseSamples) -> Mask:
+def mask_singular_segments(s: PhaseSamples) -> Mask:
     """Segments (n_controls, K) along which a control is singular."""
-    singular, inside = singular_samples(s), s.weights > 0
+    singular, inside = mask_singular_samples(s), s.weights > 0
     rows = [np.all(singular[:, inside & (s.segments == k)], axis=1) for k in range(s.leg.mesh.segments)]
-    return np.stack(rows, axis=1) & s.has_length
+    return np.stack(rows, axis=1) & s.has_duration
 
 
-def narrow_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
+def refine_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
     """Return a mesh whose runs of singular segments (K,) are narrow at their ends."""
     breaks, degrees, movable = [0.0], [], []
     beside = np.concatenate([[False], singular, [False]])
@@ -100,7 +104,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     The times at which only such an arc begins or ends do not vary.
     """
     strong, blocks = cone.strong.copy(), []
-    squares = variation_weights(cone.point.transcription)
+    squares = variation_norm_weights(cone.point.transcription)
     itself = np.ones(squares.size, dtype=bool)
     for s in samples:
         part = cone.point.transcription.parts[s.leg.name]
@@ -108,14 +112,14 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
         strong[_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
-                last = part.collocation.boundary_states[_states_driven_by_control(s, i), -1]
+                last = part.collocation.boundary_states[_driven_states(s, i), -1]
                 squares[last] = 0.5 * part.collocation.mesh.widths[-1]
-            block, places = _integral_variations(squares.size, part, i, singular[i])
+            block, places = _build_integral_variations(squares.size, part, i, singular[i])
             itself[places] = False
             blocks.append(block)
     if not blocks:
         return cone
-    own = unit_variations(squares)[:, np.flatnonzero(itself)]
+    own = unit_variation_matrix(squares)[:, np.flatnonzero(itself)]
     unit = scipy.sparse.csc_array(scipy.sparse.hstack([own, *blocks]))
     return replace(cone, strong=strong, unit=unit)
 
@@ -123,18 +127,18 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
 def _undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     """Segments of the cone's mesh (n_controls, K) along which a control is singular and nothing determines it."""
     part = cone.point.transcription.parts[s.leg.name]
-    singular = singular_segments(s)
+    singular = mask_singular_segments(s)
     if np.any(singular):
-        singular &= ~_segments_with_control_curvature(cone.point.problem, s)
+        singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
     return singular[
-        :, _containing_segments(s.leg.mesh, part.collocation.mesh)
-    ] & _segments_without_held_limits(cone, part)
+        :, _index_containing_segments(s.leg.mesh, part.collocation.mesh)
+    ] & _segments_without_active_limits(cone, part)
 
 
-def _segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
+def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
     """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little."""
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
-    for arc in analyse_singular_arcs(problem, s, *find_undetermined(s, AT_LIMIT), AT_LIMIT):
+    for arc in analyse_singular_arcs(problem, s, *mask_undetermined_controls(s, AT_LIMIT), AT_LIMIT):
         unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -EQUAL)
         if arc.order == 0 and arc.why and not unknown:
             for i in arc.channels:
@@ -142,13 +146,12 @@ def _segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
     return found
 
 
-def _containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
-    """The segment of a mesh in which each one of a finer mesh lies."""
+def _index_containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
     middles = 0.5 * (np.asarray(fine.breaks[:-1]) + np.asarray(fine.breaks[1:]))
     return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
 
 
-def _segments_without_held_limits(cone: CriticalCone, part: PhasePart) -> Mask:
+def _segments_without_active_limits(cone: CriticalCone, part: PhasePart) -> Mask:
     """Segments (n_controls, K) along which neither a control nor a state or path constraint is held."""
     collocation, n = part.collocation, cone.point.x.size
     inner = ~np.isin(collocation.point_states, collocation.boundary_states)
@@ -170,7 +173,7 @@ def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -
     return np.array(found, dtype=int)
 
 
-def find_gaining_end_control(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
+def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
     r"""Name a control, singular to the end, whose last moment may gain, and that least curvature in shares of the cost.
 
     Either cost and conditions on the end do not depend on what h moves, or the form curves in h by itself,
@@ -178,20 +181,20 @@ def find_gaining_end_control(cone: CriticalCone, s: PhaseSamples) -> tuple[str, 
     before the end gains.
     """
     channels = np.flatnonzero(_undetermined_singular_segments(cone, s)[:, -1])
-    if not channels.size or not _end_depends_on_controls(cone.point.problem, s, channels):
+    if not channels.size or not _depend_end_conditions_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
     last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
     at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
     numbers = s.functions.weights, s.functions.p, s.functions.q
-    slopes = _mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
+    slopes = _hamiltonian_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
     by_control = s.functions.input_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
     mixed = span[:, None] * slopes[channels] @ by_control
     by_control = by_control / point.scaling.variables[last, None]
-    ends = point.hessian[last][:, last] / point.scaling.objective
+    ends = point.lagrangian_hessian[last][:, last] / point.scaling.objective
     form = by_control.T @ ends @ by_control + 0.5 * (mixed + mixed.T)
     rows = np.intersect1d(point.transcription.constraint_rows, np.flatnonzero(cone.strong[n:]))
-    kept = np.vstack([point.jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]])
+    kept = np.vstack([point.row_jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]])
     left = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(channels.size)
     flown = s.hamiltonian_scale * s.span
     least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))
@@ -205,19 +208,19 @@ def find_gaining_end_control(cone: CriticalCone, s: PhaseSamples) -> tuple[str, 
     )
 
 
-def _end_depends_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
+def _depend_end_conditions_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Whether anything at the end but the costates depends on the states that controls move."""
-    moved = np.concatenate([_states_driven_by_control(s, i) for i in map(int, channels)])
-    ends, final = end_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
+    moved = np.concatenate([_driven_states(s, i) for i in map(int, channels)])
+    ends, final = endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have coordinates that straighten out all of them.
-    slopes = _mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
+    slopes = _hamiltonian_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
     depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
     limited = np.isfinite(s.leg.final_bounds.lower) | np.isfinite(s.leg.final_bounds.upper)
     return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
 
 
-def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
+def _hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
     """Derivatives of H with respect to controls and states, and those of the integrands alone."""
 
     def build_mixed_function() -> Any:
@@ -227,16 +230,15 @@ def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
         mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
         return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
 
-    return problem.reuse(("mixed derivatives", s.leg.name), build_mixed_function)
+    return problem.cache(("mixed derivatives", s.leg.name), build_mixed_function)
 
 
-def _states_driven_by_control(s: PhaseSamples, control: int) -> Indices:
-    """States in whose rates a control appears."""
+def _driven_states(s: PhaseSamples, control: int) -> Indices:
     moves = s.functions.functions["rates"].jac_sparsity(0, 2)
     return np.unique(np.array(moves.row(), dtype=int)[np.array(moves.get_col(), dtype=int) == control])
 
 
-def _integral_variations(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
+def _build_integral_variations(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
     """Variations y of a control of a phase (n, n_variations), and the variables that they stand for."""
     collocation, count = part.collocation, 0
     mesh, entries, squares = collocation.mesh, [], []

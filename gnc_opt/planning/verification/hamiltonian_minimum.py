@@ -58,9 +58,9 @@ class Gain:
     share: Array
 
 
-def search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
+def control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     """Bounds of the controls; where there is none, half a turn, or well, beyond the values that occur."""
-    bounds, half = s.leg.control_bounds, 0.5 * s.turns
+    bounds, half = s.leg.control_bounds, 0.5 * s.control_periods
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
     least = np.where(half > 0, np.min(s.u, axis=1) - half, -reach)
     most = np.where(half > 0, np.max(s.u, axis=1) + half, reach)
@@ -68,7 +68,7 @@ def search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     return lower, np.where(np.isfinite(bounds.upper), bounds.upper, most)
 
 
-def low_discrepancy_points(n: int, dimensions: int) -> Array:
+def draw_low_discrepancy_points(n: int, dimensions: int) -> Array:
     """Return n points of [0, 1)^d, any stretch of which fills it evenly (dimensions, n).
 
     Multiples of powers of the root of x^(d + 1) = x + 1, the golden ratio for one dimension.
@@ -79,7 +79,7 @@ def low_discrepancy_points(n: int, dimensions: int) -> Array:
     return np.outer(root ** -np.arange(1.0, dimensions + 1), 0.5 + np.arange(n)) % 1.0
 
 
-def coupled_gains(
+def compute_coupled_gains(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[list[Gain], bool]:
     """Return the gain of every group of controls in which H is not affine, and whether any had to be searched.
@@ -92,12 +92,12 @@ def coupled_gains(
         search = _Search(s, group, chosen, deviation, cost / s.span)
         vector = find_vector_control(s, group)
         if vector is not None:
-            gains.append(search.averaged_gain(search.vector_minima(vector)))
-        elif not search.only_one_minimum:
-            gains.append(search.search_gain(tolerance))
+            gains.append(search.average_gain(search.minimise_over_vector(vector)))
+        elif not search.has_unique_minimum:
+            gains.append(search.find_largest_gain(tolerance))
             searched = True
         else:
-            gains.append(search.averaged_gain(search.minima_near_applied()))
+            gains.append(search.average_gain(search.find_minima_near_applied()))
     return gains, searched
 
 
@@ -108,8 +108,8 @@ def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
     for group in s.functions.coupled_controls:
         search = _Search(s, group, chosen)
         vector = find_vector_control(s, group)
-        u[group] = search.controls_of_shares(
-            search.global_minima() if vector is None else search.vector_minima(vector)
+        u[group] = search.scale_to_controls(
+            search.find_global_minima() if vector is None else search.minimise_over_vector(vector)
         )
     return s.times[chosen], u
 
@@ -125,13 +125,13 @@ class _Search:
     cost_rate: float = 0.0
 
     @cached_property
-    def _box(self) -> tuple[Array, Array]:
-        lower, upper = (limit[self.group, None] for limit in search_bounds(self.s))
+    def _control_box(self) -> tuple[Array, Array]:
+        lower, upper = (limit[self.group, None] for limit in control_search_bounds(self.s))
         return lower, upper - lower
 
     @cached_property
     def _applied_shares(self) -> Array:
-        lower, span = self._box
+        lower, span = self._control_box
         flown = self.s.u[np.ix_(self.group, self.chosen)]
         return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
 
@@ -148,16 +148,16 @@ class _Search:
             ]
         )
 
-    def _at(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+    def _expand_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
         """Return times, states and all controls."""
-        columns, (lower, span) = self.chosen[at], self._box
+        columns, (lower, span) = self.chosen[at], self._control_box
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
         return self.s.times[columns], self.s.x[:, columns], u
 
     def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
         """H (n,), infinite where controls are not admissible."""
-        s, (times, x, u) = self.s, self._at(shares, at)
+        s, (times, x, u) = self.s, self._expand_controls(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_paths):
@@ -174,7 +174,7 @@ class _Search:
             return shares
         shares, off = shares.copy(), np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            times, x, u = self._at(shares[:, off], at[off])
+            times, x, u = self._expand_controls(shares[:, off], at[off])
             paths = functions.paths(times, x, u)
             beyond = np.where(
                 functions.mixed_paths[:, None], np.clip(paths, *self._path_limits[:, :, at[off]]) - paths, 0
@@ -183,20 +183,25 @@ class _Search:
             if not np.any(there):
                 break
             off, beyond = off[there], beyond[:, there]
-            rows = self._path_slopes(shares[:, off], at[off])
+            rows = self._path_gradients(shares[:, off], at[off])
             inverse = np.linalg.pinv(np.where((beyond != 0).T[:, :, None], rows, 0.0), rcond=RANK)
             shares[:, off] = np.clip(shares[:, off] + np.einsum("nij,jn->in", inverse, beyond), 0.0, 1.0)
         return shares
 
-    def _path_slopes(self, shares: Array, at: Indices) -> Array:
+    def _path_gradients(self, shares: Array, at: Indices) -> Array:
         """Derivatives of the path constraints with respect to shares of the range (n, n_paths, group)."""
-        jacobian = self.s.functions.path_control_jacobian(*self._at(shares, at))[:, self.group] * self._box[1]
+        jacobian = (
+            self.s.functions.path_control_jacobian(*self._expand_controls(shares, at))[:, self.group]
+            * self._control_box[1]
+        )
         return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
 
-    def slopes(self, shares: Array, at: Indices, mu: Array | None = None) -> tuple[Array, Array]:
+    def gradient_and_hessian(
+        self, shares: Array, at: Indices, mu: Array | None = None
+    ) -> tuple[Array, Array]:
         """Gradient (group, n) and Hessian (n, group, group) by shares of the range; zero where not finite."""
-        s, group, (times, x, u) = self.s, self.group, self._at(shares, at)
-        lam, span = s.lam[:, self.chosen[at]], self._box[1]
+        s, group, (times, x, u) = self.s, self.group, self._expand_controls(shares, at)
+        lam, span = s.lam[:, self.chosen[at]], self._control_box[1]
         gradient = s.functions.switching(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
@@ -204,17 +209,17 @@ class _Search:
         return np.nan_to_num(gradient, posinf=0, neginf=0), np.nan_to_num(bends, posinf=0, neginf=0)
 
     @cached_property
-    def only_one_minimum(self) -> bool:
+    def has_unique_minimum(self) -> bool:
         """Whether H is a convex quadratic function of the controls, under affine constraints, steps aside."""
         if not self.s.functions.is_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
-        gradient, bends = self.slopes(self._applied_shares, every)
+        gradient, bends = self.gradient_and_hessian(self._applied_shares, every)
         sizes = np.linalg.eigvalsh(bends)
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
-        move = low_discrepancy_points(every.size, self.group.size) - self._applied_shares
-        _, _, u = self._at(self._applied_shares + move, every)
+        move = draw_low_discrepancy_points(every.size, self.group.size) - self._applied_shares
+        _, _, u = self._expand_controls(self._applied_shares + move, every)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
         first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
@@ -222,49 +227,49 @@ class _Search:
         terms = np.abs(base) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
         return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
 
-    def minima_near_applied(self) -> Array:
+    def find_minima_near_applied(self) -> Array:
         """Return the minima that descents from the applied controls reach (group, n_times)."""
-        return self.descend(self._applied_shares, np.arange(self.chosen.size))[0]
+        return self.descend_by_newton(self._applied_shares, np.arange(self.chosen.size))[0]
 
-    def vector_minima(self, vector: VectorControl) -> Array:
+    def minimise_over_vector(self, vector: VectorControl) -> Array:
         """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
-        times, x, u = self._at(self._applied_shares, np.arange(self.chosen.size))
+        times, x, u = self._expand_controls(self._applied_shares, np.arange(self.chosen.size))
         flown = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
         slope = s.functions.switching(times, x, u, s.lam[:, self.chosen])
         strength = np.linalg.norm(slope[direction], axis=0)
         u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
-        least, most = (limit[magnitude, None] for limit in search_bounds(s))
+        least, most = (limit[magnitude, None] for limit in control_search_bounds(s))
         u[magnitude] = np.where(slope[magnitude] > strength, least, most)
-        lower, span = self._box
+        lower, span = self._control_box
         away = u[self.group] - lower
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
-    def controls_of_shares(self, shares: Array) -> Array:
+    def scale_to_controls(self, shares: Array) -> Array:
         """Return the controls (group, n_times) for shares of their range; as applied where they have none."""
-        lower, span = self._box
+        lower, span = self._control_box
         return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
 
-    def global_minima(self) -> Array:
+    def find_global_minima(self) -> Array:
         """Return the controls (group, n_times) of least H that descents from all points tried reach."""
-        shares, _, _, _, best = self._trial_points()
+        shares, _, _, _, best = self._sample_trial_points()
         return self._descend_from_best_of(np.zeros((self.group.size, 0)), shares[:, best])
 
-    def search_gain(self, tolerance: float) -> Gain:
+    def find_largest_gain(self, tolerance: float) -> Gain:
         """Search among all controls; what gains is followed to all times."""
-        shares, at, value, first, best = self._trial_points()
+        shares, at, value, first, best = self._sample_trial_points()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first of a time's points is any
-        lowest, low = self.descend(
+        lowest, low = self.descend_by_newton(
             np.concatenate([shares[:, starts], self._applied_shares[:, some]], axis=1),
             np.concatenate([at[starts], some]),
         )
         found = np.concatenate([shares[:, best], lowest], axis=1)
         when = np.concatenate([at[best], at[starts], some])
         values = np.concatenate([value[best], low])
-        gain, share = self._gain_and_share(found, values, when)
+        gain, share = self._compute_gain_and_share(found, values, when)
         if np.max(share, initial=0.0) <= tolerance:
             most = np.zeros((2, self.chosen.size))
             for row, values in zip(most, (gain, share), strict=True):
@@ -272,16 +277,16 @@ class _Search:
             return Gain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: max(1, when.size // 4)]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.averaged_gain(self._descend_from_best_of(kept, shares[:, best]))
+        return self.average_gain(self._descend_from_best_of(kept, shares[:, best]))
 
-    def _trial_points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
+    def _sample_trial_points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return points, their times, H, and which are the first and the best of each time.
 
         Half of them are anywhere in the range, the others at log-uniform distances from the applied control.
         """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), max(1, POINTS // n))
-        points, flown = low_discrepancy_points(at.size, k), self._applied_shares[:, at]
+        points, flown = draw_low_discrepancy_points(at.size, k), self._applied_shares[:, at]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
         near = np.arange(at.size) % 2 == 1
         side = 2.0 * points - 1.0
@@ -301,29 +306,28 @@ class _Search:
         every = np.arange(self.chosen.size)
         trials = np.stack([self._applied_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
-        return self.descend(trials[lowest, :, every].T, every)[0]
+        return self.descend_by_newton(trials[lowest, :, every].T, every)[0]
 
-    def averaged_gain(self, better: Array) -> Gain:
+    def average_gain(self, better: Array) -> Gain:
         """What these controls (group, n_times) gain, averaged over what is brief."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
-        gain, share = self._gain_and_share(better, self.evaluate_hamiltonian(better, every), every)
+        gain, share = self._compute_gain_and_share(better, self.evaluate_hamiltonian(better, every), every)
         return Gain(times, *average_over_time(times, np.stack([gain, share])))
 
-    def _gain_and_share(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
-        """What controls with these values of H gain, and its share."""
+    def _compute_gain_and_share(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
         terms = np.fmax(self.s.hamiltonian_terms[self.chosen[at]], np.abs(value))
         least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > least, gain, 0.0)
-        return gain, gain / (self._largest_change(better - self._applied_shares[:, at]) + gain)
+        return gain, gain / (self._largest_hamiltonian_change(better - self._applied_shares[:, at]) + gain)
 
-    def _largest_change(self, moves: Array) -> Array:
+    def _largest_hamiltonian_change(self, moves: Array) -> Array:
         """Return the largest change of H along the phase by moves (group, n) scaled to the control deviations."""
         s, group = self.s, self.group
         scale = s.control_span[group, None]
         if self.deviation is not None:
             scale = np.where(self.deviation[group, None] > 0, self.deviation[group, None], scale)
-        physical = moves * self._box[1]
+        physical = moves * self._control_box[1]
         length = np.max(np.abs(physical) / scale, axis=0)
         direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
         slopes = s.switching[np.ix_(group, self.chosen)]
@@ -337,7 +341,7 @@ class _Search:
             )
         )
 
-    def descend(self, shares: Array, at: Indices) -> tuple[Array, Array]:
+    def descend_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return controls that Newton's method reaches within the bounds, downwards only, and H there."""
         shares = self._restore_path_constraints(shares.copy(), at)
         value = self.evaluate_hamiltonian(shares, at)
@@ -352,7 +356,7 @@ class _Search:
             values = self.evaluate_hamiltonian(trials, here).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
-            lower = reached < value[active] - NEGLIGIBLE * self.s.least_gain
+            lower = reached < value[active] - NEGLIGIBLE * self.s.rounding_gain
             if not np.any(lower):
                 break
             shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]
@@ -362,14 +366,14 @@ class _Search:
 
     def _newton_step(self, shares: Array, at: Indices) -> Array:
         """Newton's step (group, n) along the bounds and path constraints that H pushes against."""
-        gradient, bends = self.slopes(shares, at)
+        gradient, bends = self.gradient_and_hessian(shares, at)
         blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
         free = np.where(blocked, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_paths):
             rows, mu = self._active_paths(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
-            bends = self.slopes(shares, at, mu)[1]
+            bends = self.gradient_and_hessian(shares, at, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
         pull = np.einsum("nij,nik,kn->nj", axes, tangent, gradient, optimize=True)
         steepest = np.max(np.abs(pull), axis=1)
@@ -381,12 +385,12 @@ class _Search:
     def _active_paths(self, shares: Array, at: Indices, gradient: Array, free: Array) -> tuple[Array, Array]:
         """Derivatives (n, n_paths, group) and multipliers (n_paths, n) of path constraints that H pushes against."""
         functions = self.s.functions
-        paths = functions.paths(*self._at(shares, at))
+        paths = functions.paths(*self._expand_controls(shares, at))
         least, most = self._path_limits[:, :, at]
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near
         active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
-        rows = self._path_slopes(shares, at) * free[:, None, :]
+        rows = self._path_gradients(shares, at) * free[:, None, :]
         mu = np.zeros_like(paths)
         for _ in range(2):  # a limit from which H pulls away is left
             held = np.where(active.T[:, :, None], rows, 0.0)

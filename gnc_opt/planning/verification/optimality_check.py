@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
-from gnc_opt.planning.optimality.active_set import with_movable_touches
+from gnc_opt.planning.optimality.active_set import with_free_touch_times
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.optimality.sampling_grid import feature_edges
+from gnc_opt.planning.optimality.sampling_grid import find_feature_edges
 from gnc_opt.planning.problem.expressions import table_calls
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.kinks import find_kinks
@@ -23,14 +23,14 @@ from gnc_opt.planning.verification import bang_bang_second_order as second_order
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
-from gnc_opt.planning.verification.costate_conditions import add_end_constraints
-from gnc_opt.planning.verification.feasibility import build_condition
+from gnc_opt.planning.verification.costate_conditions import add_active_constraints_at_ends
+from gnc_opt.planning.verification.feasibility import judge_violation
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.recomputed_solution import (
-    check_stored_numbers,
+    boundary_gradients,
+    check_stored_data,
     costate_inconsistency,
-    evaluate_ends,
-    find_missing_number,
+    find_nonfinite_entry,
     has_costates,
     recompute_from_problem,
 )
@@ -38,7 +38,7 @@ from gnc_opt.planning.verification.reduced_hessian import (
     build_critical_cone,
     check_reduced_hessian,
     cost_rounding_error,
-    trajectory_spans,
+    state_and_control_spans,
 )
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
@@ -47,16 +47,16 @@ from gnc_opt.planning.verification.singular_arcs import (
 )
 from gnc_opt.planning.verification.smoothness import (
     KINKS,
+    check_concave_kinks,
     find_concave_kink,
     find_nonsmooth_point,
-    kink_condition,
     mark_theorem_inapplicable,
 )
 from gnc_opt.planning.verification.sufficiency import (
+    attains_lower_bound,
     controls_determined_by_slope,
     has_unique_solution,
     is_convex,
-    reaches_least_cost,
 )
 from gnc_opt.planning.verification.switching_times import check_switching_times
 from gnc_opt.runtime_environment import one_thread
@@ -134,58 +134,58 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
 def _check_solution(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, recompute_from_problem(solution)
     samples = list(solution.samples().values())
-    ends, amounts = evaluate_ends(solution), Magnitudes.of(solution, samples)
+    ends, amounts = boundary_gradients(solution), Magnitudes.from_solution(solution, samples)
     with_costates = has_costates(samples, ends, amounts.cost)
-    missing = find_missing_number(stored, with_costates)
+    missing = find_nonfinite_entry(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [s.with_cost_magnitude(amounts.cost, feature_edges(problem, s)) for s in samples]
-    scales = Scales.of(solution, samples)
-    lasting = [s for s in samples if s.has_length]
+    samples = [s.with_cost_magnitude(amounts.cost, find_feature_edges(problem, s)) for s in samples]
+    scales = Scales.from_solution(solution, samples)
+    lasting = [s for s in samples if s.has_duration]
     kept = missing.select_worse(costate_inconsistency(samples) if with_costates else NOTHING)
     limits = [feasibility.check_limits(solution, samples, scales, tol)]
     if any(table_calls(problem, leg) for leg in problem.phases.values()):
         limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),
-        _join_conditions("limits", limits),
+        _combine_conditions("limits", limits),
         feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
-        _join_conditions(
+        _combine_conditions(
             "cost",
             [
-                feasibility.check_cost(stored, samples, ends, with_costates, scales, tol),
-                check_stored_numbers(stored, solution, kept, tol),
+                feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol),
+                check_stored_data(stored, solution, kept, tol),
             ],
         ),
     ]
     first = _check_first_order(solution, samples, ends, scales, tol)
     concave = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
-    least = with_costates and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol)
+    least = with_costates and attains_lower_bound(solution, samples, ends.cost, scales.change_of_cost, tol)
     if least:
-        first = [_pass_by_least_cost(c) for c in first]
+        first = [_pass_by_cost_lower_bound(c) for c in first]
     extremal = (*trajectory[:3], *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
     if fails and with_costates:
         second = [_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
-        second[0] = _name_singular_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
+        second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
     elif with_costates and not missing.value:
         second = _check_second_order(solution, samples, ends, scales, tol, first[2].loss)
     else:
         second = [_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
     if len(lasting) < len(samples):
-        vanished = next(s.leg.name for s in samples if not s.has_length)
-        checked = [_mark_zero_duration(c, vanished) for c in checked]
+        vanished = next(s.leg.name for s in samples if not s.has_duration)
+        checked = [_mark_zero_duration_phase(c, vanished) for c in checked]
     if least:
-        checked = [_pass_by_least_cost(c) for c in checked]
+        checked = [_pass_by_cost_lower_bound(c) for c in checked]
     unproved = [c for c in checked if c.sufficient and c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _has_unique_solution(problem, lasting):
-        checked = [_change_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
+        checked = [_change_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
     kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "none", KINKS)
     if concave is not None:
-        kinks = kink_condition(concave, False, falls=True)
+        kinks = check_concave_kinks(concave, False, falls=True)
     elif any(find_kinks(problem, leg) is not None for leg in problem.phases.values()):
         rough = None if missing.value else find_nonsmooth_point(problem, lasting, tol)
-        kinks = kink_condition(rough, any(c.result is ConditionResult.FAIL for c in checked))
+        kinks = check_concave_kinks(rough, any(c.result is ConditionResult.FAIL for c in checked))
         if rough is not None:
             checked = [mark_theorem_inapplicable(c, rough) for c in checked]
     if missing.value:
@@ -199,8 +199,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
 def _check_first_order(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
 ) -> list[Condition]:
-    """Stationarity, active set and minimum of H."""
-    lasting = [s for s in samples if s.has_length]
+    lasting = [s for s in samples if s.has_duration]
     gradient = (
         costates.check_adjoint_equation(lasting, scales, tol)
         .select_worse(costates.check_transversality(lasting, ends, scales))
@@ -211,13 +210,13 @@ def _check_first_order(
         costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
-        build_condition("stationarity", gradient, tol, _STATIONARITY),
-        build_condition("active set", active, tol, _ACTIVE_SET),
+        judge_violation("stationarity", gradient, tol, _STATIONARITY),
+        judge_violation("active set", active, tol, _ACTIVE_SET),
         controls.check_minimum_principle(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 
 
-def _join_conditions(name: str, parts: list[Condition]) -> Condition:
+def _combine_conditions(name: str, parts: list[Condition]) -> Condition:
     """Return one condition with the result of several; its number and place are those of the part that decides."""
     passed = all(c.result is ConditionResult.PASS for c in parts)
     decisive = min(parts, key=lambda c: (SEVERITY[c.result], not passed and c.sufficient, c.name != name))
@@ -234,21 +233,21 @@ def _check_second_order(
     loss: float | None,
 ) -> list[Condition]:
     """Second order and switching times; `loss` is that of the minimum principle."""
-    lasting = [s for s in samples if s.has_length]
+    lasting = [s for s in samples if s.has_duration]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
-    strict = [second_order.check_strict_switches(lasting)] if switching else []
-    parts = check_second_order_parts(solution, samples, ends, tol)
+    strict = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
+    parts = second_order_conditions(solution, samples, ends, tol)
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
         parts = [_treat_as_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
-        _name_singular_arcs(_join_conditions("second order", parts), parts),
-        _join_conditions(
+        _describe_undetermined_arcs(_combine_conditions("second order", parts), parts),
+        _combine_conditions(
             "switching times", [*strict, check_switching_times(solution, samples, ends, scales)]
         ),
     ]
 
 
-def _name_singular_arcs(condition: Condition, parts: list[Condition]) -> Condition:
+def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) -> Condition:
     """Return a condition that names the singular arcs which nothing determines, whatever decides its result."""
     arcs = next((c for c in parts if c.name == SINGULAR_ARCS), None)
     if arcs is None or arcs.result is ConditionResult.PASS or SINGULAR_ARCS in condition.where:
@@ -260,26 +259,26 @@ def _treat_as_multiplier_error(condition: Condition) -> Condition:
     """Where no other control has a smaller H, downward curvature of H is an error of a solver's multipliers."""
     if condition.result is not ConditionResult.FAIL:
         return condition
-    return _change_result(
+    return _change_condition_result(
         condition, _INCONCLUSIVE, "no control gains more than the errors of the multipliers"
     )
 
 
-def check_second_order_parts(
+def second_order_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tol: float
 ) -> list[Condition]:
     """Return the second variation, Legendre-Clebsch's condition and what decides on singular arcs."""
-    problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
-    limited, limited_ends = add_end_constraints(solution, samples, ends)
+    problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_duration]
+    limited, limited_ends = add_active_constraints_at_ends(solution, samples, ends)
     found = _check_second_variation(limited, samples, limited_ends)
     if any(c.result is not ConditionResult.PASS for c in found) and is_convex(problem):
-        found = [_pass_by_convexity(c) for c in found]
+        found = [_pass_by_convexity_theorem(c) for c in found]
     return [*found, *_check_singular_arcs(problem, lasting, tol)]
 
 
 def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: float) -> list[Condition]:
     """Return Legendre-Clebsch's condition, whether singular arcs are determined, and the generalised condition."""
-    undetermined = [controls.find_undetermined(s, tol) for s in samples]
+    undetermined = [controls.mask_undetermined_controls(s, tol) for s in samples]
     singular = [mask for mask, _ in undetermined]
     arcs = [
         analyse_singular_arcs(problem, s, *where, tol) for s, where in zip(samples, undetermined, strict=True)
@@ -295,13 +294,13 @@ def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: flo
 def _check_second_variation(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> list[Condition]:
-    if not second_order.explain_inapplicability(samples):
+    if not second_order.explain_inapplicable_theorem(samples):
         return [second_order.check_bang_bang_second_order(solution, samples, ends)]
-    solution = with_movable_touches(solution)
+    solution = with_free_touch_times(solution)
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
     samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
     rounding = cost_rounding_error(samples)
-    cone = build_critical_cone(solution, samples, rounding, trajectory_spans)
+    cone = build_critical_cone(solution, samples, rounding, state_and_control_spans)
     if not cone.point.is_finite:
         return [
             _inconclusive_condition("second order", "a derivative of the problem is no number", _CANNOT_VARY)
@@ -309,25 +308,25 @@ def _check_second_variation(
     return [check_reduced_hessian(solution, samples, cone)]
 
 
-def _change_result(condition: Condition, result: ConditionResult, reason: str) -> Condition:
+def _change_condition_result(condition: Condition, result: ConditionResult, reason: str) -> Condition:
     return replace(condition, result=result, where=f"{condition.where}; {reason}")
 
 
-def _pass_by_convexity(condition: Condition) -> Condition:
+def _pass_by_convexity_theorem(condition: Condition) -> Condition:
     """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
     if condition.result is _PASS or not condition.sufficient:
         return condition
     reason = "the problem is convex, nothing curves downwards, and the minimum may be one of many"
-    return _change_result(condition, _INCONCLUSIVE, reason)
+    return _change_condition_result(condition, _INCONCLUSIVE, reason)
 
 
-def _pass_by_least_cost(condition: Condition) -> Condition:
+def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
     """Where no trajectory can cost less, costates are rounding errors and no evidence against it."""
     if condition.result is _PASS:
         return condition
     result = _INCONCLUSIVE if condition.sufficient else _PASS
     reason = "the cost is the least that there can be, and the minimum may be one of many"
-    return _change_result(condition, result, reason)
+    return _change_condition_result(condition, result, reason)
 
 
 def _has_unique_solution(problem: Problem, samples: list[PhaseSamples]) -> bool:
@@ -351,7 +350,7 @@ def _mark_incomplete(condition: Condition, where: str) -> Condition:
     return _mark_inconclusive(condition, where, "It holds as far as can be seen, but a number is missing.")
 
 
-def _mark_zero_duration(condition: Condition, phase: str) -> Condition:
+def _mark_zero_duration_phase(condition: Condition, phase: str) -> Condition:
     if condition.result is ConditionResult.FAIL:  # in another phase
         return condition
     inconclusive = _mark_inconclusive(

@@ -16,9 +16,9 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import problem_fields
+from gnc_opt.planning.solution.solution_extraction import copy_problem_data
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.feasibility import build_condition, integrate_samples
+from gnc_opt.planning.verification.feasibility import integrate_cost_terms, judge_violation
 from gnc_opt.tolerances import TINY
 
 _EXACT = (
@@ -49,7 +49,7 @@ def recompute_from_problem(solution: Solution) -> Solution:
     """
     problem = solution.need_problem("verify")
     _require_problem_sizes(problem, solution)
-    stated = {name: _phase_from_problem(problem, solution, name) for name in problem.phases}
+    stated = {name: _recompute_phase(problem, solution, name) for name in problem.phases}
     checked = replace(
         solution,
         maximised=problem.sense < 0,
@@ -58,22 +58,24 @@ def recompute_from_problem(solution: Solution) -> Solution:
         constraint_labels=problem.constraint_labels(),
     )
     measured = {
-        name: replace(leg, integrals=integrate_samples(PhaseSamples.of(leg, checked.functions(name))))
+        name: replace(
+            leg, integrals=integrate_cost_terms(PhaseSamples.from_phase(leg, checked.functions(name)))
+        )
         for name, leg in stated.items()
     }
-    weights = evaluate_ends(replace(checked, phases=measured)).integrals
+    weights = boundary_gradients(replace(checked, phases=measured)).integrals
     weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
     return replace(checked, phases=weighed)
 
 
-def evaluate_ends(solution: Solution) -> EndGradients:
+def boundary_gradients(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the trajectory's own ends."""
     problem = solution.need_problem("verify")
     ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
     return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
-def find_missing_number(stored: Solution, with_costates: bool) -> Worst:
+def find_nonfinite_entry(stored: Solution, with_costates: bool) -> Worst:
     """Return the first number that is not finite, as an endless violation, or nothing.
 
     Parameters
@@ -81,13 +83,13 @@ def find_missing_number(stored: Solution, with_costates: bool) -> Worst:
     with_costates : bool
         Whether there are costates; where not, their numbers may be missing.
     """
-    worst = _find_not_finite(stored, "", with_costates)
+    worst = _find_first_nonfinite(stored, "", with_costates)
     for name, leg in stored.phases.items():
-        worst = worst.select_worse(_find_not_finite(leg, f"phase {name}, ", with_costates))
+        worst = worst.select_worse(_find_first_nonfinite(leg, f"phase {name}, ", with_costates))
     return worst
 
 
-def check_stored_numbers(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
+def check_stored_data(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
     """What the solution keeps of its problem is the problem's, and no number is missing.
 
     Parameters
@@ -95,18 +97,18 @@ def check_stored_numbers(stored: Solution, checked: Solution, missing: Worst, to
     stored, checked : Solution
         As it is, and by `recompute_from_problem`.
     missing : Worst
-        By `find_missing_number`, or `costate_inconsistency` where that is worse.
+        By `find_nonfinite_entry`, or `costate_inconsistency` where that is worse.
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
         worst = worst.select_worse(Worst(np.inf, "whether the objective is maximised"))
     for name, leg in checked.phases.items():
         for what in _EXACT:
-            for a, b in zip(_as_vectors(stored.phases[name], what), _as_vectors(leg, what), strict=True):
+            for a, b in zip(_data_vectors(stored.phases[name], what), _data_vectors(leg, what), strict=True):
                 off = float(np.max(_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
-    return build_condition(
+    return judge_violation(
         "stored numbers",
         worst,
         tolerance,
@@ -167,12 +169,12 @@ def _largest_end_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
     return float(np.max(np.concatenate([states * np.tile(s.state_scale, 2), times * s.span])))
 
 
-def _phase_from_problem(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
+def _recompute_phase(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
     leg = problem.phases[name]
     return replace(
         solution.phases[name],
         integral_weights=np.zeros(len(leg.integrands)),
-        **problem_fields(problem, leg, solution.parameter_values),
+        **copy_problem_data(problem, leg, solution.parameter_values),
     )
 
 
@@ -200,7 +202,7 @@ def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
             )
 
 
-def _find_not_finite(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
+def _find_first_nonfinite(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
     """The first number of a solution or of a phase that is not finite."""
     for field in fields(owner):
         value = getattr(owner, field.name)
@@ -216,7 +218,7 @@ def _find_not_finite(owner: Solution | PhaseSolution, place: str, with_costates:
     return NOTHING
 
 
-def _as_vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
+def _data_vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
     value = getattr(leg, name)
     return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
 

@@ -40,19 +40,19 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.scaling import scale_variables
+from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    hold_arc_entries,
-    hold_inactive_directions,
+    fix_constraints_at_arc_entries,
+    fix_inactive_directions,
 )
 from gnc_opt.planning.verification.goh_transformation import (
-    find_flat_controls,
-    find_gaining_end_control,
-    narrow_arc_ends,
-    singular_samples,
-    singular_segments,
+    find_improving_final_control,
+    mask_singular_samples,
+    mask_singular_segments,
+    mask_zero_curvature,
+    refine_singular_arc_ends,
     transform_to_goh_variables,
 )
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
@@ -104,7 +104,6 @@ class Curvature:
 
     @property
     def is_positive(self) -> bool:
-        """Whether it is shown to be positive."""
         return self.value > NEGLIGIBLE and self.share > AT_LIMIT
 
     def is_negative(self, steep: float) -> bool:
@@ -123,11 +122,11 @@ def build_critical_cone(
     ``rounding`` is the cost below which differences are rounding; ``sizes`` returns variations of 1 in the states (n,)
     and controls (m,) of a phase (default: the magnitudes of the program).
     """
-    meshes = {name: _enrich_mesh(leg.mesh) for name, leg in solution.phases.items()}
-    meshes |= {s.leg.name: _mesh_for_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
+    meshes = {name: _refine_mesh_for_variations(leg.mesh) for name, leg in solution.phases.items()}
+    meshes |= {s.leg.name: _refine_mesh_along_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
 
     def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
-        found = scale_variables(transcription, problem, x)
+        found = choose_variable_scales(transcription, problem, x)
         if sizes is None:
             return found
         for s in samples:
@@ -139,15 +138,15 @@ def build_critical_cone(
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    cone = CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
-    if sizes is not trajectory_spans:
+    cone = CriticalCone.from_program_point(ProgramPoint.from_solution(solution, meshes, scales, rounding))
+    if sizes is not state_and_control_spans:
         return cone
-    return hold_arc_entries(
-        transform_to_goh_variables(hold_inactive_directions(cone, samples), samples), samples
+    return fix_constraints_at_arc_entries(
+        transform_to_goh_variables(fix_inactive_directions(cone, samples), samples), samples
     )
 
 
-def trajectory_spans(s: PhaseSamples) -> tuple[Array, Array]:
+def state_and_control_spans(s: PhaseSamples) -> tuple[Array, Array]:
     """Return what states and controls move along a phase."""
     return compute_state_variations(s), s.control_span
 
@@ -174,14 +173,14 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
 
     steep = NOTABLE if any(map(_has_partly_singular_segment, samples)) else DOWNWARDS
     beyond, least = min(
-        (find_gaining_end_control(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf)
+        (find_improving_final_control(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf)
     )
     if least < -DOWNWARDS:
         return second_order_condition(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = minimise_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.is_positive:
-        jumping = "" if solution.structure else _find_jumping_control(samples)
+        jumping = "" if solution.structure else _find_bang_bang_control(samples)
         beyond = jumping or beyond
         result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
@@ -194,13 +193,13 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
-        admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
+        admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
             place = _locate_direction(cone.point, solution, found.direction)
             return second_order_condition(ConditionResult.FAIL, -found.value, place + _describe_gain(found))
     place = _locate_direction(cone.point, solution, free.direction)
     return second_order_condition(
-        ConditionResult.INCONCLUSIVE, -free.value, place + _flat_curvature_text(free, steep)
+        ConditionResult.INCONCLUSIVE, -free.value, place + _describe_zero_curvature(free, steep)
     )
 
 
@@ -210,7 +209,7 @@ def _describe_gain(curvature: Curvature) -> str:
     )
 
 
-def _flat_curvature_text(curvature: Curvature, steep: float) -> str:
+def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
     if curvature.is_negative(steep):
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
@@ -218,27 +217,27 @@ def _flat_curvature_text(curvature: Curvature, steep: float) -> str:
     return f": flat (curvatures between -{steep:.0e} and {NEGLIGIBLE:.0e} count as zero)"
 
 
-def _enrich_mesh(mesh: Mesh) -> Mesh:
+def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:
     """Return a mesh with room for variations, where that of a solution that is simple has none."""
     least = -(-PHASE_MIN_POINTS // mesh.segments)
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
-def _mesh_for_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
+def _refine_mesh_along_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
     """Return a mesh on which variations along singular arcs may jump, unless arcs are held segment by segment."""
-    singular = np.any(singular_segments(s), axis=0)
+    singular = np.any(mask_singular_segments(s), axis=0)
     if not np.any(singular) or add_touch_points(solution).phases[s.leg.name].numbers.arcs is not None:
         return mesh
-    return narrow_arc_ends(mesh, singular)
+    return refine_singular_arc_ends(mesh, singular)
 
 
-def _find_jumping_control(samples: list[PhaseSamples]) -> str:
+def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
     """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
     for s in samples:
         lower, upper = s.at_control_bounds
-        open_to_both = find_flat_controls(s)
+        open_to_both = mask_zero_curvature(s)
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
-            s.times[1:], _variable_breakpoints(s)
+            s.times[1:], s.leg.breaks[list(s.leg.mesh.movable)]
         )
         jumps = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
         jumps &= np.any(changes, axis=1) & ~s.leg.control_bounds.fixed
@@ -248,18 +247,12 @@ def _find_jumping_control(samples: list[PhaseSamples]) -> str:
     return ""
 
 
-def _variable_breakpoints(s: PhaseSamples) -> Array:
-    """Segment boundaries that are variables, at which a control may switch."""
-    return np.asarray(s.leg.breaks[list(s.leg.mesh.movable)])
-
-
 def _has_partly_singular_segment(s: PhaseSamples) -> bool:
     """Whether a control is singular in a segment without being so all along it: no integral stands for it there."""
-    return bool(np.any(singular_samples(s) & ~singular_segments(s)[:, s.segments]))
+    return bool(np.any(mask_singular_samples(s) & ~mask_singular_segments(s)[:, s.segments]))
 
 
 def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array) -> str:
-    """Return where along time a direction is largest."""
     size = np.abs(direction)
     for name, part in point.transcription.parts.items():
         leg, places = solution.phases[name], part.collocation.point_controls
@@ -272,9 +265,13 @@ def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array)
 
 def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
     """Return the least curvature of the Lagrangian where ``held`` (n_variables + n_constraints,) do not vary."""
-    space = NullSpace.of(point, held, unit, further)
-    hessian = space.project_hessian(point.hessian)
-    plain = hessian if unit is None else NullSpace.of(point, held).project_hessian(point.hessian)
+    space = NullSpace.with_fixed(point, held, unit, further)
+    hessian = space.project_hessian(point.lagrangian_hessian)
+    plain = (
+        hessian
+        if unit is None
+        else NullSpace.with_fixed(point, held).project_hessian(point.lagrangian_hessian)
+    )
     sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
@@ -304,7 +301,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
         return None
     if steep and (found := _find_steep_direction(space, hessian)) is not None:
         return found
-    inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
+    inverse = space.projected_hessian_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = run_lanczos(inverse, start, LANCZOS_STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < NEGLIGIBLE:
@@ -318,7 +315,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
 
 def _find_steep_direction(space: NullSpace, hessian: Any) -> Array | None:
     """Return the direction of a curvature so far below the middle row that its inverse is none, None without one."""
-    project = space.projection
+    project = space.projection_operator
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
     values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
     if not values.size or values[0] > -max(STEEP, NEGLIGIBLE * float(np.max(np.abs(values)))):

@@ -22,10 +22,10 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.function_evaluation import evaluate_columns
-from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, end_response
+from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, final_state_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
-from gnc_opt.planning.problem.functions import EndGradients, build_end_value_function
+from gnc_opt.planning.problem.functions import EndGradients, build_endpoint_values
 from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import Worst
@@ -67,31 +67,31 @@ class ShiftedTrajectory:
     jumps: list[Jump]
 
     @cached_property
-    def regular(self) -> list[tuple[str, Array, Array]]:
+    def control_variations(self) -> list[tuple[str, Array, Array]]:
         """Control variations: phase, times, (m, n_times)."""
-        return [variation for s in self.samples for variation in _regular_variations(s, self.scales)]
+        return [variation for s in self.samples for variation in _interior_variations(s, self.scales)]
 
     @cached_property
-    def further(self) -> list[tuple[str, str, Array]]:
+    def parameter_variations(self) -> list[tuple[str, str, Array]]:
         """Variations of "start", "times" or "parameters": kind, phase, step."""
-        return _further_variations(self.solution, self.samples, self.scales)
+        return _parameter_variations(self.solution, self.samples, self.scales)
 
-    def find_decrease(self) -> Worst | None:
+    def find_second_order_decrease(self) -> Worst | None:
         """Return the direction in which the Lagrangian falls most, if it does so at second order."""
-        n, m = len(self.jumps), len(self.regular) + len(self.further)
+        n, m = len(self.jumps), len(self.control_variations) + len(self.parameter_variations)
         unit = np.eye(n + m)
-        values, misses = self.integrate(np.hstack([unit, -unit]))
+        values, misses = self.integrate_variations(np.hstack([unit, -unit]))
         if not np.all(np.isfinite(values)):
             return None
         slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :])
-        basis = _free_directions(slopes[:, :n], slopes[:, n:])
+        basis = _directions_keeping_end_conditions(slopes[:, :n], slopes[:, n:])
         if not np.any(basis[:n]):
             return None
         pairs = itertools.combinations(basis.T, 2)
         moves = np.array([*basis.T, *(a + b for a, b in pairs)]).T
-        values, _ = self.integrate(np.hstack([moves, -moves]))
+        values, _ = self.integrate_variations(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
-        return self._second_order_decrease(*_trial_directions(basis, half))
+        return self._second_order_decrease(*_sample_directions(basis, half))
 
     def _second_order_decrease(self, directions: Array, terms: Array) -> Worst | None:
         """Return the largest fall along directions (n_unknowns, n), if it is of second order at two steps."""
@@ -100,7 +100,7 @@ class ShiftedTrajectory:
         directions = directions / np.maximum(largest, TINY)
         terms = terms / np.maximum(largest, TINY) ** 2
         count = directions.shape[1]
-        values, misses = self.integrate(np.hstack([directions, 0.5 * directions]))
+        values, misses = self.integrate_variations(np.hstack([directions, 0.5 * directions]))
         coarse, fine = -values[:count], -values[count:]
         ratio = np.divide(fine, coarse, out=np.zeros(count), where=coarse > 0)
         sizes = np.linalg.norm(misses, axis=0)
@@ -120,7 +120,7 @@ class ShiftedTrajectory:
         where = f"switch of {', '.join(named)}" if named else "free starts, times and parameters, no switch"
         return Worst(float(coarse[best]) / self.scales.cost, where)
 
-    def integrate(self, amounts: Array) -> tuple[Array, Array]:
+    def integrate_variations(self, amounts: Array) -> tuple[Array, Array]:
         """Return changes of L (n_columns,) and active end conditions for amounts (n_unknowns, n_columns)."""
         count = amounts.shape[1] + 1
         # The last column is the trajectory itself, by the same steps.
@@ -130,15 +130,17 @@ class ShiftedTrajectory:
         finals: dict[str, Array] = {}
         found: dict[str, list[Array]] = {}
         q = self.solution.parameter_values
-        q = q[:, None] + self._total("parameters", "", amounts, q.size)
+        q = q[:, None] + self._sum_variations("parameters", "", amounts, q.size)
         for s in self.samples:
             leg, name = s.leg, s.leg.name
-            begin = leg.x(leg.breaks[0])[:, None] + self._total("start", name, amounts, leg.states.size)
+            begin = leg.x(leg.breaks[0])[:, None] + self._sum_variations(
+                "start", name, amounts, leg.states.size
+            )
             for other, by_end in self.scales.links.get(name, {}).items():
                 if other in finals:
                     begin = begin + by_end @ (finals[other] - finals[other][:, -1:])
             shifted = self._shift_phase(s, amounts, q)
-            x, integrals, extra, active_rows = shifted.integrate(begin, self.scales.cost)
+            x, integrals, extra, active_rows = shifted.integrate_phase(begin, self.scales.cost)
             rows += active_rows
             finals[name] = x
             lagrangian += extra
@@ -155,7 +157,7 @@ class ShiftedTrajectory:
             arguments += found[name]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_columns(build_end_value_function(problem), count, *arguments, q, nu)
+        values = evaluate_columns(build_endpoint_values(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         moved, reach = psi - psi[:, -1:], self.scales.constraints[0]
@@ -167,11 +169,11 @@ class ShiftedTrajectory:
         misses = np.vstack(rows)
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
-    def _total(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
+    def _sum_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
         """Return the further variations of a kind in a phase, added up (size, n_columns)."""
         total = np.zeros((size, amounts.shape[1]))
-        rows = amounts[len(self.jumps) + len(self.regular) :]
-        for (*key, step), row in zip(self.further, rows, strict=True):
+        rows = amounts[len(self.jumps) + len(self.control_variations) :]
+        for (*key, step), row in zip(self.parameter_variations, rows, strict=True):
             total += np.outer(step, row) if key == [kind, phase] else 0.0
         return total
 
@@ -182,24 +184,24 @@ class ShiftedTrajectory:
         for jump, shifts in zip(self.jumps, amounts, strict=False):
             if name in (jump.phase, jump.beyond):
                 step = SHIFT_STEP_SHARE * jump.shorter_arc
-                before, after = self._control_beside(jump, "left"), self._control_beside(jump, "right")
+                before, after = self._control_at_jump(jump, "left"), self._control_at_jump(jump, "right")
                 jumps.append((jump.channel, jump.time, before, after, jump.time + step * shifts))
                 steps.append(step)
-        of_regular = zip(self.regular, amounts[len(self.jumps) :], strict=False)
+        of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
         if q.size:
             problem = self.solution.need_problem("verify")
             functions = phase_functions_at(problem, name, q, s.functions.weights)
             s = replace(s, functions=functions)
-        times = s.leg.breaks[[0, -1], None] + self._total("times", name, amounts, 2)
-        return _ShiftedPhase.of(s, jumps, steps, variations, times)
+        times = s.leg.breaks[[0, -1], None] + self._sum_variations("times", name, amounts, 2)
+        return _ShiftedPhase.from_samples(s, jumps, steps, variations, times)
 
-    def _control_beside(self, jump: Jump, side: Any) -> float:
+    def _control_at_jump(self, jump: Jump, side: Any) -> float:
         leg = self.solution.phases[jump.phase]
         if side == "right" and jump.beyond:
             other = self.solution.phases[jump.beyond]
-            return float(other.flown(other.breaks[0])[jump.channel])
-        return float(leg.flown(jump.time, side)[jump.channel])
+            return float(other.applied(other.breaks[0])[jump.channel])
+        return float(leg.applied(jump.time, side)[jump.channel])
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +230,7 @@ class _ShiftedPhase:
     times: Array
 
     @classmethod
-    def of(
+    def from_samples(
         cls,
         s: PhaseSamples,
         jumps: list[tuple[int, float, float, float, Array]],
@@ -253,28 +255,28 @@ class _ShiftedPhase:
         return cls(s, jumps, variations, edges, np.sort(np.clip(nodes, *times), axis=0), times)
 
     @cached_property
-    def common(self) -> Array:
+    def common_steps(self) -> Array:
         """Which steps are the same in all columns (n_steps,)."""
         same = np.all(self.nodes == self.nodes[:, :1], axis=1)
         return np.asarray(same[:-1] & same[1:])
 
     @cached_property
-    def applied(self) -> Array:
+    def applied_controls(self) -> Array:
         """The applied controls at start, middle and end of the common steps (m, n_common, 3)."""
-        first, last = self.nodes[:-1, 0][self.common], self.nodes[1:, 0][self.common]
+        first, last = self.nodes[:-1, 0][self.common_steps], self.nodes[1:, 0][self.common_steps]
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
-    def controls(self, step: int) -> list[Array]:
+    def shifted_controls(self, step: int) -> list[Array]:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
         a, b = self.nodes[step], self.nodes[step + 1]
         middle = 0.5 * (a + b)
-        place = int(np.count_nonzero(self.common[:step]))
+        place = int(np.count_nonzero(self.common_steps[:step]))
         found = []
         for k, t in enumerate((a, middle, b)):
-            if self.common[step]:
-                u = np.repeat(self.applied[:, place, [k]], a.size, axis=1)
+            if self.common_steps[step]:
+                u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
             else:
                 u = _applied_controls(self.samples.leg, t, middle)
             for channel, time, before, after, shifted in self.jumps:
@@ -286,10 +288,10 @@ class _ShiftedPhase:
         return found
 
     @cached_property
-    def _has_limits(self) -> bool:
+    def _has_active_limits(self) -> bool:
         return bool(np.any(self.samples.mu)) or bool(np.any(self.samples.state_multiplier))
 
-    def rates(self, t: Array, y: Array, u: Array) -> Array:
+    def extended_rates(self, t: Array, y: Array, u: Array) -> Array:
         """Return the rates of states, integrals and the terms of active limits in the Lagrangian."""
         leg, functions = self.samples.leg, self.samples.functions
         states = y[: leg.states.size]
@@ -297,13 +299,13 @@ class _ShiftedPhase:
         if leg.integrals.size:
             parts.append(functions.integrands(t, states, u))
         terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
-        if self._has_limits:
+        if self._has_active_limits:
             if len(leg.path_labels):
                 terms = np.sum(leg.path_multiplier(t) * functions.paths(t, states, u), axis=0)
             terms = terms + np.sum(leg.state_multiplier(t) * states, axis=0)
         return np.concatenate([*parts, terms[None]])
 
-    def integrate(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
+    def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
         """Integrate from states (n, n_columns), of which the last column is the trajectory itself.
 
         Returns
@@ -318,12 +320,12 @@ class _ShiftedPhase:
         """
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
-        limits, jumps = _active_limits(self.samples, self.edges), _costate_jumps(leg)
+        limits, jumps = _active_limit_gradients(self.samples, self.edges), _costate_jumps(leg)
         terms, misses = np.zeros(x.shape[1]), []
         for k, (a, b) in enumerate(itertools.pairwise(self.nodes)):
             if np.array_equal(a, b):
                 continue
-            y = runge_kutta_step(self.rates, a, b, y, self.controls(k))
+            y = runge_kutta_step(self.extended_rates, a, b, y, self.shifted_controls(k))
             if np.any(b != b[0]):
                 continue
             time, moved = float(b[0]), y[:n] - y[:n, -1:]
@@ -347,14 +349,14 @@ def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
     """Return the applied controls (m, n_times) at times of steps with given middles."""
     edge = SAME_TIME * (leg.breaks[-1] - leg.breaks[0])
     inside = np.where(t < middle, t + edge, np.where(t > middle, t - edge, t))
-    return np.array(leg.flown(np.clip(inside, leg.breaks[0], leg.breaks[-1])))
+    return np.array(leg.applied(np.clip(inside, leg.breaks[0], leg.breaks[-1])))
 
 
-def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
+def _interior_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
     """Return variations of controls between their limits that move the end of a phase in each of its directions."""
     leg, own = s.leg, scales.phases[s.leg.name]
-    times, response = end_response(s)
-    x, u = leg.x(times), leg.flown(times)
+    times, response = final_state_response(s)
+    x, u = leg.x(times), leg.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1, initial=0.0)
     lower, upper = leg.control_bounds.near(u, NOTABLE * most)
@@ -381,26 +383,26 @@ def _has_active_limits(s: PhaseSamples) -> bool:
     return bool(np.any(s.mu) or np.any(s.state_multiplier) or np.any(at_ends))
 
 
-def _further_variations(
+def _parameter_variations(
     solution: Solution, samples: list[PhaseSamples], scales: Scales
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, of free starts, and of free times, away from their limits."""
     box, sizes = solution.need_problem("verify").parameter_interval(), scales.parameters
-    found = _steps_within("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    found = _steps_within_limits("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # the Lagrangian has limits at fixed times: where they are touched, curvature is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _steps_within("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
+        found += _steps_within_limits("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
         if not np.any(leg.duration_bounds.near(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
-            found += _steps_within("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
+            found += _steps_within_limits("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
 
 
-def _steps_within(
+def _steps_within_limits(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of them at a limit."""
@@ -409,7 +411,7 @@ def _steps_within(
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
+def _active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     """Return gradients (n,) of the limits that act along arcs, at some edges of cells, by what they change the cost."""
     leg, found = s.leg, {}
     chosen = edges[1:-1]
@@ -417,7 +419,7 @@ def _active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
         return {}
     chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
     states, paths = leg.state_multiplier(chosen), leg.path_multiplier(chosen)
-    x, u = leg.x(chosen), leg.flown(chosen)
+    x, u = leg.x(chosen), leg.applied(chosen)
     by_state = (
         s.functions.path_state_jacobian(chosen, x, u) if len(leg.path_labels) else np.zeros((0, *x.shape))
     )
@@ -430,7 +432,7 @@ def _active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     return found
 
 
-def _free_directions(shifts: Array, others: Array) -> Array:
+def _directions_keeping_end_conditions(shifts: Array, others: Array) -> Array:
     """Return a basis (n_unknowns, d) of what keeps the end conditions, from their slopes: by jumps with what corrects
     them, then without jumps."""
     inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)
@@ -441,7 +443,7 @@ def _free_directions(shifts: Array, others: Array) -> Array:
     return np.block([[free, none], [-inverse @ shifts @ free, alone]])
 
 
-def _trial_directions(basis: Array, half: Array) -> tuple[Array, Array]:
+def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
     """Return directions (n_unknowns, n) in the span of a basis, and the sizes of their terms (n,).
 
     ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of every two.

@@ -31,7 +31,7 @@ from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import combine_results
+from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.tolerances import EQUAL, SMALL, TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
@@ -85,7 +85,7 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
-    result = combine_results(not worst.why and worst.least > tolerance, worst.least < -tolerance)
+    result = combine_condition_results(not worst.why and worst.least > tolerance, worst.least < -tolerance)
     what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
     return Condition(
         name, result, -worst.least, -tolerance, f"{worst.place}: {what}", meaning, sufficient=True
@@ -134,19 +134,19 @@ def _analyse_singular_arc(
         tuple(channels.tolist()),
         tuple(regular.tolist()),
     )
-    derivatives = problem.reuse(key, lambda: Derivatives(s, channels, regular))
+    derivatives = problem.cache(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
-        least = _joint_curvature(s, channels, regular, here)
+        least = _singular_curvature(s, channels, regular, here)
         bends = (
             f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
         )
         return arc(0, least, COUPLED + (bends if least < -EQUAL else ""))
     flat = 0.0
     for j in range(2 * SINGULAR_ARC_MAX_ORDER + 1):
-        function = derivatives.by_controls(j)
+        function = derivatives.differentiate_by_controls(j)
         if function is None:
             return arc(0, 0.0, f"{TOO_LARGE} {j}")
-        matrices = _evaluate_scaled(s, channels, here, function) * np.ptp(s.times[here]) ** j
+        matrices = _evaluate_scaled_matrices(s, channels, here, function) * np.ptp(s.times[here]) ** j
         size = float(np.max(np.abs(matrices), initial=0.0))
         flat = size if j == 0 else flat
         if size <= tolerance:
@@ -161,7 +161,7 @@ def _analyse_singular_arc(
     return arc(0, 0.0, f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 
-def _joint_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
+def _singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
     """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H."""
     unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
     hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
@@ -171,7 +171,7 @@ def _joint_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here:
     return float(np.min(np.linalg.eigvalsh(schur)))
 
 
-def _evaluate_scaled(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
+def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
     """Matrices (n_samples, m, m) at samples of an arc, over ranges of controls and in shares of H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
     at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]
@@ -205,16 +205,16 @@ class Derivatives:
             self._rates = ca.vertcat(self._rates, -ca.solve(ca.jacobian(slope, determined), drift))
             self._along = ca.vertcat(self._along, determined)
 
-    def by_controls(self, j: int) -> Callable[..., Any] | None:
+    def differentiate_by_controls(self, j: int) -> Callable[..., Any] | None:
         """Derivative of the j-th time derivative with respect to the controls, by rows; None if it is too large."""
         if j not in self._functions:
-            matrix = ca.vec(ca.densify(ca.jacobian(self._derivative(j), self._own)).T)
+            matrix = ca.vec(ca.densify(ca.jacobian(self._switching_time_derivative(j), self._own)).T)
             function = ca.Function("by_controls", self._inputs, [matrix])
             self._functions[j] = function if function.n_instructions() <= MOST_INSTRUCTIONS else None
         found: Callable[..., Any] | None = self._functions[j]
         return found
 
-    def _derivative(self, j: int) -> Any:
+    def _switching_time_derivative(self, j: int) -> Any:
         while len(self._values) <= j:
             self._values.append(ca.jtimes(self._values[-1], self._along, self._rates))
         return self._values[j]

@@ -14,7 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.optimality.cost_scale import SMEARED
-from gnc_opt.planning.optimality.reference_scales import Scales, second_differences
+from gnc_opt.planning.optimality.reference_scales import Scales, hamiltonian_differences
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
 from gnc_opt.planning.problem.kinks import Kinks, find_kinks
 from gnc_opt.planning.problem.problem import Problem
@@ -56,19 +56,19 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
         kinks = find_kinks(problem, problem.phases[s.leg.name])
         if kinks is None:
             continue
-        values = _kink_arguments(s, kinks, s.times_within, s.x, s.u)
+        values = _evaluate_kink_arguments(s, kinks, s.times_within, s.x, s.u)
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # a sample on the surface itself is on neither side
             for k in np.flatnonzero(row[signed[1:]] * row[signed[:-1]] < 0):
                 found = _find_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
                     return found
-        rest = _find_rest_on_kink(s, kinks, values)
+        rest = _find_sliding_on_kink(s, kinks, values)
         rests = rest if rests is None or (rest and rest.of_states and not rests.of_states) else rests
     return rests
 
 
-def kink_condition(found: Roughness | None, fails: bool, *, falls: bool = False) -> Condition:
+def check_concave_kinks(found: Roughness | None, fails: bool, *, falls: bool = False) -> Condition:
     """The condition; a kink on which the flight rests leaves open what fails, and else only what suffices."""
     if found is None:
         return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
@@ -104,16 +104,18 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
     Along ends, times, integrals and parameters, and along the states of phases on one of their kinks: second
     differences of the Lagrangian that are proportional to the step.
     """
-    found = [scales.ends.second_differences_at_ends(scales.reach, scales.parameters, step) for step in STEPS]
-    share = _largest_decrease(found[0], found[1], scales.cost)
+    found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
+    share = _largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
     if share > 0:
         return Roughness(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
     for s in samples:
-        principal = scales.phases[s.leg.name].along.directions
-        coarse = second_differences(s, principal, STEPS[0])
-        if not np.any(_may_decrease(coarse, scales.cost)):
+        principal = scales.phases[s.leg.name].along.nonzero_axes
+        coarse = hamiltonian_differences(s, principal, STEPS[0])
+        if not np.any(_is_concave(coarse, scales.cost)):
             continue
-        share = _largest_decrease(coarse, second_differences(s, principal, STEPS[1]), scales.cost)
+        share = _largest_cost_decrease_at_kink(
+            coarse, hamiltonian_differences(s, principal, STEPS[1]), scales.cost
+        )
         if share > 0:
             return Roughness(
                 share, f"phase {s.leg.name}: H falls to both sides of a kink in the states", False
@@ -121,20 +123,20 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
     return None
 
 
-def _largest_decrease(coarse: Array, fine: Array, cost: float) -> float:
+def _largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
     """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero if there is none."""
     ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
-    kink = (ratio >= SAME_RATIO) & _may_decrease(coarse, cost) & np.all(np.isfinite(fine), axis=0)
+    kink = (ratio >= SAME_RATIO) & _is_concave(coarse, cost) & np.all(np.isfinite(fine), axis=0)
     fall = float(np.max(np.where(kink, -coarse[1], 0.0), initial=0.0))
     return fall / (cost + fall)
 
 
-def _may_decrease(coarse: Array, cost: float) -> Mask:
+def _is_concave(coarse: Array, cost: float) -> Mask:
     """Whether second differences at the larger step are negative and not rounding (n,)."""
     return np.asarray(-coarse[1] >= SMALL * np.maximum(np.abs(coarse[0]), cost))
 
 
-def _kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
+def _evaluate_kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
     numbers = s.functions.p, s.functions.q
     return evaluate_columns(kinks.arguments, times.size, times[None], x, u, *numbers)
 
@@ -143,12 +145,12 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
     """What dx/dt and integrands jump by where an argument changes its sign between two times."""
 
     def arguments_at(times: Array) -> Array:
-        return _kink_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))
+        return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # at the samples themselves the side may be that of another segment
     left, right = bisect_sign_changes(arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside)
     sides = np.clip(np.append(left - aside, right + aside), *s.leg.breaks[[0, -1]])
-    x, u = s.leg.x(sides), np.repeat(s.leg.flown(sides)[:, :1], 2, axis=1)
+    x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
     size = float(np.max(np.append(rates, abs(integrands) / max(s.cost_scale, TINY)), initial=0.0))
@@ -159,7 +161,7 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
     )
 
 
-def _find_rest_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
+def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
     """The longest time for which an argument stays at zero, if that is no passing."""
     sizes = nonzero_magnitude(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]

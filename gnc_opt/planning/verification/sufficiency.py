@@ -32,10 +32,10 @@ from gnc_opt.planning.optimality.cost_scale import (
     AVERAGING_SHARE_OF_PHASE,
     SMEARED,
     Magnitudes,
-    lasts_for_share,
+    lasts_for_share_of_phase,
 )
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.expressions import parameter_arguments
+from gnc_opt.planning.problem.expressions import model_parameter_arguments
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.kinks import has_kinks
@@ -43,7 +43,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
@@ -55,9 +55,9 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
     if not is_convex(problem) or problem.parameters.size:
         return False
     legs = list(problem.phases.values())
-    points = [leg.ends(end) for leg in legs for end in ("initial", "final")]
+    points = [leg.end_states(end) for leg in legs for end in ("initial", "final")]
     conditions = problem.constraint_expression()
-    rows = _constant_matrix(ca.jacobian(conditions, ca.vertcat(*points)))
+    rows = _read_constant_matrix(ca.jacobian(conditions, ca.vertcat(*points)))
     if rows is None:
         return False
     integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
@@ -66,10 +66,10 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
     )  # what depends on integrals says nothing of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
     equal = rows[problem.constraint_interval().fixed & of_ends]
-    same = np.concatenate([_given_end_states(leg) for leg in legs])
-    waiting, places = legs, _end_state_indices(legs)
+    same = np.concatenate([_mask_given_boundary_states(leg) for leg in legs])
+    waiting, places = legs, _index_boundary_states(legs)
     while waiting:
-        settled = [leg for leg in waiting if _fixes_start(equal, same, places[leg.name][0])]
+        settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
         if not settled or not all(
             _is_left_invertible(problem, leg, (determined or {}).get(leg.name)) for leg in settled
         ):
@@ -80,12 +80,11 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
     return True
 
 
-def _given_end_states(leg: Phase) -> Mask:
-    """Which initial and final states of a phase are numbers."""
+def _mask_given_boundary_states(leg: Phase) -> Mask:
     return np.concatenate([leg.numbers.initial.fixed, leg.numbers.final.fixed])
 
 
-def _end_state_indices(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     """Where initial and final states of each phase are among all of them."""
     found, at = {}, 0
     for leg in legs:
@@ -95,7 +94,7 @@ def _end_state_indices(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     return found
 
 
-def _fixes_start(equal: Array, same: Mask, initial: Indices) -> bool:
+def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool:
     """Whether equations between states at ends leave all solutions the same start of a phase."""
     left = initial[~same[initial]]
     others = np.setdiff1d(np.flatnonzero(~same), left)
@@ -106,8 +105,8 @@ def _fixes_start(equal: Array, same: Mask, initial: Indices) -> bool:
 def controls_determined_by_slope(s: PhaseSamples) -> Mask:
     """Which controls are on bounds all along, their switching functions zero for a moment at most (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = lasts_for_share(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = lasts_for_share(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
+    opens = lasts_for_share_of_phase(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
+    between = lasts_for_share_of_phase(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 
 
@@ -126,7 +125,7 @@ def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -
             curved += problem.sense * ca.jacobian(problem.cost, symbol) * hessian
     values = leg.model.parameter_values
     parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
-    a, b, h = (_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
+    a, b, h = (_read_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
     if a is None or b is None or h is None:
         return False
     s = _ANYWHERE * max(float(np.max(np.abs(a), initial=0.0)), 1.0)
@@ -143,7 +142,7 @@ def _has_full_column_rank(matrix: Array) -> bool:
     return bool(scipy.linalg.svdvals(matrix)[-1] > RANK)
 
 
-def _constant_matrix(expression: Any) -> Array | None:
+def _read_constant_matrix(expression: Any) -> Array | None:
     """The numbers of an expression, or None if it depends on something."""
     simple = ca.simplify(expression)
     return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
@@ -153,17 +152,16 @@ def is_convex(problem: Problem) -> bool:
     """Whether a problem is convex in its trajectory, as far as constant Hessians show."""
     return (
         all(map(_has_fixed_times, problem.phases.values()))
-        and _are_ends_convex(problem)
+        and _is_endpoint_problem_convex(problem)
         and _are_phases_affine(problem)
     )
 
 
 def _has_fixed_times(leg: Phase) -> bool:
-    return all(bool(time.fixed[0]) for time in leg.times())
+    return all(bool(time.fixed[0]) for time in leg.time_ranges())
 
 
 def _are_phases_affine(problem: Problem) -> bool:
-    """Whether dynamics and path constraints are affine along every phase."""
     for leg in problem.phases.values():
         _, x, u, _ = leg.model.arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
@@ -173,11 +171,11 @@ def _are_phases_affine(problem: Problem) -> bool:
     return True
 
 
-def _are_ends_convex(problem: Problem) -> bool:
+def _is_endpoint_problem_convex(problem: Problem) -> bool:
     """Whether end conditions are affine, and the cost is convex, in end points, parameters and integrals."""
     legs = problem.phases.values()
     integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
-    points = [value for leg in legs for value in (leg.ends("initial"), leg.ends("final"))]
+    points = [value for leg in legs for value in (leg.end_states("initial"), leg.end_states("final"))]
     z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
     conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
     for leg in legs:
@@ -213,22 +211,21 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     return bool(np.all(values >= -ROUNDING * np.max(np.abs(values), initial=0.0)))
 
 
-def lower_cost_limit(problem: Problem) -> float:
+def cost_lower_bound(problem: Problem) -> float:
     """Return what the minimised cost is at least, by interval arithmetic; minus infinity if nothing is known."""
-    return float(_lower_bounds_of_ends(problem, [problem.sense * problem.cost])[0])
+    return float(_boundary_lower_bounds(problem, [problem.sense * problem.cost])[0])
 
 
-def _lower_bounds_of_ends(problem: Problem, expressions: Sequence[Any]) -> Array:
-    """Return what expressions of the ends are at least."""
+def _boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
     q, boxes = problem.parameter_interval(), []
     for leg in problem.phases.values():
         p = _parameter_interval(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
-        boxes += [*ends, *leg.times(), _integral_intervals(problem, leg, q), p]
-    return compute_ranges(_build_end_function(problem, expressions), [*boxes, q]).lower
+        boxes += [*ends, *leg.time_ranges(), _bound_integrals(problem, leg, q), p]
+    return compute_ranges(_build_boundary_function(problem, expressions), [*boxes, q]).lower
 
 
-def reaches_least_cost(
+def attains_lower_bound(
     solution: Solution, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
 ) -> bool:
     """Whether cost and costates are at their least possible value, to ``tolerance`` of the scale ``amount``."""
@@ -236,11 +233,11 @@ def reaches_least_cost(
     worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
     if not max(worths) <= tolerance * amount:
         return False
-    near = problem.sense * cost - lower_cost_limit(problem) <= tolerance**2 * amount
-    return bool(near and np.all(_excess_over_least(solution) <= tolerance**2))
+    near = problem.sense * cost - cost_lower_bound(problem) <= tolerance**2 * amount
+    return bool(near and np.all(_excess_over_lower_bounds(solution) <= tolerance**2))
 
 
-def _excess_over_least(solution: Solution) -> Array:
+def _excess_over_lower_bounds(solution: Solution) -> Array:
     """Return how far each term of the cost is above its least value, in shares of its scale."""
     problem = solution.need_problem("verify").clone()
     terms = list(_split_sum(problem.sense * problem.cost))
@@ -269,8 +266,10 @@ def _excess_over_least(solution: Solution) -> Array:
         constraint_multipliers=np.zeros(len(terms)),
     )
     apart = recompute_from_problem(apart)
-    amounts = Magnitudes.of(apart, list(apart.samples().values())).constraints
-    return np.asarray((evaluate_ends(apart).constraints - _lower_bounds_of_ends(problem, terms)) / amounts)
+    amounts = Magnitudes.from_solution(apart, list(apart.samples().values())).constraints
+    return np.asarray(
+        (boundary_gradients(apart).constraints - _boundary_lower_bounds(problem, terms)) / amounts
+    )
 
 
 def _split_sum(expression: Any, factor: float = 1.0) -> Iterator[Any]:
@@ -295,11 +294,10 @@ def _parameter_interval(leg: Phase) -> Interval:
     return Interval(leg.model.parameter_values, leg.model.parameter_values)
 
 
-def _integral_intervals(problem: Problem, leg: Phase, q: Interval) -> Interval:
-    """Between which values the integrals of a phase lie."""
-    (initial, final), numbers = leg.times(), leg.numbers
+def _bound_integrals(problem: Problem, leg: Phase, q: Interval) -> Interval:
+    (initial, final), numbers = leg.time_ranges(), leg.numbers
     times = Interval(initial.lower, final.upper)
-    integrands = leg.reuse("integrands by all", lambda: _integrand_function(problem, leg))
+    integrands = leg.cache("integrands by all", lambda: _integrand_function(problem, leg))
     rates = compute_ranges(integrands, [times, numbers.states, numbers.controls, _parameter_interval(leg), q])
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
@@ -313,11 +311,11 @@ def _integrand_function(problem: Problem, leg: Phase) -> Any:
     return ca.Function("integrands", arguments, [ca.densify(problem.bind(leg, leg.integrand_expression()))])
 
 
-def _build_end_function(problem: Problem, expressions: Sequence[Any]) -> Any:
+def _build_boundary_function(problem: Problem, expressions: Sequence[Any]) -> Any:
     column, arguments = ca.vertcat(*expressions), []
     legs = problem.phases.values()
-    for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
+    for leg, parameters in zip(legs, model_parameter_arguments(legs), strict=True):
         column = problem.bind(leg, column)
-        arguments += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+        arguments += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
         arguments += [leg.integral_symbols(), parameters]
     return ca.Function("of_ends", [*arguments, problem.parameter_symbols()], [ca.densify(column)])

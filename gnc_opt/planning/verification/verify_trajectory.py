@@ -61,9 +61,9 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> 
     with np.errstate(invalid="ignore", divide="ignore"):
         u = evaluate_columns(function, own.t.size, own.t[None], own.x, own.u, p, q)
     controls = leg.model.controls
-    for vector in leg.vectors:
+    for vector in leg.vector_controls:
         direction = controls.slice(vector.direction)
-        u[direction] = _fill_directions(u[controls.slice(vector.magnitude)][0], u[direction])
+        u[direction] = _fill_undefined_directions(u[controls.slice(vector.magnitude)][0], u[direction])
     return replace(own, u=u)
 
 
@@ -80,12 +80,12 @@ def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
     return Samples(own.t, x, u)
 
 
-def _fill_directions(size: Array, direction: Array) -> Array:
+def _fill_undefined_directions(size: Array, direction: Array) -> Array:
     """Directions (n, n_times) of vectors of a size (n_times,), where it is zero those nearby."""
-    return _continue_directions(np.where(size <= AT_LIMIT * np.max(size), np.nan, direction))
+    return _extrapolate_directions(np.where(size <= AT_LIMIT * np.max(size), np.nan, direction))
 
 
-def _continue_directions(directions: Array) -> Array:
+def _extrapolate_directions(directions: Array) -> Array:
     """Directions (n, n_times) that go on where there are none: as they were before, at first as they will be."""
     known = np.flatnonzero(np.all(np.isfinite(directions), axis=0))
     if not known.size:
@@ -172,7 +172,7 @@ def verify_trajectory(
     check_unused_controls(problem)
     samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)
     verdict, twin = _check_samples(problem, samples, q, tol), reformulate(problem)
-    if verdict.minimum or twin is problem or _exceeds_whole_turns(problem, twin, samples):
+    if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
         return verdict
     other = _check_reformulated(problem, twin, samples, q, tol)
     prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
@@ -189,10 +189,10 @@ def _check_samples(problem: Problem, samples: Mapping[str, Samples], q: Array, t
         if verdict["stationarity"].result is not ConditionResult.FAIL:
             break
         verdict = verify(_build_solution(problem, samples, q, parts), tol=tol)
-    return replace(_with_interpolation_errors_open(verdict, problem, samples, q, tol), estimated=True)
+    return replace(_mark_interpolation_errors_inconclusive(verdict, problem, samples, q, tol), estimated=True)
 
 
-def _with_interpolation_errors_open(
+def _mark_interpolation_errors_inconclusive(
     verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
 ) -> Verdict:
     """Return the verdict with failures inconclusive that are errors of interpolation.
@@ -203,7 +203,7 @@ def _with_interpolation_errors_open(
     few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
     if not failed or few or any(not c.value <= NOTABLE for c in failed):
         return verdict
-    thinned = {name: _thin_samples(leg) for name, leg in samples.items()}
+    thinned = {name: _halve_samples(leg) for name, leg in samples.items()}
     coarse = verify(_build_solution(problem, thinned, q), tol=tol)
     if any(coarse[c.name].value < INTERPOLATION_GROWTH * c.value for c in failed):
         return verdict
@@ -217,7 +217,7 @@ def _with_interpolation_errors_open(
     )
 
 
-def _thin_samples(samples: Samples) -> Samples:
+def _halve_samples(samples: Samples) -> Samples:
     """Return every second sample, the ends, and both sides of jumps."""
     t = samples.t
     twice = np.append(np.diff(t) == 0, False)
@@ -237,7 +237,7 @@ def _check_reformulated(
     return _check_samples(twin, _unwrap_angles(twin, samples, q), q, tol)
 
 
-def _exceeds_whole_turns(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
+def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
     """Whether angles leave bounds of a whole turn, which are no limits to a twin."""
     for name, leg in twin.phases.items():
         if leg.numbers.turns is not None:
@@ -271,7 +271,9 @@ def _build_solution(
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name in problem.phases:
-        fitted[name] = fit_trajectory(samples[name], phase_functions_at(problem, name, q).rates).split(parts)
+        fitted[name] = fit_trajectory(
+            samples[name], phase_functions_at(problem, name, q).rates
+        ).split_segments(parts)
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
@@ -364,35 +366,35 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
 
 def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
     times = _require_finite(
-        read_numbers(t, f"the times of {leg.where}", ProblemError), f"the times of {leg.where}"
+        read_numbers(t, f"the times of {leg.label}", ProblemError), f"the times of {leg.label}"
     )
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
         raise ProblemError(
-            f"the times of {leg.where} have shape {times.shape}: give a vector of two or more."
+            f"the times of {leg.label} have shape {times.shape}: give a vector of two or more."
         )
     steps = np.diff(times)
     if np.any(steps < 0):
         i = int(np.argmax(steps < 0))
         raise ProblemError(
-            f"the times of {leg.where} decrease from {times[i]:g} to {times[i + 1]:g} s: sort the samples."
+            f"the times of {leg.label} decrease from {times[i]:g} to {times[i + 1]:g} s: sort the samples."
         )
     if np.any((steps[:-1] == 0) & (steps[1:] == 0)) or steps[0] == 0 or steps[-1] == 0:
         raise ProblemError(
-            f"the times of {leg.where} repeat one more than twice, or at an end: give a time twice only where a "
+            f"the times of {leg.label} repeat one more than twice, or at an end: give a time twice only where a "
             "control jumps."
         )
-    return _remove_duplicates(
+    return _remove_duplicate_samples(
         Samples(
             times,
-            _read_rows(leg, leg.model.states, x, times.size, "state"),
-            _read_rows(
+            _read_component_rows(leg, leg.model.states, x, times.size, "state"),
+            _read_component_rows(
                 leg, leg.model.controls, _split_vector_controls(leg, u, times.size), times.size, "control"
             ),
         )
     )
 
 
-def _remove_duplicates(samples: Samples) -> Samples:
+def _remove_duplicate_samples(samples: Samples) -> Samples:
     """The samples without those that repeat another one, its time a rounding later."""
     t, u = samples.t, samples.u
     near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
@@ -410,32 +412,32 @@ def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
     found = dict(u)
     for control in leg.model.composed_controls.values():
         if control.name in found:
-            shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.where}"
-            parts = control.decompose(_read_shape(found.pop(control.name), shape, what))
+            shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.label}"
+            parts = control.decompose(_read_array(found.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
-                parts = parts[0], _fill_directions(parts[0][0], parts[1])
+                parts = parts[0], _fill_undefined_directions(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)
     return found
 
 
-def _read_rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
-    what = f"the {kind}s of {leg.where}"
+def _read_component_rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
+    what = f"the {kind}s of {leg.label}"
     if isinstance(given, Mapping):
         for name in given:
             if name not in layout:
-                raise unknown_name(kind, name, leg.where, layout.names)
+                raise unknown_name(kind, name, leg.label, layout.names)
         missing = [name for name in layout.names if name not in given]
         if missing:
-            raise ProblemError(f"{kind} '{missing[0]}' of {leg.where} is missing: give its samples.")
+            raise ProblemError(f"{kind} '{missing[0]}' of {leg.label} is missing: give its samples.")
         rows = [
-            _read_shape(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.where}")
+            _read_array(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.label}")
             for name in layout.names
         ]
         return np.vstack(rows) if rows else np.zeros((0, n_times))
-    return _read_shape(given, (layout.size, n_times), what)
+    return _read_array(given, (layout.size, n_times), what)
 
 
-def _read_shape(value: Values, shape: tuple[int, int], what: str) -> Array:
+def _read_array(value: Values, shape: tuple[int, int], what: str) -> Array:
     array = read_numbers(value, what, ProblemError)
     if shape[0] == 0 and array.size == 0:
         return np.zeros(shape)

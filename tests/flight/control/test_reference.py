@@ -39,7 +39,7 @@ def test_follows_the_solution_and_rests_after_it(solution):
     assert reference.final_time == pytest.approx(2.0, abs=1e-2)
     times = np.linspace(0, reference.final_time, 7)
     assert np.allclose(reference.x(times), solution.phases["leg"].x(times))
-    assert np.allclose(reference.u(times), solution.phases["leg"].flown(times))
+    assert np.allclose(reference.u(times), solution.phases["leg"].applied(times))
     assert np.allclose(reference.x(50.0), 0, atol=1e-8)
     assert np.allclose(reference.u(50.0), 0, atol=1e-8)
     assert reference.x(1.0).shape == (2,)

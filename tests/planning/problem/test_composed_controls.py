@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import phase_guess
+from testing.internals import build_phase_guess
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -141,18 +141,18 @@ def test_annulus_pushes_down_before_it_brakes() -> None:
 def test_direction_is_relaxed_only_where_that_loses_nothing() -> None:
     model, norm = cart()
     leg = go.Problem("p").phase("leg", model)
-    (vector,) = leg.vectors
-    assert not leg.on_sphere(vector)
+    (vector,) = leg.vector_controls
+    assert not leg.has_unit_direction(vector)
     assert leg.path_interval().lower[0] == -np.inf
     leg.integral(norm**2)
     leg.path("forwards", model.output_expression("a")[0] - 0.5 * norm, lower=0.0)
-    assert not leg.on_sphere(vector)
+    assert not leg.has_unit_direction(vector)
     leg.norm_bounds(a=(0.1, 1.0))
-    assert leg.on_sphere(vector)
+    assert leg.has_unit_direction(vector)
     np.testing.assert_array_equal([leg.path_interval().lower[0], leg.path_interval().upper[0]], [1.0, 1.0])
     leg.norm_bounds(a=(0.0, 1.0))
     leg.path("curved", ca.sumsqr(model.output_expression("a")), upper=0.5)
-    assert leg.on_sphere(vector)
+    assert leg.has_unit_direction(vector)
 
 
 def test_guess_of_the_vector_is_one_of_its_parts() -> None:
@@ -160,7 +160,7 @@ def test_guess_of_the_vector_is_one_of_its_parts() -> None:
     times = np.linspace(0.0, DURATION, 5)
     leg = problem.get_phase()
     leg.guess(time=times, a=np.outer([0.0, 0.5], [1.0, 1.0, 0.0, -1.0, -1.0]))
-    start = phase_guess(leg, times / DURATION, perturbed=False)
+    start = build_phase_guess(leg, times / DURATION, perturbed=False)
     np.testing.assert_allclose(start.controls[0], [0.5, 0.5, 0.0, 0.5, 0.5])
     np.testing.assert_allclose(start.controls[2], [1.0, 1.0, 0.0, -1.0, -1.0])
 

@@ -5,7 +5,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import guess_simulation, phase_guess, with_curved_guess, with_simulated_guess
+from testing.internals import build_phase_guess, guess_simulation, with_curved_guess, with_simulated_guess
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -32,7 +32,7 @@ def along_velocity(problem: go.Problem, thrust: float) -> dict[str, Any]:
 
 
 def guessed(problem: go.Problem, phase: str = "burn") -> Any:
-    return phase_guess(problem.phases[phase], FRACTIONS)
+    return build_phase_guess(problem.phases[phase], FRACTIONS)
 
 
 def test_a_coast_is_keplers() -> None:
@@ -312,12 +312,12 @@ def test_a_flown_guess_follows_the_dynamics_through_all_phases() -> None:
     problem.minimize(legs[1].final_time)
     flown = with_simulated_guess(problem)
     assert flown is not None
-    first, second = (phase_guess(leg, np.linspace(0.0, 1.0, 5)) for leg in flown.phases.values())
+    first, second = (build_phase_guess(leg, np.linspace(0.0, 1.0, 5)) for leg in flown.phases.values())
     left = 200.0 - 20.0 * np.linspace(0.0, 1.0, 5)  # at 600 N, 0.2 kg/s
     np.testing.assert_allclose(first.states, [3000.0 * np.log(200.0 / left), left], rtol=2e-3)
     after, gained = left - 50.0, 3000.0 * np.log(200.0 / 180.0)
     np.testing.assert_allclose(second.states, [gained + 3000.0 * np.log(150.0 / after), after], rtol=2e-3)
-    as_guessed = phase_guess(problem.phases["first"], np.linspace(0.0, 1.0, 5)).controls
+    as_guessed = build_phase_guess(problem.phases["first"], np.linspace(0.0, 1.0, 5)).controls
     np.testing.assert_array_equal(first.controls, as_guessed)
 
 
@@ -401,6 +401,6 @@ def test_flown_guesses_stand_beside_tables_of_controls() -> None:
     problem.phases["leg"].guess([0.0, 1.0], a=[0.5, 0.5])
     flown = with_simulated_guess(problem)
     assert flown is not None
-    found = phase_guess(flown.phases["leg"], np.linspace(0.0, 1.0, 11))
+    found = build_phase_guess(flown.phases["leg"], np.linspace(0.0, 1.0, 11))
     np.testing.assert_allclose(found.controls, 0.5)
     assert found.states[0, -1] == pytest.approx(0.25 * found.times[1] ** 2, rel=1e-6)

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import SUSTAINED, phase_guess
+from testing.internals import SUSTAINED, build_phase_guess
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -33,7 +33,7 @@ def tilting(thrust: float = 8000.0, kilo: float = 1.0) -> go.Problem:
 
 
 def start(problem: go.Problem) -> Any:
-    return phase_guess(problem.phases["leg"], np.array([0.0, 0.5, 1.0]), perturbed=False)
+    return build_phase_guess(problem.phases["leg"], np.array([0.0, 0.5, 1.0]), perturbed=False)
 
 
 @pytest.mark.parametrize("kilo", [1.0, 1000.0])

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import phase_guess, reformulate
+from testing.internals import build_phase_guess, reformulate
 
 import gnc_opt as go
 
@@ -69,10 +69,10 @@ RANGE = {
 @pytest.mark.parametrize("limit", SLACK.values(), ids=SLACK)
 def test_a_control_that_limits_the_norm_becomes_the_magnitude(limit: Any, kind: str) -> None:
     leg = leg_of(limit, kind)
-    (vector,) = leg.vectors
+    (vector,) = leg.vector_controls
     assert vector.magnitude == "d"
     assert list(leg.paths) == [vector.length]
-    assert not leg.on_sphere(vector)
+    assert not leg.has_unit_direction(vector)
     place = leg.model.controls.slice("d")
     assert (leg.numbers.controls.lower[place], leg.numbers.controls.upper[place]) == (0.0, 1.0)
 
@@ -81,12 +81,12 @@ def test_a_control_that_limits_the_norm_becomes_the_magnitude(limit: Any, kind: 
 @pytest.mark.parametrize("limit", RANGE.values(), ids=RANGE)
 def test_limits_of_a_norm_become_those_of_the_magnitude(limit: Any, kind: str) -> None:
     leg = leg_of(limit, kind)
-    (vector,) = leg.vectors
+    (vector,) = leg.vector_controls
     place = leg.model.controls.slice(vector.magnitude)
     assert leg.numbers.controls.lower[place] == pytest.approx(2.0, rel=1e-15)
     assert leg.numbers.controls.upper[place] == pytest.approx(4.0, rel=1e-15)
     assert list(leg.paths) == [vector.length]
-    assert leg.on_sphere(vector)  # a hole
+    assert leg.has_unit_direction(vector)  # a hole
 
 
 @pytest.mark.parametrize("kind", ["vector", "scalars"])
@@ -101,7 +101,7 @@ def test_the_restated_phase_is_the_same_function(kind: str) -> None:
         kind,
     )
     stated, solved = problem.phases["leg"], reformulate(problem).phases["leg"]
-    (vector,) = solved.vectors
+    (vector,) = solved.vector_controls
     size, angle = 1.7, 0.4
     n = np.array([np.cos(angle), np.sin(angle)])
     new = {vector.magnitude: size, vector.direction: n, "d": 0.3}
@@ -111,7 +111,7 @@ def test_the_restated_phase_is_the_same_function(kind: str) -> None:
 
     def values(leg: Any, controls: dict[str, Any]) -> np.ndarray:
         _, x, u, _ = leg.model.arguments()
-        lengths = {v.length for v in leg.vectors}
+        lengths = {v.length for v in leg.vector_controls}
         rows = [c.expression for name, c in leg.paths.items() if name not in lengths]
         function = ca.Function(
             "all", [x, u], [ca.vertcat(leg.model.derivative(), leg.integrand_expression(), *rows)]
@@ -133,7 +133,7 @@ def test_bounds_of_components_within_the_norm_are_gone_and_others_are_kept() -> 
         leg.bounds(T_x=(-1.0, 0.5), T_y=(0.0, 2.0))
 
     leg = leg_of(limit, "scalars")
-    (vector,) = leg.vectors
+    (vector,) = leg.vector_controls
     assert set(leg.paths) == {"bounds of T_x", "bounds of T_y", vector.length}
     box = leg.paths["bounds of T_x"].interval
     assert (box.lower[0], box.upper[0]) == (-np.inf, 0.5)
@@ -213,9 +213,9 @@ def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     leg.guess(T_x=3.0, T_y=(0.0, -8.0))
     leg.scale(T_x=2.0, T_y=7.0)
     solved = reformulate(problem).phases["leg"]
-    start = phase_guess(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
+    start = build_phase_guess(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
     layout = solved.model.controls
-    (vector,) = solved.vectors
+    (vector,) = solved.vector_controls
     np.testing.assert_allclose(start.controls[layout.slice("d")][0], [3.0, 5.0, np.hypot(3, 8)])
     np.testing.assert_allclose(start.controls[layout.slice(vector.direction)][:, 1], [0.6, -0.8])
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testing.internals import guess_ends, guess_times
+from testing.internals import guess_boundary_states, guess_phase_times
 from testing.models import dynamics
 
 import gnc_opt as go
@@ -73,12 +73,12 @@ def test_times_and_their_guesses() -> None:
     problem = go.Problem("times")
     a, b = rocket(problem, "a"), rocket(problem, "b")
     problem.sequence(a, b, durations={"a": 10.0, "b": (5.0, 15.0)}, start=100.0)
-    assert [float(t.lower[0]) for t in (*a.times(), *b.times())] == [100.0, 110.0, 110.0, 115.0]
-    assert [float(t.upper[0]) for t in (*a.times(), *b.times())] == [100.0, 110.0, 110.0, 125.0]
+    assert [float(t.lower[0]) for t in (*a.time_ranges(), *b.time_ranges())] == [100.0, 110.0, 110.0, 115.0]
+    assert [float(t.upper[0]) for t in (*a.time_ranges(), *b.time_ranges())] == [100.0, 110.0, 110.0, 125.0]
     problem = go.Problem("free times")
     a, b = rocket(problem, "a"), rocket(problem, "b")
     problem.sequence(a, b)
-    assert np.isinf(b.times()[1].upper[0]) and b.times()[1].lower[0] == 0.0
+    assert np.isinf(b.time_ranges()[1].upper[0]) and b.time_ranges()[1].lower[0] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -101,11 +101,11 @@ def test_guessed_times_of_linked_phases_follow_each_other(
         leg.time(initial=0.0 if leg is legs[0] else start, final=final)
     problem.link(legs[0], legs[1])
     problem.link(legs[1], legs[2])
-    times = np.array([guess_times(leg) for leg in legs])
+    times = np.array([guess_phase_times(leg) for leg in legs])
     np.testing.assert_allclose([*times[:, 0], times[-1, 1]], expected, rtol=1e-14)
     np.testing.assert_allclose(times[1:, 0], times[:-1, 1], rtol=1e-14)
     legs[1].guess(time=[20.0, 30.0], v=[0.0, 1.0])  # what users say stays
-    assert guess_times(legs[1])[0] == 20.0
+    assert guess_phase_times(legs[1])[0] == 20.0
 
 
 def test_states_linked_in_other_units_are_warned_of(recwarn: pytest.WarningsRecorder) -> None:
@@ -131,7 +131,7 @@ def test_times_that_are_not_linked_are_guessed_alone() -> None:
     legs[0].time(initial=0.0, final=7.0)
     legs[1].time(initial=None, final=None)
     problem.link(*legs, time=False)
-    assert guess_times(legs[1]).tolist() == [0.0, 1.0]
+    assert guess_phase_times(legs[1]).tolist() == [0.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases
     legs[1].final(r=[8.0, 5.0])
     legs[2].initial(r=[None, 7.0])
     legs[3].final(r=[2.0, None])
-    ends = [np.stack(guess_ends(leg)) for leg in legs]
+    ends = [np.stack(guess_boundary_states(leg)) for leg in legs]
     np.testing.assert_allclose([[a[0], b[0]] for a, b in ends], [[0, 2], [2, 8], [8, 4], [4, 2]], rtol=1e-14)
     np.testing.assert_allclose([[a[1], b[1]] for a, b in ends], [[5, 5], [5, 5], [7, 7], [7, 7]], rtol=1e-14)
     problem = go.Problem("a jump on the way")
@@ -176,7 +176,12 @@ def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases
     problem.sequence(first, second, durations={"first": 1.0, "second": 1.0}, drops={"first": {"m": 10.0}})
     first.initial(v=0.0, m=100.0)
     second.final(v=5.0, m=50.0)
-    assert [leg_end[1] for leg in (first, second) for leg_end in guess_ends(leg)] == [100.0, 80.0, 70.0, 50.0]
+    assert [leg_end[1] for leg in (first, second) for leg_end in guess_boundary_states(leg)] == [
+        100.0,
+        80.0,
+        70.0,
+        50.0,
+    ]
 
 
 def test_a_link_back_hands_nothing_over() -> None:
@@ -188,7 +193,7 @@ def test_a_link_back_hands_nothing_over() -> None:
     second.time(initial=1.0, final=2.0)
     problem.link(first, second)
     problem.link(second, first, time=False)
-    assert [guess_ends(leg)[0].tolist() for leg in (first, second)] == [[0.0], [0.0]]
+    assert [guess_boundary_states(leg)[0].tolist() for leg in (first, second)] == [[0.0], [0.0]]
 
 
 def test_a_coast_without_controls_beside_arcs_of_bangs() -> None:

@@ -142,7 +142,7 @@ def test_random_separable_programs(seed: int) -> None:
     z, d = ca.SX.sym("z", 3), ca.SX.sym("d")
     expression = ca.vertcat(z[0] * z[1] * d + ca.sin(z[2]), z[0] ** 2 * z[2] + z[1])
     block = PointBlock(
-        PointFunction.build("random", z, d, expression),
+        PointFunction.differentiate("random", z, d, expression),
         rng.integers(0, n_variables + n_constants, (3, n_points)),
         ca.MX(ca.DM(rng.normal(size=(1, n_points)))),
         sp.csc_array(rng.normal(size=(n_rows, 2 * n_points)) * rng.integers(0, 2, (n_rows, 2 * n_points))),
@@ -150,9 +150,9 @@ def test_random_separable_programs(seed: int) -> None:
     linear = sp.coo_array(rng.normal(size=(n_rows, n_variables)) * rng.integers(0, 2, (n_rows, n_variables)))
     program = SeparableProgram(linear, (block,))
     x, c, m = ca.MX.sym("x", n_variables), ca.MX.sym("c", n_constants), ca.MX.sym("m", n_rows)
-    values, nonzeros = program.values_and_jacobian(x, c)
-    ours = ca.Function("ours", [x, c, m], [values, nonzeros, program.hessian(x, c, m)])
-    rows = program.values(x, c)
+    values, nonzeros = program.evaluate_rows_and_jacobian(x, c)
+    ours = ca.Function("ours", [x, c, m], [values, nonzeros, program.evaluate_hessian(x, c, m)])
+    rows = program.evaluate_rows(x, c)
     lagrangian = ca.dot(m, rows)
     jacobian, hessian = ca.jacobian(rows, x), ca.hessian(lagrangian, x)[0]
     theirs = ca.Function("theirs", [x, c, m], [rows, jacobian, ca.triu(hessian)])

@@ -24,7 +24,7 @@ from gnc_opt.planning.refinement.arcs.split_switches import (
     FREE_SPAN,
     FREE_SPAN_POINTS,
     _SplitMesh,
-    find_shared_boundaries,
+    simultaneous_switches,
 )
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import detect_structures
 from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
@@ -205,8 +205,8 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
         (LOW, UP, FREE, FREE),
     )
     near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, n_controls=2, orders=(0, 0, 1, 1))
-    assert find_shared_boundaries(near) == (1,)
-    assert find_shared_boundaries(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
+    assert simultaneous_switches(near) == (1,)
+    assert simultaneous_switches(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
 
 
 def test_instants_are_free_for_what_changes() -> None:
@@ -214,15 +214,15 @@ def test_instants_are_free_for_what_changes() -> None:
     cuts = _SplitMesh(3, (2,))
     first, second = cuts.expand_kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
     assert list(first) == [LOW] * 5 and list(second) == [LOW, UP, FREE, FREE, FREE]
-    mesh = cuts.mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
+    mesh = cuts.build_mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
     np.testing.assert_allclose(
         mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
     )
     assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6) and mesh.movable == (1,)
     assert [cuts.map_boundary(k) for k in range(4)] == [0, 1, 3, 5]
     inner, junction = Smooth(0, 1, 2, 4), Junction(0, 2, UP, 1)
-    assert (cuts.first(inner.first), cuts.last(inner.last)) == (1, 2)
-    assert (cuts.first(2), cuts.last(3), cuts.map_boundary(junction.boundary)) == (4, 5, 3)
+    assert (cuts.first_segment(inner.first), cuts.last_segment(inner.last)) == (1, 2)
+    assert (cuts.first_segment(2), cuts.last_segment(3), cuts.map_boundary(junction.boundary)) == (4, 5, 3)
 
 
 # From a state limit of second order to a bound of the control: along an interior arc that may be short.

@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.iterations import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.work_budget import WORK_PER_SECOND, WorkBudget, count_variables_per_point
-from gnc_opt.planning.solution.history import compute_work
+from gnc_opt.planning.solution.history import compute_solve_work
 from problems.classics import double_oscillator, van_der_pol
 
 # What refining costs where programs do not converge: counted in iterations at one point, the same on every
@@ -55,12 +55,12 @@ def cart() -> go.Solution:
     return go.solve(problem, mesh="7x3", tol=None)
 
 
-@pytest.mark.parametrize("way", [refine_mesh, switching.optimise_switches])
+@pytest.mark.parametrize("way", [refine_mesh, switching.optimise_switching_times])
 @pytest.mark.parametrize("allowed", [2500.0, 6000.0])
 def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
     cart: go.Solution, way: Callable[..., Any], allowed: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(switching, "solve_times", lambda *_: None)  # a start that is not the end already
+    monkeypatch.setattr(switching, "optimise_times", lambda *_: None)  # a start that is not the end already
     _, history = way(cart, tol=1e-10, limits=IterationLimits(work=allowed), options=CRAWLING)
     tried = [p for p in history.passes if not p.solved]
     assert tried and not history.converged
@@ -154,9 +154,9 @@ def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
     budget.charge_solve(first)
-    work = compute_work(first.phase().mesh.size, first.statistics.iterations) * count_variables_per_point(
-        first.phases
-    )
+    work = compute_solve_work(
+        first.phase().mesh.size, first.statistics.iterations
+    ) * count_variables_per_point(first.phases)
     assert budget.remaining_work == pytest.approx(1.0 - work / WORK_PER_SECOND)
     assert budget.count_remaining_iterations(first, 10**9) == 1
     assert WorkBudget(math.inf).count_remaining_iterations(first, 100) is None

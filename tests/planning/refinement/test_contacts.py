@@ -229,14 +229,14 @@ def test_a_touch_is_held_where_it_pushes(form: str) -> None:
 @pytest.mark.parametrize("form", ["ceiling", "curved"])
 def test_a_touch_has_the_multiplier_of_its_jump(form: str) -> None:
     """lam_x falls by 48 (1 - 4 l) = 9.6 at 1/2 s: with that the conditions of first order hold, without it not."""
-    point = ProgramPoint.of(thrown(0.2, form, 1.0, "11x4"))
-    assert np.max(np.abs(point.residual)) < 1e-5
+    point = ProgramPoint.from_solution(thrown(0.2, form, 1.0, "11x4"))
+    assert np.max(np.abs(point.kkt_residual)) < 1e-5
     ((_, junction, rows),) = point.transcription.junctions
     assert junction.kind is UP and len(rows) == 2
     multipliers = point.lam[rows] * point.scaling.rows[rows] / point.scaling.objective
     assert multipliers == pytest.approx([9.6, 0.0], abs=1e-4)
     bare = replace(point, lam=np.where(np.isin(np.arange(point.lam.size), rows), 0.0, point.lam))
-    assert np.max(np.abs(bare.residual)) > 0.1
+    assert np.max(np.abs(bare.kkt_residual)) > 0.1
 
 
 def test_a_saddle_beside_a_touch_fails() -> None:
@@ -300,20 +300,22 @@ def test_touches_stay_with_their_times() -> None:
     assert (two.times, two.touches) == ((0.0, 1.0, 3.0, 4.0), ((), ((1, UP),), ((1, UP),), ()))
     assert two.kinds == ((FREE, FREE),) * 3 and not two.has_only_kinks(1)
     assert two.without_touch(1, 1) == free.with_touch(1, 3.0, UP)
-    assert two.merged() == two and two.touching(1, UP) == [1.0, 3.0] and two.touching(1, LOW) == []
+    assert (
+        two.merge_pieces() == two and two.touch_times(1, UP) == [1.0, 3.0] and two.touch_times(1, LOW) == []
+    )
     assert two.with_times((0.0, 1.0, 1.0, 4.0)).without_piece(1).touches == ((), ((1, UP),), ())
     held = two.with_arc(1, 0.5, 2.0, UP)
     assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
     assert held.has_only_kinks(1) and held.has_only_kinks(2)
-    assert held.collapse_piece(1).touching(1, UP) == [1.25, 3.0]
-    assert held.mask_beside_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
-    assert held.mask_beside_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
+    assert held.collapse_piece(1).touch_times(1, UP) == [1.25, 3.0]
+    assert held.mask_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
+    assert held.mask_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
     jumps = replace(
         held, regular=(False, False), holders=((), (0,))
     )  # times that move: firm, beside none of them
     kinds = tuple((ArcKind.SINGULAR if kind[1] is UP else UP, kind[1]) for kind in held.kinds)
     jumps = replace(jumps, kinds=kinds)
-    assert jumps.mask_beside_contacts(False).any() and not jumps.mask_beside_contacts(False, firm=True).any()
+    assert jumps.mask_near_contacts(False).any() and not jumps.mask_near_contacts(False, firm=True).any()
     np.testing.assert_array_equal(
         held.is_at_limit(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
         [False, True, True, True, False, True, False],
@@ -352,11 +354,11 @@ def test_what_vanishes_passes_its_touches_on() -> None:
         held = PhaseStructure(
             (0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, order)
         )
-        assert held.collapse_piece(1).touching(1, UP) == ([1.5] if left else [])
+        assert held.collapse_piece(1).touch_times(1, UP) == ([1.5] if left else [])
     start = PhaseStructure((0.0, 1.0, 4.0), ((FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert start.collapse_piece(0).touching(1, UP) == []
+    assert start.collapse_piece(0).touch_times(1, UP) == []
     beside = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, UP), (FREE, LOW), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert beside.collapse_piece(1).touching(1, LOW) == []
+    assert beside.collapse_piece(1).touch_times(1, LOW) == []
 
 
 def test_touches_change_places_with_their_switches() -> None:
@@ -364,7 +366,7 @@ def test_touches_change_places_with_their_switches() -> None:
     before = PhaseStructure((0.0, 1.0, 2.0, 4.0), kinds, (), 2, 0, (0, 0, 2), ((), ((2, UP),), (), ()))
     swapped = before.swap_switches(1)
     assert swapped is not None and swapped.touches == ((), (), ((2, UP),), ())
-    assert before.touching(2, UP) == [1.0] and swapped.touching(2, UP) == [2.0]
+    assert before.touch_times(2, UP) == [1.0] and swapped.touch_times(2, UP) == [2.0]
 
 
 def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
@@ -438,23 +440,23 @@ def test_a_constraint_of_second_order_touches_or_stays() -> None:
     few = run(nodes, [0, 1, 0, 3, 0, 0, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
     assert few.times == (0.0, 3.0, 5.0, 10.0) and few.touches == ((), ((1, UP),), ((1, UP),), ())
     one = run(nodes, [0, 1, 3, 0, 0, 0, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
-    assert one.touching(1, UP) == pytest.approx([3.75]) and one.kinds == ((FREE, FREE),) * 2
+    assert one.touch_times(1, UP) == pytest.approx([3.75]) and one.kinds == ((FREE, FREE),) * 2
     five = run(nodes, [0, 1, 0, 0, 0, 1, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
-    assert five.touching(1, UP) == [3.0, 7.0]
+    assert five.touch_times(1, UP) == [3.0, 7.0]
     six = run(nodes, [1, 0, 0, 0, 0, 1, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
     assert six.times == (0.0, 2.0, 7.5, 10.0) and [k[1] for k in six.kinds] == [FREE, UP, FREE]
     known = free(2).with_touch(1, 2.5, UP)
     beside = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(known, MESH)  # type: ignore[arg-type]
-    assert beside.times == (0.0, 2.5, 3.5, 10.0) and not beside.touching(1, UP)
+    assert beside.times == (0.0, 2.5, 3.5, 10.0) and not beside.touch_times(1, UP)
     later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).add_contacts(free(2).with_touch(1, 7.5, UP), MESH)  # type: ignore[arg-type]
     assert later.times == (0.0, 4.5, 7.5, 10.0)
     far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(free(2).with_touch(1, 9.0, UP), MESH)  # type: ignore[arg-type]
-    assert far.touching(1, UP) == [3.0, 9.0]
+    assert far.touch_times(1, UP) == [3.0, 9.0]
 
 
 def test_a_constraint_of_third_order_touches_only() -> None:
     added = run(np.linspace(2.0, 8.0, 7), [1, 1, 1, 1, 1, 1, 1]).add_contacts(free(3), MESH)  # type: ignore[arg-type]
-    assert added.touching(1, UP) == pytest.approx([5.0]) and added.kinds == ((FREE, FREE),) * 2
+    assert added.touch_times(1, UP) == pytest.approx([5.0]) and added.kinds == ((FREE, FREE),) * 2
     for end in (0.0, 10.0):
         at_end = run([end, 5.0] if end == 0 else [5.0, end], [1, 0] if end == 0 else [0, 1])
         assert at_end.add_contacts(free(3), MESH).touches == free(3).touches  # type: ignore[arg-type]
@@ -477,7 +479,7 @@ CLIMB = climb()
 
 def constraints(x: Any, u: Any, lam: Any, **changes: Any) -> sc.StateConstraints:
     leg = phase(CLIMB, x, u, lam, breaks=(0.0, 1.0, 2.0, 4.0), **changes)
-    return sc.StateConstraints(CLIMB, PhaseSamples.of(leg, functions(CLIMB)))
+    return sc.StateConstraints(CLIMB, PhaseSamples.from_phase(leg, functions(CLIMB)))
 
 
 def falling(t: Array, k: int) -> Any:
@@ -496,32 +498,32 @@ def jumping(t: Array, k: int) -> Any:
 
 def test_values_derivatives_and_gradients_of_rows() -> None:
     here = constraints(falling, steady, jumping, state_bounds=interval([-1, -9], [4, 9]))
-    assert here.size == 3 and here.bounds.upper.tolist() == [5, 4, 9]
-    assert here.bounds.lower.tolist() == [-np.inf, -1, -9]
+    assert here.n_rows == 3 and here.row_bounds.upper.tolist() == [5, 4, 9]
+    assert here.row_bounds.lower.tolist() == [-np.inf, -1, -9]
     t = np.array([0.5, 3.0])
     x, u = falling(t, 0), steady(t, 0)
     x, u = np.array(x), np.array(u)
-    assert here.values(t, x, u) == pytest.approx(np.array([x[0] + x[1] ** 2 / 2, x[0], x[1]]))
-    assert here.derivative(0, 1, t, x, u) == pytest.approx(x[1] + x[1] * u[0])
-    assert here.derivative(1, 1, t, x, u) == pytest.approx(x[1])
-    assert here.derivative(1, 2, t, x, u) == pytest.approx(u[0]) == here.derivative(2, 1, t, x, u)
-    assert here.gradient(0, 0.5, x[:, 0], u[:, 0]) == pytest.approx([1.0, 3.0])
-    assert here.gradient(2, 0.5, x[:, 0], u[:, 0]).tolist() == [0.0, 1.0]
-    assert here.scales == pytest.approx([*here.samples.path_scale, *here.samples.state_scale])
+    assert here.evaluate_rows(t, x, u) == pytest.approx(np.array([x[0] + x[1] ** 2 / 2, x[0], x[1]]))
+    assert here.time_derivative(0, 1, t, x, u) == pytest.approx(x[1] + x[1] * u[0])
+    assert here.time_derivative(1, 1, t, x, u) == pytest.approx(x[1])
+    assert here.time_derivative(1, 2, t, x, u) == pytest.approx(u[0]) == here.time_derivative(2, 1, t, x, u)
+    assert here.state_gradient(0, 0.5, x[:, 0], u[:, 0]) == pytest.approx([1.0, 3.0])
+    assert here.state_gradient(2, 0.5, x[:, 0], u[:, 0]).tolist() == [0.0, 1.0]
+    assert here.row_scales == pytest.approx([*here.samples.path_scale, *here.samples.state_scale])
 
 
 def test_a_touch_whose_limit_would_have_to_pull_is_wrong() -> None:
     """At 2 s the costate of h falls by 2: an upper limit pushes, a lower one would pull."""
     here = constraints(falling, steady, jumping, state_bounds=interval([4, -9], [4.5, 9]))
     base = PhaseStructure((0.0, 4.0), ((FREE, FREE, FREE, FREE),), (), 1, 1, (0, 0, 2, 0))
-    assert c.find_wrong_touch(here, base.with_touch(2, 2.0, UP)) is None
-    assert c.find_wrong_touch(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
-    assert c.find_wrong_touch(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
+    assert c.find_pulling_touch(here, base.with_touch(2, 2.0, UP)) is None
+    assert c.find_pulling_touch(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
+    assert c.find_pulling_touch(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
     both = base.with_touch(2, 1.0, LOW).with_touch(2, 2.0, LOW)
-    assert c.find_wrong_touch(here, both) == (2, 2) and c.find_wrong_touch(here, base) is None
+    assert c.find_pulling_touch(here, both) == (2, 2) and c.find_pulling_touch(here, base) is None
     path = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 2, 0, 0))
-    assert c.find_wrong_touch(here, path.with_touch(1, 2.0, UP)) is None
-    assert c.find_wrong_touch(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
+    assert c.find_pulling_touch(here, path.with_touch(1, 2.0, UP)) is None
+    assert c.find_pulling_touch(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
 
 
 @dataclass(frozen=True)
@@ -535,7 +537,7 @@ class ContactNodes:
     seen: bool
     touched: bool = False
 
-    def beside_touch(self, structure: Any, samples: Any) -> bool:
+    def is_near_touch(self, structure: Any, samples: Any) -> bool:
         return self.touched
 
     def possible(self, structure: Any) -> bool:

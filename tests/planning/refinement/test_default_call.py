@@ -95,7 +95,7 @@ def test_limits_that_the_optimum_just_touches_are_no_arcs(unit: float) -> None:
     assert solution.objective == pytest.approx(12.0 * unit**2, rel=1e-9)
     times = np.linspace(0.0, 1.0, 41)
     np.testing.assert_allclose(
-        solution.phase("leg").flown(times)[0], unit * (6.0 - 12.0 * times), atol=1e-6 * unit
+        solution.phase("leg").applied(times)[0], unit * (6.0 - 12.0 * times), atol=1e-6 * unit
     )
 
 

@@ -33,7 +33,7 @@ from gnc_opt.planning.problem.guess.perturbation import (
     keeps_guess_shape,
     with_random_guess,
 )
-from gnc_opt.planning.study.multistart import Refining, _Coarse, _task_answer
+from gnc_opt.planning.study.multistart import Refining, _Coarse, _task_result
 from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
 
@@ -376,7 +376,7 @@ def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
 
 def test_a_dead_worker_is_reported() -> None:
     with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
-        _task_answer(Done(0, None, WorkerDied()))
+        _task_result(Done(0, None, WorkerDied()))
 
 
 def _dies_elsewhere(home: int) -> go.Problem:

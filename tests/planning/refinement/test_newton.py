@@ -32,10 +32,10 @@ from gnc_opt.planning.refinement.switching import newton as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
 from gnc_opt.planning.refinement.switching import warm_start as v
 from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton import solve_flow, solve_times
+from gnc_opt.planning.refinement.switching.newton import optimise_flow, optimise_times
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
-    are_independent,
+    are_rows_independent,
     minimise_quadratic_model,
     newton_step,
     simplified_newton_step,
@@ -88,7 +88,7 @@ def structure(times: list[float], *kinds: ArcKind, others: int = 2) -> PhaseStru
 
 @pytest.mark.parametrize("times", [[0.0, 1.5, 4.5], [0.0, 2.6, 3.4]])
 def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) -> None:
-    found, flight = solve_times(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
+    found, flight = optimise_times(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
     guess = flight.build_solution(cart)
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
     assert [row[0] for row in found.kinds] == [LOWER, UPPER]
@@ -103,7 +103,8 @@ def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) 
 
 def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
     found, _ = (
-        solve_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER)) or pytest.fail()
+        optimise_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER))
+        or pytest.fail()
     )
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
     assert [row[0] for row in found.kinds] == [LOWER, UPPER]
@@ -111,7 +112,7 @@ def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
 
 def test_oscillator_switches_every_half_period() -> None:
     solution = go.solve(oscillator(), mesh="20x3", tol=None)
-    found, _ = solve_times(solution, detect_phase_structure(solution.samples()["leg"])) or pytest.fail(
+    found, _ = optimise_times(solution, detect_phase_structure(solution.samples()["leg"])) or pytest.fail(
         "does not settle"
     )
     inner = found.times[1:-1]
@@ -121,12 +122,12 @@ def test_oscillator_switches_every_half_period() -> None:
 def test_switches_of_several_controls_pass_each_other() -> None:
     """Found on 10 segments, the order of the 19 switches is wrong, and an arc is missing."""
     solution = go.solve(build(case=1), mesh="10x3", tol=None)
-    found, _ = solve_times(solution, detect_phase_structure(solution.samples()["approach"])) or pytest.fail(
-        "does not settle"
-    )
+    found, _ = optimise_times(
+        solution, detect_phase_structure(solution.samples()["approach"])
+    ) or pytest.fail("does not settle")
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
     for i, channel in enumerate(SWITCHES[1].values()):
-        own = [found.times[k] for k in range(1, found.pieces) if i in found.row_changes(k)]
+        own = [found.times[k] for k in range(1, found.n_pieces) if i in found.rows_changing_at(k)]
         assert own == pytest.approx(channel.switching_times, abs=1e-4)
 
 
@@ -159,7 +160,7 @@ def test_a_few_bangs_stand_for_a_singular_arc_that_is_met_by_chattering() -> Non
 
 def test_a_shift_of_the_clock_changes_nothing(cart: go.Solution) -> None:
     later = go.solve(carts(4.0, initial=1000.0), mesh="8x3", tol=None)
-    found, _ = solve_times(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
+    found, _ = optimise_times(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
     assert found.times == pytest.approx([1000.0, 1002.0, 1004.0], abs=1e-6)
 
 
@@ -169,7 +170,7 @@ def test_active_limits_of_the_end_are_left_to_others() -> None:
     leg = problem.phases["leg"]
     leg.final(q=0.0, v=(-0.5, 0.0))
     solution = go.solve(problem, mesh="8x3", tol=None)
-    assert solve_times(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
+    assert optimise_times(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
 
 
 def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
@@ -182,18 +183,18 @@ def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
     problem.minimize(leg.final_time)
     solution = go.solve(problem, mesh="8x3", tol=None)
     half = np.sqrt(np.pi / 2)
-    assert solve_times(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
+    assert optimise_times(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
 
 
 @pytest.mark.parametrize("kind", [INTERIOR, ArcKind.SINGULAR])
 def test_controls_between_their_bounds_are_left_to_others(cart: go.Solution, kind: ArcKind) -> None:
-    assert solve_times(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
+    assert optimise_times(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
 
 
 def test_states_on_their_bounds_are_left_to_others(cart: go.Solution) -> None:
     held = structure([0.0, 2.0, 4.0], LOWER, UPPER)
     kinds = ((LOWER, INTERIOR, LOWER), held.kinds[1])
-    assert solve_times(cart, replace(held, kinds=kinds)) is None
+    assert optimise_times(cart, replace(held, kinds=kinds)) is None
 
 
 def test_a_structure_that_cannot_be_collocated_is_given_up(
@@ -203,9 +204,9 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
     nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
     guess = replace(cart, statistics=cart.statistics)
     monkeypatch.setattr(
-        switching, "_newton_start", lambda *_: (guess, {"leg": Plan.from_structure(nowhere)}, None)
+        switching, "_start_from_newton", lambda *_: (guess, {"leg": Plan.from_structure(nowhere)}, None)
     )
-    found, history = switching.optimise_switches(cart)
+    found, history = switching.optimise_switching_times(cart)
     assert history.converged and not history.passes[0].solved
     assert found.objective == pytest.approx(4.0, abs=1e-9)
 
@@ -213,9 +214,9 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
 @pytest.mark.parametrize("unit", [1.0, 1e12, 1e-12])
 def test_dependence_of_conditions_is_none_of_units(unit: float) -> None:
     rows = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 6.1]]) * np.array([[1.0], [unit]])
-    assert are_independent(rows)
-    assert not are_independent(rows @ np.diag([1.0, 1.0, 0.0]))
-    assert not are_independent(np.vstack([rows, np.zeros(3)]))
+    assert are_rows_independent(rows)
+    assert not are_rows_independent(rows @ np.diag([1.0, 1.0, 0.0]))
+    assert not are_rows_independent(np.vstack([rows, np.zeros(3)]))
 
 
 def test_refinement_then_needs_one_pass() -> None:
@@ -237,7 +238,7 @@ def measured() -> go.Problem:
 
 def test_a_guess_has_the_integrals_costates_and_multipliers_of_the_flow() -> None:
     solution = go.solve(measured(), mesh="8x3", tol=None)
-    _, flight = solve_times(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail(
+    _, flight = optimise_times(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail(
         "does not settle"
     )
     guess = flight.build_solution(solution)
@@ -269,7 +270,7 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
     problem.minimize(leg.integral(a**2) / 8 - leg.final_state("q"))
     solution = go.solve(problem, mesh="9x3", tol=None)
     start = structure([0.0, 2.0, 6.0], UPPER, LOWER)
-    found, flight = solve_times(solution, start) or pytest.fail("does not settle")
+    found, flight = optimise_times(solution, start) or pytest.fail("does not settle")
     guess = flight.build_solution(solution)
     assert found.times == pytest.approx([0.0, 3.0, 6.0], abs=1e-6)
     assert guess.constraint_multipliers == pytest.approx([3.0], abs=1e-5)
@@ -295,14 +296,16 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     w = float(brentq(lambda w: length(w) - 1.0, 0.1, 2.0, xtol=1e-15))
     switch, end = r * np.arctanh(w / r), r * np.arctanh(w / r) + r * np.arctan(w / r)
     solution = go.solve(problem, mesh="5x3", tol=None)
-    found, flight = solve_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+    found, flight = (
+        optimise_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+    )
     guess = flight.build_solution(solution)
     assert found.times[2] == pytest.approx(end, rel=2 * accuracy)
     assert found.times[1] == pytest.approx(switch, abs=2 * np.sqrt(accuracy) * end)
     assert guess.phase().x(guess.phase().breaks[-1], "left") == pytest.approx(
         [1.0, 0.0], abs=10 * np.sqrt(accuracy)
     )
-    assert solve_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
+    assert optimise_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
 
 
 def test_a_step_with_its_own_matrices_is_newtons() -> None:
@@ -385,7 +388,7 @@ def test_negative_curvatures_are_reversed() -> None:
     ],
 )  # fmt: skip
 def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -> None:
-    assert switch_step.are_independent(np.array(rows)) is independent
+    assert switch_step.are_rows_independent(np.array(rows)) is independent
 
 
 # --- arcs -------------------------------------------------------------------------------------------------
@@ -393,8 +396,14 @@ def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -
 
 def test_arcs_of_every_control_from_end_to_end() -> None:
     """The second control switches first, then the first one, twice: unknowns 1 to 3 between 0 and 4."""
-    assert n._list_arc_ends(switches([4.0, 3.0, 6.0], [0, 1, 0])) == [(0, 1), (1, 3), (3, 4), (0, 2), (2, 4)]
-    assert n._list_arc_ends(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
+    assert n._list_arc_switches(switches([4.0, 3.0, 6.0], [0, 1, 0])) == [
+        (0, 1),
+        (1, 3),
+        (3, 4),
+        (0, 2),
+        (2, 4),
+    ]
+    assert n._list_arc_switches(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------
@@ -436,7 +445,7 @@ def test_arcs_are_added_as_long_as_they_lead_anywhere(
     monkeypatch.setattr(n, "newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
     monkeypatch.setattr(n, "_insert_arc", lambda there, *_: there)
     monkeypatch.setattr(n, "_iterate_newton_steps", lambda *_: left.pop(0))
-    found = n._find_optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
+    found = n._iterate_to_optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
     assert (found and found.switches.times.tolist()) == (last and [last]) and not left
 
 
@@ -466,7 +475,7 @@ def test_polynomials_through_values_and_rates() -> None:
 class Planned:
     """A flight that is off by so many accuracies, at these switches."""
 
-    error: float
+    integration_error: float
     missing_arc: Any = None
     switches: Any = None
     step: Any = None
@@ -499,17 +508,17 @@ def test_when_a_flow_is_accurate(
         return left.pop(0)
 
     for name, answer in (
-        ("_is_applicable", lambda *_: True), ("_collect_switches", lambda *_: None),
-        ("_find_optimum", optimum), ("_apply_known_step", near),
+        ("_is_newton_applicable", lambda *_: True), ("_collect_switches", lambda *_: None),
+        ("_iterate_to_optimum", optimum), ("_apply_known_step", near),
         ("_build_structure", lambda *_: "structure"),
     ):  # fmt: skip
         monkeypatch.setattr(n, name, answer)
     problem = constructed_cart()
-    found = n.solve_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
+    found = n.optimise_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
     assert (found is not None) is (grids is not None)
     if grids:
         assert found is not None and found[0] == "structure" and seen == grids
-        assert found[1].error == errors[-1] * accuracy
+        assert found[1].integration_error == errors[-1] * accuracy
 
 
 # Flights as solutions on a mesh, against closed forms: what refining a bang-bang solution returns without
@@ -584,7 +593,7 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution(slowest: float, kept
     """The speed reaches -4.04 m/s."""
     solution = go.solve(pulled(), mesh="10x3", tol=None)
     (s,) = solution.samples().values()
-    structure, flight = solve_times(solution, detect_phase_structure(s)) or pytest.fail("does not settle")
+    structure, flight = optimise_times(solution, detect_phase_structure(s)) or pytest.fail("does not settle")
     least = float(np.min(flight.x[1]))
     assert least == pytest.approx(-4.04, abs=1e-3)
     box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
@@ -625,7 +634,7 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
         flight = SimpleNamespace(step=step or Step(v.FLOW_INITIAL_STEPS))
         return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None
 
-    monkeypatch.setattr(v, "solve_flow", settle)
+    monkeypatch.setattr(v, "optimise_flow", settle)
     found = v.KnownSwitches(KNOWN, "known", np.ones(2)).with_newton_step()  # type: ignore[arg-type]
     tries = [
         (v.EQUAL, None),

@@ -17,7 +17,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
-from gnc_opt.planning.refinement.candidates import Candidate, _better_coarse_solve, select_best_candidate
+from gnc_opt.planning.refinement.candidates import Candidate, _find_better_coarse_solve, select_best_candidate
 from problems.classics import van_der_pol
 
 
@@ -125,13 +125,13 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
-    real: Callable[..., Any] = module.optimise_switches
+    real: Callable[..., Any] = module.optimise_switching_times
 
     def coarse(*args: Any, **more: Any) -> Any:
         solution, history = real(*args, **more)
         return solution, replace(history, passes=tuple(replace(p, error=3e-8) for p in history.passes))
 
-    monkeypatch.setattr(module, "optimise_switches", coarse)
+    monkeypatch.setattr(module, "optimise_switching_times", coarse)
     refined = go.refine(cart, tol=1e-8)
     assert told(refined).status is RefinementStatus.STALLED and go.verify(refined).ok
     assert "error 3.0e-08 (tolerance 1.0e-08)" in told(refined).message
@@ -262,14 +262,14 @@ def test_attempts_that_were_given_up_are_reported(cart: go.Solution, monkeypatch
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
-    real: Callable[..., Any] = module.optimise_switches
+    real: Callable[..., Any] = module.optimise_switching_times
 
     def unconvincing(*args: Any, **more: Any) -> Any:
         solution, history = real(*args, **more)
         passes = (*history.passes[:-1], replace(history.passes[-1], error=1e-4))
         return solution, replace(history, status=RefinementStatus.STALLED, passes=passes)
 
-    monkeypatch.setattr(module, "optimise_switches", unconvincing)
+    monkeypatch.setattr(module, "optimise_switching_times", unconvincing)
     history = told(go.refine(cart, tol=1e-5))
     given_up = [k for k, p in enumerate(history.passes) if p.error == 1e-4]
     assert given_up and any(p.error <= 1e-5 and not isinstance(p.actions, str) for p in history.passes)
@@ -289,14 +289,14 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
-    real, begun = module.optimise_switches, []
+    real, begun = module.optimise_switching_times, []
 
     def unconvincing(*args: Any, structures: Any, **more: Any) -> Any:
         begun.append([structure.with_times(()) for structure in structures.values()])
         solution, history = real(*args, structures=structures, **more)
         return solution, replace(history, status=RefinementStatus.STALLED)
 
-    monkeypatch.setattr(module, "optimise_switches", unconvincing)
+    monkeypatch.setattr(module, "optimise_switching_times", unconvincing)
     monkeypatch.setattr(module.StagedRefinement, "_is_final_answer", lambda *_: False)
     go.refine(cart, tol=1e-5)
     assert begun and all(begun.count(order) == 1 for order in begun)
@@ -348,7 +348,14 @@ def candidate(
     suboptimal: float = 0.0,
 ) -> Any:
     """An answer with a cost, its estimated and local errors, and whether it passes the optimality check."""
-    made = SimpleNamespace(solved=True, cost=cost, passes_check=passes, loss=loss, error=error, stage="60")
+    made = SimpleNamespace(
+        is_solved=True,
+        minimised_cost=cost,
+        passes_check=passes,
+        minimum_principle_loss=loss,
+        largest_error=error,
+        stage="60",
+    )
     made.solution = SimpleNamespace(
         objective=cost,
         objective_error=SimpleNamespace(
@@ -356,8 +363,8 @@ def candidate(
         ),
     )
     made.objective_error = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
-    made.rank = lambda tol: Candidate.rank(made, tol)
-    made.is_lower = lambda other, **margin: Candidate.is_lower(made, other, **margin)
+    made.ranking_errors = lambda tol: Candidate.ranking_errors(made, tol)
+    made.has_lower_cost = lambda other, **margin: Candidate.has_lower_cost(made, other, **margin)
     return made
 
 
@@ -396,7 +403,7 @@ def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
 )
 def test_a_lower_coarse_solve_is_reported(estimate: float, hint: dict[str, str]) -> None:
     found = [candidate(1.9, estimate), candidate(2.0, 1e-6, passes=True)]
-    assert select_best_candidate(found, tol=1e-8) == 1 and _better_coarse_solve(found, found[1]) == hint
+    assert select_best_candidate(found, tol=1e-8) == 1 and _find_better_coarse_solve(found, found[1]) == hint
 
 
 def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(
@@ -435,4 +442,4 @@ def test_a_better_coarse_solve_is_known_by_its_estimates(sign: float) -> None:
         e = roots[np.argmin(np.abs(roots - side))]
         assert sign * solution.objective == pytest.approx((e**2 - 1) ** 2 + 0.3 * e + 0.01 * e**2, rel=1e-8)
         found[side] = Candidate.from_solve(solution, 1e-6, time.perf_counter(), "first")
-    assert found[-1.0].is_lower(found[1.0]) and not found[1.0].is_lower(found[-1.0])
+    assert found[-1.0].has_lower_cost(found[1.0]) and not found[1.0].has_lower_cost(found[-1.0])

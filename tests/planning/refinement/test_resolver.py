@@ -11,16 +11,22 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from testing.internals import IterationLimits, Plan, count_uniform_points, optimise_switches, solve_mesh
+from testing.internals import (
+    IterationLimits,
+    Plan,
+    count_uniform_points,
+    optimise_switching_times,
+    solve_mesh,
+)
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
-from gnc_opt.planning.problem.measured_start import with_start_on_bounds
+from gnc_opt.planning.problem.measured_start import clip_start_to_bounds
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _remove_sliver_pieces
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
-from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
+from gnc_opt.planning.solution.remaining_trajectory import truncate_solution_before
 from gnc_opt.planning.solver import SolveMethod
 
 
@@ -105,11 +111,11 @@ def test_a_start_on_a_smooth_way_is_solved_from_the_rest() -> None:
 @pytest.mark.parametrize("scheme", ["LG", "LGR"])
 def test_the_rest_of_a_solution_is_the_same_flight(begin: float, scheme: Any) -> None:
     first = go.solve(cart("effort"), mesh="4x3", scheme=scheme, tol=None)
-    rest = remaining_solution(first, begin).phase()
+    rest = truncate_solution_before(first, begin).phase()
     times = np.linspace(begin, 1.0, 57)
     whole = first.phase()
     assert rest.initial_time == begin and rest.final_time == 1.0
-    for name in ("x", "u", "lam", "flown"):
+    for name in ("x", "u", "lam", "applied"):
         same = getattr(whole, name)(times, "left")[:, 1:]
         assert getattr(rest, name)(times, "left")[:, 1:] == pytest.approx(same, abs=1e-9)
     assert rest.lam_start[:, 0] == pytest.approx(whole.lam(begin), abs=1e-12)
@@ -292,10 +298,10 @@ def test_boundaries_that_arcs_moved_stand_where_these_are_left_out(limited: Reso
 
 
 def test_arcs_that_are_far_from_right_are_given_up_at_once(limited: Resolver) -> None:
-    known = KnownArcs.of(limited.solution)
+    known = KnownArcs.from_solution(limited.solution)
     for worst, passes in ((1e-30, 1), (0.1, 2)):
         limits = IterationLimits(worst=worst)
-        _, history = optimise_switches(
+        _, history = optimise_switching_times(
             limited.solution, limits=limits, structures=known.structures, segments="few"
         )
         assert (history.converged, len(history.passes) <= passes) == (worst > 1e-3, True)
@@ -385,5 +391,5 @@ def test_a_measured_start_slightly_beyond_a_bound_begins_on_it(again: str) -> No
     assert "start" not in solved(-0.7 * (1 + 1e-15)).provenance  # rounding
     with pytest.raises(go.GncOptError, match="outside its bounds"):
         solved(-0.75)
-    free = with_start_on_bounds(problem.with_initial(q=None, v=-0.7003))[0].phases["leg"].numbers.initial
+    free = clip_start_to_bounds(problem.with_initial(q=None, v=-0.7003))[0].phases["leg"].numbers.initial
     assert (free.lower.tolist(), free.upper.tolist()) == ([-np.inf, -0.7], [np.inf, -0.7])

@@ -169,7 +169,7 @@ def test_the_structure_of_the_cart_has_all_rows() -> None:
         )
     )  # fmt: skip
     assert found.regular == (True, True, False, False, False) and (found.n_controls, found.n_paths) == (1, 2)
-    assert found.paths[0].tolist() == [FREE, LOW] and found.paths[1].tolist() == [FREE, FREE]
+    assert found.path_kinds[0].tolist() == [FREE, LOW] and found.path_kinds[1].tolist() == [FREE, FREE]
     crossing = (-1 + np.sqrt(1 + 4 * 11 / 6)) / 2  # 6 - 6 t - 6 t^2 = -5
     assert found.times[1] == pytest.approx(crossing, abs=0.02) and found.times[2] == 1.0
 
@@ -272,7 +272,8 @@ def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(u
     """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
     first = go.solve(power_limited(unit), mesh="12x4", tol=None)
     rows = [
-        piece[0] for piece in zip(*detect_phase_structure(first.samples()["leg"]).paths.tolist(), strict=True)
+        piece[0]
+        for piece in zip(*detect_phase_structure(first.samples()["leg"]).path_kinds.tolist(), strict=True)
     ]
     assert rows == [FREE, UP, FREE]
     solution = go.refine(first)
@@ -447,10 +448,10 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
             return replace(base, status=now["status"], objective=float(now["passes"]))
 
         monkeypatch.setattr(s, "_solve_program", solve)
-        monkeypatch.setattr(s, "show_pass", lambda *_: nullcontext(shown.append))
+        monkeypatch.setattr(s, "show_progress", lambda *_: nullcontext(shown.append))
         monkeypatch.setattr(s, "_update_plan_times", lambda plan, found, name: plan)
-        monkeypatch.setattr(s, "improve_plans", lambda found, plans, swapped, tol: (plans, now["action"]))
-        found, history = s.optimise_switches(base, **more)
+        monkeypatch.setattr(s, "correct_plans", lambda found, plans, swapped, tol: (plans, now["action"]))
+        found, history = s.optimise_switching_times(base, **more)
         assert shown == list(history.passes)
         return found, history, asked
 
@@ -486,22 +487,22 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
     told, calls = {"leg": Plan.from_structure(TWO_ROWS)}, []
 
     def run(loop: Any, guess: Any, plans: Any, flown: Any = None) -> Any:
-        calls.append((guess, plans, loop.aim, loop.limits.passes, loop.options.tolerance))
+        calls.append((guess, plans, loop.target_error, loop.limits.passes, loop.options.tolerance))
         return RefinementStatus.FAILED
 
-    monkeypatch.setattr(s, "_newton_start", lambda *_: (other, told, None))
-    monkeypatch.setattr(s._StructureLoop, "run", run)
+    monkeypatch.setattr(s, "_start_from_newton", lambda *_: (other, told, None))
+    monkeypatch.setattr(s._StructureLoop, "iterate_structures", run)
     limits = IterationLimits(7)
-    found, history = s.optimise_switches(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
+    found, history = s.optimise_switching_times(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
     assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
     assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
         (True, False, asked, 7, s.ARC_SOLVE_TOLERANCE),
         (False, True, asked, 7, s.ARC_SOLVE_TOLERANCE),
     ]
     assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
-    monkeypatch.setattr(s, "_newton_start", lambda *_: (base, told, None))
+    monkeypatch.setattr(s, "_start_from_newton", lambda *_: (base, told, None))
     calls.clear()
-    s.optimise_switches(base, structures={"leg": TWO_ROWS})
+    s.optimise_switching_times(base, structures={"leg": TWO_ROWS})
     assert len(calls) == 1  # the same guess would fail again
 
 

@@ -217,7 +217,7 @@ SAMPLES = samples(
 
 def test_terms_that_points_leave_out_are_those_of_the_slopes() -> None:
     """Of q' = 3 t^5 and v' = 15 t^4 in shares of the states, times the length: sums of |terms| from the n-th on."""
-    left = r._compute_series_remainders(SAMPLES, solution(FLIGHT, LEG))
+    left = r._legendre_remainders(SAMPLES, solution(FLIGHT, LEG))
     breaks = np.array([0.2, 0.6, 1.0])
     found = left(breaks)
     assert found.shape == (2, r.N_TERMS)

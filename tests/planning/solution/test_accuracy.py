@@ -46,12 +46,12 @@ def minimum_time(load: float | None = None) -> go.Problem:
 def flown(solution: go.Solution, times: np.ndarray) -> np.ndarray:
     """States of the applied control by SciPy, restarted at its jumps."""
     leg, x, found = solution.phase(), np.zeros(2), []
-    knots = np.union1d(leg.flown.jumps, times[[0, -1]])
+    knots = np.union1d(leg.applied.jump_times, times[[0, -1]])
     for left, right in itertools.pairwise(knots):
 
         def rate(t: float, y: np.ndarray, left: float = left, right: float = right) -> list[float]:
             inside = np.clip(t, left + 1e-9 * (right - left), right - 1e-9 * (right - left))
-            return [y[1], float(leg.flown(inside)[0])]
+            return [y[1], float(leg.applied(inside)[0])]
 
         within = times[(times >= left) & (times < right)]
         run = solve_ivp(rate, (left, right), x, t_eval=[*within, right], rtol=1e-10, atol=1e-12)
@@ -124,10 +124,10 @@ def turning() -> go.Problem:
 def test_a_violation_within_a_held_cell_is_found() -> None:
     """The control is constant over cells of a segment, so that a limit of a + v / 5 is exceeded most at their edges."""
     solution = go.solve(minimum_time(load=1.1), mesh="5x3", tol=None)
-    edges = solution.phase().flown.jumps
+    edges = solution.phase().applied.jump_times
     assert edges.size > 6, "no cells"
     inside = np.concatenate([np.linspace(a, b, 202)[1:-1] for a, b in itertools.pairwise(edges)])
-    loads = solution.phase().flown(inside)[0] + 0.2 * flown(solution, inside)[1]
+    loads = solution.phase().applied(inside)[0] + 0.2 * flown(solution, inside)[1]
     assert solution.accuracy.violation == pytest.approx(np.max(loads) - 1.1, rel=2e-2)
 
 

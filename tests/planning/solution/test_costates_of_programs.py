@@ -69,7 +69,7 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
     lam_g = np.random.default_rng(2).normal(size=part.n_rows)
     gradients = np.random.default_rng(3).normal(size=(2, 7))
     starts, ends = _boundary_costates(part, lam_g, gradients)
-    rows, columns, values = part.linear_part
+    rows, columns, values = part.linear_dynamics_entries
     for k in range(2):
         own = np.zeros(part.n_rows)
         own[part.dynamics_rows[k]] = lam_g[part.dynamics_rows[k]]
@@ -96,7 +96,7 @@ def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> _CostatePieces:
     size, segments = mesh.size, mesh.segments
     values = {
         "collocation": part,
-        "weights": 2 * part.quadrature,
+        "weights": 2 * part.quadrature_weights,
         "lam": np.arange(1.0, size + 1)[None, :],
         "start": 10.0 + 10 * np.arange(segments)[None, :],
         "end": 30.0 + 10 * np.arange(segments)[None, :],
@@ -116,16 +116,16 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
     breaks = np.array([1.0, 2.0, 4.0])
     for scheme in ("LGR", "LGL"):
         found = pieces(scheme, pull=np.array([[2.0] * 3 + [3.0] * 3]), held=np.array([[False, False]]))
-        curve = found.polynomial(breaks)
+        curve = found.build_polynomial(breaks)
         t = np.array([1.0, 1.3, 1.9])
         assert curve(t)[0] == pytest.approx(10 - 2 * (t - 1))
         t = np.array([2.0, 3.0, 3.9])
         assert curve(t)[0] == pytest.approx(20 - 3 * (t - 2))
-        through = pieces(scheme).polynomial(breaks)
+        through = pieces(scheme).build_polynomial(breaks)
         points = 1.5 + 0.5 * found.collocation.rules[0].points
         assert through(points, "left")[0] == pytest.approx([1, 2, 3])
-    assert pieces("LGR").polynomial(breaks)(2.0, "left")[0] == pytest.approx(30.0)
-    gauss = pieces("LG").polynomial(breaks)
+    assert pieces("LGR").build_polynomial(breaks)(2.0, "left")[0] == pytest.approx(30.0)
+    gauss = pieces("LG").build_polynomial(breaks)
     points = 3.0 + pieces("LG").collocation.rules[1].points
     assert gauss(points)[0] == pytest.approx([4, 5, 6]) and gauss(4.0)[0] == pytest.approx(40.0)
 
@@ -133,7 +133,7 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
 def doubled(left: list[float], right: list[float], *, mixed: bool = False, scheme: Scheme = "LGL") -> Array:
     part = collocation(scheme, Mesh((0.0, 0.5, 1.0), (3, 3)), n=1, paths=1)
     return split_duplicate_path_multipliers(
-        part, np.array([[*left, *right]]), 2 * part.quadrature, np.array([mixed])
+        part, np.array([[*left, *right]]), 2 * part.quadrature_weights, np.array([mixed])
     )
 
 
@@ -160,8 +160,8 @@ def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, 
     gradient, push = random.normal(size=(2, 8)), 10.0 ** random.uniform(-9, 0, (2, 8))
 
     def found(c: float, t: float) -> _CostatePieces:
-        weights = 2 * t * part.quadrature
-        return _CostatePieces.of(
+        weights = 2 * t * part.quadrature_weights
+        return _CostatePieces.from_multipliers(
             part, Iterate(x0, c * lam_x, c * lam_g), weights, c / t * gradient, c / t * push
         )
 
@@ -207,12 +207,12 @@ def two_phases() -> go.Problem:
 def solved(request: pytest.FixtureRequest) -> tuple[Attempt, Any, go.Solution]:
     problem = two_phases()
     meshes = {"first": Mesh((0.0, 0.4, 1.0), (4, 5)), "second": Mesh((0.0, 0.3, 1.0), (4, 4), (1,))}
-    attempt = Attempt.prepare(problem, meshes, request.param, None, SolverOptions())
-    point = attempt.point(attempt.start)
+    attempt = Attempt.from_problem(problem, meshes, request.param, None, SolverOptions())
+    point = attempt.build_point(attempt.start)
     attempt.solver.create_solver(point)
     result = attempt.solver.solve(point)
     assert result.status.solved, result.raw_status
-    return attempt, result, attempt.solution(result)
+    return attempt, result, attempt.build_solution(result)
 
 
 def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> None:
@@ -220,7 +220,7 @@ def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> 
     attempt, result, solution = solved
     scaling = attempt.scaling
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}  # one boundary has moved
-    transcription = Attempt.prepare(
+    transcription = Attempt.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
     start = start_from_solution(
@@ -243,7 +243,9 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     """Signals at the new points from within their segments; impulses where a phase begins and ends, none between."""
     attempt, _, solution = solved
     meshes = {"first": Mesh((0.0, 0.3, 0.7, 1.0), (5, 3, 4)), "second": Mesh((0.0, 0.5, 1.0), (6, 6), (1,))}
-    other = Attempt.prepare(attempt.problem, meshes, solution.scheme, None, SolverOptions()).transcription
+    other = Attempt.from_problem(
+        attempt.problem, meshes, solution.scheme, None, SolverOptions()
+    ).transcription
     start = start_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
     assert start.lam_x is not None and start.lam_g is not None
     for name, part in other.parts.items():
@@ -254,9 +256,9 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
         def at(signal: Any, t: Array = t, ends: Any = ends) -> Array:
             return np.where(ends, signal(t, "left"), signal(t))
 
-        weights = there.quadrature * leg.duration * np.diff(arc_ends(part))[there.point_arcs]
+        weights = there.quadrature_weights * leg.duration * np.diff(arc_ends(part))[there.point_arcs]
         assert start.x[there.point_states] == pytest.approx(leg.x(t), abs=1e-12)
-        assert start.x[there.point_controls] == pytest.approx(at(leg.flown.evaluate_clipped))
+        assert start.x[there.point_controls] == pytest.approx(at(leg.applied.evaluate_clipped))
         assert start.x[part.times[-1]] == pytest.approx(leg.final_time)
         assert start.lam_x[there.point_controls] == pytest.approx(at(leg.control_multiplier) * weights)
         assert start.lam_g[there.path_rows] == pytest.approx(at(leg.path_multiplier) * weights)
@@ -311,10 +313,10 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         x[everywhere] *= sizes[i]
         lam_x[everywhere] *= (random.random(everywhere.size) < 0.2) / sizes[i]
     x[whole.segment_nodes(0)[0]] = 1e3
-    weights, breaks = 5.0 * whole.quadrature, 5.0 * np.asarray(mesh.breaks)
+    weights, breaks = 5.0 * whole.quadrature_weights, 5.0 * np.asarray(mesh.breaks)
 
     def settled(part: PhaseCollocation, numbers: Iterate, gradient: Array, push: Array) -> _CostatePieces:
-        found = _CostatePieces.of(part, numbers, weights, gradient, push)
+        found = _CostatePieces.from_multipliers(part, numbers, weights, gradient, push)
         if scheme == "LG":
             found.extrapolate_costates_along_bounds()
         else:
@@ -348,7 +350,9 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         ):
             assert getattr(together, name)[i] == pytest.approx(getattr(alone, name)[0], rel=1e-9), name
         t = np.linspace(0.0, 5.0, 31)
-        assert together.polynomial(breaks)(t)[i] == pytest.approx(alone.polynomial(breaks)(t)[0], rel=1e-9)
+        assert together.build_polynomial(breaks)(t)[i] == pytest.approx(
+            alone.build_polynomial(breaks)(t)[0], rel=1e-9
+        )
     paths, mixed = (
         random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes,
         np.array([False, True, False]),
@@ -411,7 +415,9 @@ def guessed(free: bool = True) -> go.Problem:
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> None:
     problem = guessed()
-    attempt = Attempt.prepare(problem, {"leg": Mesh((0.0, 0.25, 1.0), (3, 3))}, scheme, None, SolverOptions())
+    attempt = Attempt.from_problem(
+        problem, {"leg": Mesh((0.0, 0.25, 1.0), (3, 3))}, scheme, None, SolverOptions()
+    )
     transcription = attempt.transcription
     x, part = start_from_guess(transcription, problem), transcription.parts["leg"]
     points = 1 + 4 * part.collocation.fractions
@@ -443,14 +449,14 @@ def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
         assert np.ravel(value(leg.final_time + 1.0)) == pytest.approx(leg.state("q")(leg.final_time))
         control = problem.phases[name].numbers.guess.values["a"]
         assert np.ravel(control(leg.initial_time - 1.0)) == pytest.approx(
-            leg.flown.evaluate_clipped(leg.initial_time)[:1]
+            leg.applied.evaluate_clipped(leg.initial_time)[:1]
         )
 
 
 def test_a_guess_of_another_problem_is_refused(solved: Any) -> None:
     _, _, solution = solved
     with pytest.raises(go.ProblemError, match="the guess has no phase 'leg', only"):
-        Attempt.prepare(cart(), {"leg": Mesh.uniform(2, 3)}, "LG", solution, SolverOptions())
+        Attempt.from_problem(cart(), {"leg": Mesh.uniform(2, 3)}, "LG", solution, SolverOptions())
 
 
 # --- attempts ---------------------------------------------------------------------------------------------

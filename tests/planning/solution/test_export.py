@@ -105,7 +105,7 @@ def test_a_table_in_csv_is_a_guess(solution: go.Solution, tmp_path: Path) -> Non
 def test_json_holds_every_number_with_its_unit(solution: go.Solution, tmp_path: Path) -> None:
     told = json.loads(solution.export(tmp_path / "leg.json", times=[0.3]).read_text())
     assert told["phase"] == "leg" and told["time"] == [0.3]
-    assert told["columns"]["a[0]"] == [solution.phase().flown([0.3])[0, 0]]
+    assert told["columns"]["a[0]"] == [solution.phase().applied([0.3])[0, 0]]
     assert told["units"]["a[0]"] == "m/s^2" and told["units"]["time"] == "s"
 
 

@@ -50,7 +50,7 @@ def test_a_badly_scaled_system_is_solved_as_a_dense_one() -> None:
     matrix, wanted = dense(hessian, rows), RNG.standard_normal(7)
     found = system(hessian, rows)
     assert not found.redundant
-    assert found.solve(matrix @ wanted) == pytest.approx(wanted, rel=1e-9)
+    assert found.solve_system(matrix @ wanted) == pytest.approx(wanted, rel=1e-9)
 
 
 def test_redundant_rows_are_borne_and_the_answer_is_as_sharp_as_without_them() -> None:
@@ -59,7 +59,7 @@ def test_redundant_rows_are_borne_and_the_answer_is_as_sharp_as_without_them() -
         found = system(np.eye(2), rows)
         assert bool(found.redundant) is (len(rows) > 1)
         limits = 3 * np.asarray(rows, float)[:, 0]
-        solved = found.solve(np.concatenate([[5.0, -3.0], limits]))
+        solved = found.solve_system(np.concatenate([[5.0, -3.0], limits]))
         x, multipliers = solved[:2], solved[2:]
         assert x == pytest.approx([5.5, -2.5], abs=1e-12)
         assert x + np.asarray(rows).T @ multipliers == pytest.approx([5.0, -3.0], abs=1e-12)
@@ -71,7 +71,7 @@ def test_rows_that_are_nearly_the_same_are_not_redundant() -> None:
     found = system(np.eye(2), rows)
     assert not found.redundant
     wanted = np.array([1.0, 2.0, 3.0, 4.0])
-    assert found.solve(dense(np.eye(2), rows) @ wanted) == pytest.approx(wanted, abs=1e-6)
+    assert found.solve_system(dense(np.eye(2), rows) @ wanted) == pytest.approx(wanted, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -108,17 +108,19 @@ def test_a_free_direction_shows_among_redundant_rows_too() -> None:
 
 def test_rows_that_contradict_each_other_are_named() -> None:
     found = system(np.eye(2), [[1, 1], [1, 1]])
-    assert np.all(np.isfinite(found.solve(np.array([0.0, 0.0, 2.0, 2.0]))))
+    assert np.all(np.isfinite(found.solve_system(np.array([0.0, 0.0, 2.0, 2.0]))))
     with pytest.raises(go.GncOptError, match=r"leave no room for its constraints, at '(c|d)'"):
-        found.solve(np.array([0.0, 0.0, 2.0, 2.001]))
+        found.solve_system(np.array([0.0, 0.0, 2.0, 2.001]))
     # A difference of rounding is none.
-    assert found.solve(np.array([0.0, 0.0, 2.0, 2.0 + 1e-9]))[:2] == pytest.approx([1.0, 1.0], abs=1e-6)
-    assert found.solve(np.zeros(4)) == pytest.approx(np.zeros(4))
+    assert found.solve_system(np.array([0.0, 0.0, 2.0, 2.0 + 1e-9]))[:2] == pytest.approx(
+        [1.0, 1.0], abs=1e-6
+    )
+    assert found.solve_system(np.zeros(4)) == pytest.approx(np.zeros(4))
 
 
 def test_a_single_unknown() -> None:
     found = SaddlePoint(scipy.sparse.csc_array(np.array([[4.0]])), 1, ["a"], "by hand")
-    assert not found.redundant and found.solve(np.array([2.0])).tolist() == [0.5]
+    assert not found.redundant and found.solve_system(np.array([2.0])).tolist() == [0.5]
 
 
 def test_scale_factors_bring_the_largest_entry_of_every_row_to_one() -> None:
@@ -126,12 +128,12 @@ def test_scale_factors_bring_the_largest_entry_of_every_row_to_one() -> None:
     size = 10.0 ** np.array([0, 6, -6, 3, -3, 1])
     matrix = (rough + rough.T) * np.outer(size, size)
     matrix[2] = matrix[:, 2] = 0.0
-    scale = saddle._equilibrate(scipy.sparse.csc_array(matrix))
+    scale = saddle._equilibrate_rows(scipy.sparse.csc_array(matrix))
     largest = np.max(np.abs(scale[:, None] * matrix * scale), axis=1)
     assert scale[2] == 1.0 and np.all(scale > 0)
     assert np.all(largest <= 1.02) and np.all(np.delete(largest, 2) > 0.3)
     diagonal = scipy.sparse.csc_array(np.diag([1e8, -1e-8, 4.0]))
-    assert saddle._equilibrate(diagonal) == pytest.approx([1e-4, 1e4, 0.5])
+    assert saddle._equilibrate_rows(diagonal) == pytest.approx([1e-4, 1e4, 0.5])
 
 
 # A solution as a point of its program: which limits are active, and derivatives, against closed forms.
@@ -145,17 +147,17 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
     multipliers = np.array([-0.02, -0.005, 0.02, 0.005, 0.02, -0.02, 9.0, 0.0, -1e-9, 1e-9, 0.0])
     lower = np.array([0.0] * 6 + [2.0, -INF, 0.0, 0.0, 0.0])
     upper = np.array([1.0] * 6 + [2.0, INF, 1.0, 1.0, 0.5])
-    found = ProgramLimits.of(interval(lower, upper), values, multipliers, tuple("abcdefghijk"))
+    found = ProgramLimits.from_values(interval(lower, upper), values, multipliers, tuple("abcdefghijk"))
     below, above, fixed = [0, 8], [2, 9], [6]
     assert np.flatnonzero(found.active).tolist() == sorted(below + above + fixed)
     assert found.at.tolist() == [0, 0, 1, 0, 0, 0, 2, 0, 0, 1, 0] and found.labels == tuple("abcdefghijk")
     push = np.full(11, NAN)
     push[[0, 2, 8, 9]] = [0.02, 0.02, 1e-9, 1e-9]
-    np.testing.assert_allclose(found.push(multipliers), push)
+    np.testing.assert_allclose(found.active_multipliers(multipliers), push)
     room = np.array([NAN, 0.01, NAN, 0.01, 0.01, 0.01, NAN, INF, NAN, NAN, 0.0])
-    np.testing.assert_allclose(found.room(values), room, atol=1e-15)
+    np.testing.assert_allclose(found.slack(values), room, atol=1e-15)
     # Needed by less than 1e-5, or closer than that without being needed.
-    assert np.flatnonzero(found.weak(values, multipliers)).tolist() == [8, 9, 10]
+    assert np.flatnonzero(found.weakly_active(values, multipliers)).tolist() == [8, 9, 10]
     assert 1e-9 < ACTIVE < 5e-3
 
 
@@ -196,14 +198,14 @@ def coupled() -> go.Problem:
 
 @pytest.fixture(scope="module")
 def point() -> ProgramPoint:
-    return ProgramPoint.of(
+    return ProgramPoint.from_solution(
         go.solve(coupled(), mesh="2x4", options=go.SolverOptions(tolerance=1e-11), tol=None)
     )
 
 
 def test_a_solution_meets_the_first_order_conditions(point: ProgramPoint) -> None:
-    assert point.is_finite and np.max(np.abs(point.residual)) < 1e-8
-    assert point.residual.size == np.sum(~point.variables.active) + np.sum(point.rows.active)
+    assert point.is_finite and np.max(np.abs(point.kkt_residual)) < 1e-8
+    assert point.kkt_residual.size == np.sum(~point.variables.active) + np.sum(point.rows.active)
     assert np.all(point.lam[~point.rows.active] == 0) and np.max(np.abs(point.lam)) > 1e-3
     active = point.variables.active
     assert np.array_equal(point.x[active], point.variables.at[active])
@@ -218,13 +220,13 @@ def test_multipliers_of_a_control_at_its_limit_are_densities() -> None:
         leg.bounds(u=(-unit, 2 * unit))
         leg.path("floor", u, upper=1.9 * unit)
         problem.minimize(leg.final_state("x"))
-        here = ProgramPoint.of(go.solve(problem, mesh="2x3", tol=None))
+        here = ProgramPoint.from_solution(go.solve(problem, mesh="2x3", tol=None))
         places = here.transcription.parts["leg"].collocation.point_controls
         densities, row_densities = here.multiplier_densities
         scales = here.scaling.variables[places] * here.scaling.objective
         assert densities[places] / scales == pytest.approx(-4.0 + 0 * scales, rel=1e-6)
         assert here.variables.active[places].all()
-        assert here.variables.push(densities)[places] == pytest.approx(4.0 * scales, rel=1e-6)
+        assert here.variables.active_multipliers(densities)[places] == pytest.approx(4.0 * scales, rel=1e-6)
         floor = here.transcription.parts["leg"].collocation.path_rows
         assert not here.rows.active[floor].any() and np.all(row_densities[floor] == 0)
 
@@ -238,23 +240,31 @@ def test_derivatives_are_those_of_differences(point: ProgramPoint) -> None:
     full = np.zeros(point.x.size)
     full[free] = direction[:n]
     assert there.x == pytest.approx(point.x + step * full, abs=1e-14) and np.array_equal(there.lam, point.lam)
-    assert point.hessian @ full == pytest.approx((there.gradient - here.gradient) / (2 * step), abs=1e-6)
-    assert point.jacobian @ full == pytest.approx((there.values - here.values) / (2 * step), abs=1e-6)
-    assert (point.hessian - point.hessian.T).nnz == 0 or abs(point.hessian - point.hessian.T).max() == 0
+    assert point.lagrangian_hessian @ full == pytest.approx(
+        (there.lagrangian_gradient - here.lagrangian_gradient) / (2 * step), abs=1e-6
+    )
+    assert point.row_jacobian @ full == pytest.approx(
+        (there.row_values - here.row_values) / (2 * step), abs=1e-6
+    )
+    assert (point.lagrangian_hessian - point.lagrangian_hessian.T).nnz == 0 or abs(
+        point.lagrangian_hessian - point.lagrangian_hessian.T
+    ).max() == 0
     # The Lagrangian is linear in its multipliers.
     twice = point.evaluate_hessian(2.0, 3 * point.lam) - point.evaluate_hessian(1.0, 2 * point.lam)
-    assert (twice - point.hessian).toarray() == pytest.approx(np.zeros((point.x.size,) * 2), abs=1e-9)
+    assert (twice - point.lagrangian_hessian).toarray() == pytest.approx(
+        np.zeros((point.x.size,) * 2), abs=1e-9
+    )
 
 
 def test_a_step_of_newton_leads_back(point: ProgramPoint) -> None:
     rng = np.random.default_rng(2)
     free, held = ~point.variables.active, point.rows.active
-    off = point.take_step(1e-5 * rng.standard_normal(point.residual.size))
-    assert np.max(np.abs(off.residual)) > 1e-6
-    matrix = saddle_matrix(off.hessian[free][:, free], off.jacobian[held][:, free])
+    off = point.take_step(1e-5 * rng.standard_normal(point.kkt_residual.size))
+    assert np.max(np.abs(off.kkt_residual)) > 1e-6
+    matrix = saddle_matrix(off.lagrangian_hessian[free][:, free], off.row_jacobian[held][:, free])
     assert abs(matrix - matrix.T).max() == 0
-    back = off.take_step(-scipy.sparse.linalg.spsolve(matrix, off.residual))
-    assert np.max(np.abs(back.residual)) < 1e-8
+    back = off.take_step(-scipy.sparse.linalg.spsolve(matrix, off.kkt_residual))
+    assert np.max(np.abs(back.kkt_residual)) < 1e-8
     assert back.x == pytest.approx(point.x, abs=1e-8) and back.lam == pytest.approx(point.lam, abs=1e-6)
 
 
@@ -264,13 +274,13 @@ def test_other_scales_are_those_that_are_asked_for() -> None:
     def twos(transcription: Any, problem: go.Problem, x: Any) -> Any:
         return np.full(x.size, 2.0)
 
-    here = ProgramPoint.of(solution, scaled_by=twos)
+    here = ProgramPoint.from_solution(solution, scaled_by=twos)
     times = here.transcription.parts["leg"].times
     assert here.scaling.variables.tolist() == [2.0] * here.x.size
     assert here.x[times[-1]] == pytest.approx(solution.phase().final_time / 2)
-    finer = ProgramPoint.of(solution, {"leg": go.Mesh.uniform(3, 5)})
+    finer = ProgramPoint.from_solution(solution, {"leg": go.Mesh.uniform(3, 5)})
     assert finer.transcription.parts["leg"].collocation.mesh.size == 15
-    assert np.max(np.abs(finer.residual)) < 1e-2
+    assert np.max(np.abs(finer.kkt_residual)) < 1e-2
 
 
 # Multipliers of conditions that depend on each other: the least ones, whatever a solver drifted to.
@@ -291,8 +301,8 @@ def turn(components: int) -> go.Problem:
 def solved(components: int) -> tuple[Any, Any, Any, Any]:
     """Transcription, point, result, and the Jacobian of the rows (dense)."""
     options = go.SolverOptions(tolerance=1e-12)
-    attempt = Attempt.prepare(turn(components), {"leg": go.Mesh.uniform(3, 4)}, GAUSS, None, options)
-    point = attempt.point(attempt.start)
+    attempt = Attempt.from_problem(turn(components), {"leg": go.Mesh.uniform(3, 4)}, GAUSS, None, options)
+    point = attempt.build_point(attempt.start)
     result = attempt.solver.solve(point)
     assert result.status.solved
     jacobian = attempt.transcription.nlp.jac_g(result.x, point.p)[1].full()

@@ -165,7 +165,9 @@ def test_sample_times_cover_the_span_once() -> None:
 )
 def test_rows(index: Any, kept: list[int]) -> None:
     t = np.linspace(1.0, 4.5, 9)
-    np.testing.assert_allclose(two_segments().rows(index)(t), two_segments()(t)[kept], rtol=1e-15)
+    np.testing.assert_allclose(
+        two_segments().select_components(index)(t), two_segments()(t)[kept], rtol=1e-15
+    )
 
 
 @given(st.integers(0, 2**32 - 1))

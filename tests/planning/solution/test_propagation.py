@@ -24,7 +24,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.model import integration
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.solution.propagation import Propagation, propagate
+from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.solution.violation_diagnosis import _find_unbounded_variables
 
@@ -49,7 +49,7 @@ def solution() -> go.Solution:
 def flown_with(solution: go.Solution, rate_of_v: Any) -> Propagation:
     """The solution's control, flown with other dynamics."""
     empty = np.zeros(0)
-    return propagate(
+    return integrate_dynamics(
         solution.phase(), phase_functions(fall(rate_of_v), "leg", empty, empty, np.ones(1)), rtol=1e-8
     )
 
@@ -105,7 +105,7 @@ def flown(values: list[list[float]], lower: float, upper: float) -> SaturatedCon
 
 def impulse(signal: SaturatedControl, k: int) -> float:
     left, right = BREAKS[k], BREAKS[k + 1]
-    inside = [t for t in signal.jumps if left < t < right]
+    inside = [t for t in signal.jump_times if left < t < right]
     return float(quad(lambda t: signal(t)[0], left, right, points=inside or None, epsabs=1e-13)[0])
 
 
@@ -117,7 +117,7 @@ def test_overshoot_and_undershoot_are_held_alike(sign: float, other: float) -> N
     signal = flown(values, *sorted([0.0, sign * other]))
     times = np.linspace(0.0, 3.0, 601)
     assert np.min(sign * signal.polynomial(times)) < -0.05  # or the test tests nothing
-    assert signal.held.tolist() == [[True, False]]
+    assert signal.is_piecewise_constant.tolist() == [[True, False]]
     assert np.min(sign * signal(times)) == 0.0
     for k, mean in enumerate((sign * 5 / 18, sign * 0.6)):  # Gauss weights 5, 8, 5 of 18
         assert impulse(signal, k) == pytest.approx(mean * (BREAKS[k + 1] - BREAKS[k]), abs=1e-12)
@@ -126,10 +126,10 @@ def test_overshoot_and_undershoot_are_held_alike(sign: float, other: float) -> N
 def test_cells_are_as_long_as_the_weights_and_the_side_decides_on_their_edges() -> None:
     signal = flown([[0.0, 1.0, 0.0], [0.5, 0.5, 0.5]], 0.0, 1.0)
     edges = np.array([0.0, 5 / 18, 13 / 18, 1.0])
-    assert signal.jumps == pytest.approx([*edges, 3.0], abs=1e-14)
+    assert signal.jump_times == pytest.approx([*edges, 3.0], abs=1e-14)
     middles = 0.5 * (edges[1:] + edges[:-1])
     assert signal(middles)[0] == pytest.approx([0.0, 1.0, 0.0], abs=0)
-    inner = signal.jumps[1:4]
+    inner = signal.jump_times[1:4]
     assert signal(inner, "left")[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-14)
     assert signal(inner, "right")[0] == pytest.approx([1.0, 0.0, 0.5], abs=1e-14)
     assert signal(3.0)[0] == pytest.approx(0.5)
@@ -142,12 +142,12 @@ def test_a_jump_at_a_boundary_counts_for_the_segment_on_its_side(first: bool) ->
     pieces = [over, [0.5] * 3] if first else [[0.5] * 3, over]
     signal = flown(pieces, -1.0, 1.0)
     assert signal.polynomial(1.0, "left" if first else "right")[0] > 1.2
-    assert signal.held.tolist() == [[first, not first]]
+    assert signal.is_piecewise_constant.tolist() == [[first, not first]]
 
 
 def test_rounding_beyond_a_bound_is_clipped_and_not_held() -> None:
     signal = flown([[1.0 + 1e-9, 1.0, 1.0], [-1e-9, 0.0, 0.0]], 0.0, 1.0)
-    assert not signal.held.any()
+    assert not signal.is_piecewise_constant.any()
     assert np.max(signal(np.linspace(0.0, 1.0, 50))) == 1.0
     assert np.min(signal(np.linspace(1.0, 3.0, 50), "left")) == 0.0
 
@@ -157,10 +157,10 @@ def test_rounding_of_a_fixed_control_is_no_overshoot(value: float) -> None:
     """A control with equal bounds has no range that its rounding could be a share of."""
     off = 1e-15 * max(abs(value), 1.0)
     signal = flown([[value, value + off, value], [value - off, value, value]], value, value)
-    assert not signal.held.any()
+    assert not signal.is_piecewise_constant.any()
     assert signal(np.linspace(0.0, 3.0, 31)) == pytest.approx(value, abs=0)
     missed = flown([[value, value + 1e-3 * max(abs(value), 1.0), value], [value] * 3], value, value)
-    assert missed.held.tolist() == [[True, False]]
+    assert missed.is_piecewise_constant.tolist() == [[True, False]]
 
 
 def test_each_channel_is_held_by_itself() -> None:
@@ -173,9 +173,9 @@ def test_each_channel_is_held_by_itself() -> None:
     polynomial = PiecewisePolynomial(BREAKS, tuple(r.points for r in rules), nodal)
     bounds = Interval(np.array([0.0, -2.0, -np.inf]), np.array([1.0, 2.0, np.inf]))
     signal = SaturatedControl(polynomial, bounds, rules)
-    assert signal.held.tolist() == [[True, False], [False, True], [False, False]]
+    assert signal.is_piecewise_constant.tolist() == [[True, False], [False, True], [False, False]]
     cells = np.array([0.0, 5 / 18, 13 / 18, 1.0])
-    assert signal.jumps == pytest.approx([*cells, *(1 + 2 * cells[1:])], abs=1e-14)
+    assert signal.jump_times == pytest.approx([*cells, *(1 + 2 * cells[1:])], abs=1e-14)
     middles = np.array([*(0.5 * (cells[1:] + cells[:-1])), *(1 + cells[1:] + cells[:-1])])
     found, free = signal(middles), polynomial(middles)
     assert found[0] == pytest.approx([0.0, 0.0, 1.0, *free[0, 3:]])
@@ -200,8 +200,8 @@ def test_costs_of_tries_add_up() -> None:
     second = Statistics(
         iterations=10, build_s=0.0, solve_s=4.0, function_s=0.5, linear_solver_s=3.0, compiled_before=True
     )
-    assert second.after(first) == Statistics(13, 0.5, 6.0, 0.75, 4.0, True)
-    assert not first.compiled_before and not first.after(second).compiled_before
+    assert second.add_earlier(first) == Statistics(13, 0.5, 6.0, 0.75, 4.0, True)
+    assert not first.compiled_before and not first.add_earlier(second).compiled_before
 
 
 def test_integrals_by_name() -> None:
@@ -272,7 +272,7 @@ def test_a_record_after_an_earlier_one_has_the_passes_and_seconds_of_both() -> N
         record(RefinementStatus.STALLED, 3, 2, 1.5),
         record(RefinementStatus.CONVERGED, 2, 0, 4.0),
     )
-    both = later.after(earlier)
+    both = later.prepend_history(earlier)
     assert both.passes == (*earlier.passes, *later.passes) and both.seconds == 5.5
     assert both.final is later.passes[0] and both.chosen == 3
     assert both.converged and both.message == "converged" and not earlier.converged

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, costates, functions, interval, phase, push, rest, samples
-from testing.internals import free, propagate
+from testing.internals import integrate_dynamics, unbounded
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -22,7 +22,7 @@ from gnc_opt.planning.solution.quality import (
     find_worst_terminal_error,
     worst_path_violation,
 )
-from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, compute_sample_rule
+from gnc_opt.planning.solution.samples import SAMPLES_BEYOND_POINTS, PhaseSamples, choose_sample_points
 from gnc_opt.tolerances import GONE
 
 CART = cart()
@@ -42,9 +42,9 @@ def stepped(t: Array, k: int) -> Array:
 
 
 def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
-    places, weights = compute_sample_rule(4)
+    places, weights = choose_sample_points(4)
     n = 4 + SAMPLES_BEYOND_POINTS
-    assert places.size == n + 2 and compute_sample_rule(60)[0].size == 64 + 2
+    assert places.size == n + 2 and choose_sample_points(60)[0].size == 64 + 2
     assert right.times.size == 2 * (n + 2) and right.segments.tolist() == [0] * (n + 2) + [1] * (n + 2)
     assert right.times[[0, n + 1, n + 2, -1]].tolist() == [0.0, 0.5, 0.5, 1.0]
     assert right.times[1 : n + 1] == pytest.approx(0.25 * (1 + places[1:-1]))
@@ -158,7 +158,7 @@ def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
     """Cut off at 5 N, the push lacks 1/24 N s on either side: v ends where it should, q short of it."""
     cut = samples(CART, control_bounds=interval(-5.0, 20.0), breaks=(0.0, 0.5, 1.0))
     found = find_worst_terminal_error(cut)
-    run = propagate(cut.leg, cut.functions)
+    run = integrate_dynamics(cut.leg, cut.functions)
     assert run.states[:, -1] - [1.0, 0.0] == pytest.approx(run.error)
     i = int(np.argmax(np.abs(run.error) / [1.0, 1.5]))
     assert found.value == pytest.approx(abs(run.error[i]) / [1.0, 1.5][i])
@@ -171,19 +171,19 @@ def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
 
 def test_propagation_follows_the_control_from_the_initial_state() -> None:
     off = phase(CART, lambda t, k: rest(t, k) + np.array([[1.0], [0.0]]) * (1 - t) * t)
-    run = propagate(off, functions(CART), control="polynomial")
+    run = integrate_dynamics(off, functions(CART), control="polynomial")
     assert run.times.tolist() == [0.0, 0.5, 1.0]
     assert run.states == pytest.approx(rest(run.times, 0), abs=1e-10) and run.error == pytest.approx(
         0, abs=1e-10
     )
     late = phase(CART, lambda t, k: rest(t, k) + np.array([[0.5], [0.0]]) * t)
-    assert propagate(late, functions(CART)).error == pytest.approx([-0.5, 0.0], abs=1e-10)
+    assert integrate_dynamics(late, functions(CART)).error == pytest.approx([-0.5, 0.0], abs=1e-10)
 
 
 @pytest.mark.parametrize("control", ["flown", "polynomial"])
 def test_only_the_flown_control_respects_its_bounds(control: Any) -> None:
     bounded = phase(CART, control_bounds=interval(-5.0, 5.0))
-    run = propagate(bounded, functions(CART), control=control)
+    run = integrate_dynamics(bounded, functions(CART), control=control)
     assert (
         run.states[1].max() == pytest.approx(1.5, abs=1e-9)
         if control == "polynomial"
@@ -197,7 +197,7 @@ def test_what_runs_away_is_given_up() -> None:
     model.ode({x: 60 * x + u, still: 0 * u})
     problem, leg = one_phase("unstable", model, 0.0, 1.0)
     problem.minimize(leg.integral(u**2))
-    run = propagate(
+    run = integrate_dynamics(
         phase(problem, lambda t, k: [1 + 0 * t, 0 * t], lambda t, k: 0 * t, lambda t, k: [t, t]),
         functions(problem),
     )
@@ -209,7 +209,9 @@ def test_what_runs_away_is_given_up() -> None:
         lambda t, k: [t, t],
         breaks=(0.0, 0.15, 0.3),
     )
-    assert propagate(slow, functions(problem)).states[0] == pytest.approx(np.exp([0.0, 9.0, 18.0]), rel=1e-8)
+    assert integrate_dynamics(slow, functions(problem)).states[0] == pytest.approx(
+        np.exp([0.0, 9.0, 18.0]), rel=1e-8
+    )
 
 
 # --- limits -----------------------------------------------------------------------------------------------
@@ -220,11 +222,11 @@ def identity(t: Array, x: Array, u: Array) -> Array:
 
 
 def test_finite_limits_one_side_each() -> None:
-    found = Limits.of(identity, interval([-np.inf, 0.0, 1.0], [2.0, np.inf, 3.0]))
+    found = Limits.from_interval(identity, interval([-np.inf, 0.0, 1.0], [2.0, np.inf, 3.0]))
     assert found.rows.tolist() == [1, 2, 0, 2] and found.sides.tolist() == [-1, -1, 1, 1]
     assert found.values.tolist() == [0, 1, 2, 3]
-    assert Limits.of(identity, free(0)).rows.size == 0
-    chosen = found.select(np.array([3, 0, 3]))
+    assert Limits.from_interval(identity, unbounded(0)).rows.size == 0
+    chosen = found.select_limits(np.array([3, 0, 3]))
     assert (chosen.rows.tolist(), chosen.sides.tolist(), chosen.values.tolist()) == (
         [2, 1, 2],
         [1, -1, 1],
@@ -240,7 +242,7 @@ def test_finite_limits_one_side_each() -> None:
 def test_violations_are_peaks_found_between_samples() -> None:
     """q = sin(20 t) / 2 has its peaks at odd multiples of pi / 40; at most 0.4 is allowed, at least -0.45."""
     wavy = samples(CART, lambda t, k: [0.5 * np.sin(20 * t), 0 * t], breaks=(0.0, 0.9), degree=30)
-    found = find_limit_violations(wavy, Limits.of(lambda t, x, u: x[:1], interval(-0.45, 0.4)))
+    found = find_limit_violations(wavy, Limits.from_interval(lambda t, x, u: x[:1], interval(-0.45, 0.4)))
     high = found.limits.sides > 0
     assert np.sort(found.times[high]) == pytest.approx(np.pi / 40 * np.array([1, 5, 9]), abs=1e-6)
     assert np.sort(found.times[~high]) == pytest.approx(np.pi / 40 * np.array([3, 7, 11]), abs=1e-6)
@@ -254,7 +256,7 @@ def test_violations_are_peaks_found_between_samples() -> None:
 
 
 def test_only_the_highest_of_each_limit_are_returned() -> None:
-    assert limits._indices_of_highest(
+    assert limits._find_highest_peaks(
         np.array([0, 1, 0, 0, 0, 0, 0]), np.array([3.0, 9, 1, 2, 7, 8, 5])
     ).tolist() == [
         5,
@@ -265,17 +267,17 @@ def test_only_the_highest_of_each_limit_are_returned() -> None:
         1,
     ]
     many = samples(CART, lambda t, k: [np.sin(60 * t), 0 * t], degree=40)
-    found = find_limit_violations(many, Limits.of(lambda t, x, u: x[:1], interval(-np.inf, 0.5)))
+    found = find_limit_violations(many, Limits.from_interval(lambda t, x, u: x[:1], interval(-np.inf, 0.5)))
     assert found.times.size == limits.PEAKS_PER_LIMIT
 
 
 def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> None:
     for upper, count in ((1.5, 0), (1.5 - 1e-13, 0), (1.5 - 1e-9, 1), (0.0, 1)):
         found = find_limit_violations(
-            samples(CART, breaks=(0.0, 1.0)), Limits.of(identity, interval([-9, -9], [9, upper]))
+            samples(CART, breaks=(0.0, 1.0)), Limits.from_interval(identity, interval([-9, -9], [9, upper]))
         )
         assert found.times.size == count
-    assert find_limit_violations(samples(CART), Limits.of(identity, free(2))).times.size == 0
+    assert find_limit_violations(samples(CART), Limits.from_interval(identity, unbounded(2))).times.size == 0
 
 
 # --- signals of a phase -----------------------------------------------------------------------------------

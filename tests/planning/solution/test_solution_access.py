@@ -182,8 +182,8 @@ def attempt() -> tuple[Attempt, NlpResult]:
     """A cart's program and an iterate that meets everything."""
     problem = cart()
     problem.get_phase().bounds(a=(-8.0, 8.0))
-    tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
-    point = tried.point(tried.start)
+    tried = Attempt.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    point = tried.build_point(tried.start)
     return tried, tried.solver.solve(point)
 
 
@@ -248,7 +248,7 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
     problem, leg = one_phase("root", model, 0.0, 1.0)
     leg.guess(x=(1.0, 1.0))
     problem.minimize(leg.integral(u**2))
-    tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    tried = Attempt.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     n = tried.transcription.n_constraints
     result = NlpResult(
         tried.start.x, 0.0, np.zeros(n), np.zeros(tried.start.x.size), np.zeros(n),
@@ -302,7 +302,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     leg.time(0.0, (0.5, 9.0))
     leg.guess(time=(0.0, 2.0))
     leg.bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
-    tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    tried = Attempt.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     place = int(tried.transcription.parts["leg"].times[-1])
     starts = list(tries.generate_feasibility_starts(tried.transcription, problem, tried.start.x))
     assert [s.held.tolist() for s in starts] == [[], [place], [place], [place], [], []]
@@ -313,7 +313,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     assert not np.allclose(starts[4].variables, starts[5].variables)
     fixed = cart()
     fixed.get_phase().bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
-    still = Attempt.prepare(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    still = Attempt.from_problem(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     assert [
         s.held.tolist() for s in tries.generate_feasibility_starts(still.transcription, fixed, still.start.x)
     ] == [[]] * 3
@@ -326,7 +326,7 @@ def test_a_sharper_solution_is_kept_if_there_is_one(
     sharp = replace(moved, status=status)
     seen: dict[str, Any] = {}
     monkeypatch.setattr(again, "solve_mesh", lambda problem, **more: seen.update(more) or sharp)
-    assert again.tighten_solution(moved) is (sharp if status is Status.OPTIMAL else moved)
+    assert again.tighten_solution_tolerance(moved) is (sharp if status is Status.OPTIMAL else moved)
     assert seen["options"].tolerance == again.SENSITIVITY_SOLVE_TOLERANCE
     assert seen["guess"] is moved and seen["scheme"] == "LG"
 

@@ -104,7 +104,8 @@ def test_round_trip_keeps_every_bit(scheme: Any, tmp_path: Path) -> None:
     assert_same(solution.quality, loaded.quality)
     for name, leg in solution.phases.items():
         times, other = leg.sample_times(), loaded.phase(name)
-        for signal in ("x", "u", "lam", "flown", "path_multiplier", "state_multiplier", "control_multiplier"):
+        multipliers = ("path_multiplier", "state_multiplier", "control_multiplier")
+        for signal in ("x", "u", "lam", "applied", *multipliers):
             here, there = getattr(leg, signal)(times), getattr(other, signal)(times)
             assert here.tobytes() == there.tobytes(), signal
 

@@ -20,11 +20,11 @@ from gnc_opt.planning.transcription.quadrature import (
     _build_rule,
     _decimal_points_and_weights,
     barycentric_weights,
+    collocation_points,
     collocation_rule,
     differentiation_matrix,
     interpolation_matrix,
-    points,
-    weights,
+    quadrature_weights,
 )
 
 SCHEMES: tuple[Scheme, ...] = ("LG", "LGR", "LGL")
@@ -102,7 +102,7 @@ def true_points(scheme: Scheme, n: int) -> list[Decimal]:
     series = nodal_series(scheme, n)
     with precisely():
         slope = slope_of(series)
-        roots = [Decimal(float(x)) for x in points(scheme, n)]
+        roots = [Decimal(float(x)) for x in collocation_points(scheme, n)]
         for _ in range(3):
             roots = [x - horner(series, x) / horner(slope, x) for x in roots]
         return roots
@@ -152,7 +152,7 @@ def legendre_tables(x: list[Decimal], degree: int) -> tuple[Array, Array]:
 @each_rule
 def test_points_are_the_floats_nearest_to_the_roots(scheme: Scheme, n: int) -> None:
     series = nodal_series(scheme, n)
-    x = points(scheme, n)
+    x = collocation_points(scheme, n)
     assert x.shape == (n,) and np.all(np.diff(x) > 0)
     with precisely():
         for node in map(float, x):
@@ -164,13 +164,13 @@ def test_points_are_the_floats_nearest_to_the_roots(scheme: Scheme, n: int) -> N
 def test_weights_are_the_floats_nearest_to_the_closed_forms(scheme: Scheme, n: int) -> None:
     with precisely():
         truth = [float(true_weight(scheme, n, x)) for x in true_points(scheme, n)]
-    np.testing.assert_array_equal(weights(scheme, n), truth)
+    np.testing.assert_array_equal(quadrature_weights(scheme, n), truth)
 
 
 @each_rule
 def test_quadrature_is_exact_up_to_its_degree_and_no_further(scheme: Scheme, n: int) -> None:
     degree = 2 * n + EXACT_DEGREE[scheme]
-    sums = legendre.legvander(points(scheme, n), degree + 1).T @ weights(scheme, n)
+    sums = legendre.legvander(collocation_points(scheme, n), degree + 1).T @ quadrature_weights(scheme, n)
     np.testing.assert_allclose(sums[: degree + 1], [2.0] + [0.0] * degree, atol=5e-15)
     assert abs(sums[degree + 1]) > 1e-3
 
@@ -278,7 +278,7 @@ def test_integrate_to_integrates_any_polynomial(
 ) -> None:
     scheme, n = case
     series = np.random.default_rng(seed).uniform(-1, 1, n)
-    values = legendre.legval(points(scheme, n), series)
+    values = legendre.legval(collocation_points(scheme, n), series)
     exact = legendre.legval(np.array(tau), legendre.legint(series, lbnd=-1))
     np.testing.assert_allclose(
         collocation_rule(scheme, n).integrate_to(tau) @ values, exact, rtol=0, atol=1e-13
@@ -353,8 +353,8 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
         assert repr(getcontext()) == before
     np.testing.assert_allclose(scaled, exact / np.max(np.abs(exact)), rtol=1e-14)
     np.testing.assert_array_equal(table, collocation_rule("LGL", 9).differentiation)
-    np.testing.assert_array_equal(x.astype(float), points("LG", 9))
-    np.testing.assert_array_equal(w.astype(float), weights("LG", 9))
+    np.testing.assert_array_equal(x.astype(float), collocation_points("LG", 9))
+    np.testing.assert_array_equal(w.astype(float), quadrature_weights("LG", 9))
 
 
 @pytest.mark.parametrize(
@@ -376,6 +376,6 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
     ],
 )
 def test_bad_requests_say_what_to_do(scheme: Any, n: Any, message: str) -> None:
-    for request in (collocation_rule, points, weights):
+    for request in (collocation_rule, collocation_points, quadrature_weights):
         with pytest.raises(ValueError, match=message):
             request(scheme, n)

@@ -10,9 +10,9 @@ from testing.internals import (
     UNBOUNDED_STATE_MAX_RATIO,
     Scheme,
     Transcription,
+    choose_row_scales,
+    choose_variable_scales,
     phase_magnitudes,
-    scale_rows,
-    scale_variables,
     start_from_guess,
 )
 from testing.models import dynamics, one_phase
@@ -175,8 +175,8 @@ def scales_of(problem: go.Problem) -> tuple[Transcription, np.ndarray, float]:
     """The transcription on one segment of three points, its row scales and the objective's, at the problem's guess."""
     transcription = Transcription(problem, {"leg": go.Mesh.uniform(1, 3)}, "LG")
     start = start_from_guess(transcription, problem)
-    rows, objective = scale_rows(
-        transcription, problem, start, scale_variables(transcription, problem, start)
+    rows, objective = choose_row_scales(
+        transcription, problem, start, choose_variable_scales(transcription, problem, start)
     )
     return transcription, rows, objective
 

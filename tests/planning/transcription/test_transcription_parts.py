@@ -18,13 +18,13 @@ from testing.internals import (
     Smooth,
     Transcription,
     build_smoothness_rows,
-    check_segments,
+    check_arc_segments,
+    choose_row_scales,
+    choose_variable_scales,
+    fix_controls,
+    fix_paths,
+    fix_states,
     get_family,
-    hold_controls,
-    hold_paths,
-    hold_states,
-    scale_rows,
-    scale_variables,
 )
 
 import gnc_opt as go
@@ -147,10 +147,10 @@ def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     t = starts[part.point_arcs] + part.arc_fractions * spans[part.point_arcs]
     x[part.boundary_states[0]] = 0.5 * (10 * np.asarray(UNEVEN.breaks)) ** 2
     x[part.point_states[0]] = 0.5 * t**2
-    rows, columns, values = part.linear_part
+    rows, columns, values = part.linear_dynamics_entries
     total = np.zeros(part.n_rows)
     np.add.at(total, rows, values * x[columns])
-    rows, columns, values = part.weights(1, np.array([0]), np.zeros(0, dtype=np.int64))
+    rows, columns, values = part.output_weights(1, np.array([0]), np.zeros(0, dtype=np.int64))
     np.add.at(total, rows, values * (t * spans[part.point_arcs])[columns])
     assert total == pytest.approx(0.0, abs=1e-12)
     total = np.zeros(part.n_rows)
@@ -168,22 +168,22 @@ def box(size: int) -> Interval:
 def test_a_phase_without_controls_has_none_to_hold() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 1.0), (2, 1)), n=1, m=0)
     found = box(part.n_variables)
-    hold_controls(found, Held(()), interval([], []), part)
+    fix_controls(found, Held(()), interval([], []), part)
     assert np.all(found.lower == -7) and np.all(found.upper == 7)
 
 
 def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 0.6, 1.0), (2, 1, 1)), n=1, m=2, paths=1)
     found = box(part.n_variables)
-    hold_controls(found, Held(((LOW, FREE, UP), (RELEASED, UP, FREE))), interval([-1, -2], [3, 4]), part)
+    fix_controls(found, Held(((LOW, FREE, UP), (RELEASED, UP, FREE))), interval([-1, -2], [3, 4]), part)
     assert found.lower[part.point_controls].tolist() == [[-1, -1, -7, 3], [-np.inf, -np.inf, 4, -7]]
     assert found.upper[part.point_controls].tolist() == [[-1, -1, 7, 3], [np.inf, np.inf, 4, 7]]
     rows = box(part.n_rows)
-    hold_paths(rows, Held(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part)
+    fix_paths(rows, Held(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part)
     assert rows.lower[part.path_rows].tolist() == [[6, 6, -np.inf, -5]]
     assert rows.upper[part.path_rows].tolist() == [[6, 6, np.inf, -5]]
     untouched = box(part.n_rows)
-    hold_paths(untouched, Held(((FREE,) * 3,) * 2), interval([-5], [6]), part)
+    fix_paths(untouched, Held(((FREE,) * 3,) * 2), interval([-5], [6]), part)
     assert np.all(untouched.lower == -7)
 
 
@@ -191,7 +191,7 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     """The ends of held segments follow; the start of an arc is held once, where another limit begins again."""
     part = collocation("LG", Mesh((0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (1, 1, 1, 1, 1)), n=1)
     found, (leg, _) = box(part.n_variables), stated()[1]
-    hold_states(found, leg, Held(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
+    fix_states(found, leg, Held(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
     assert (
         found.lower[part.point_states].tolist() == [[-7, 3, 3, -1, -7]]
         and found.upper[part.point_states][0, 3] == -1
@@ -199,7 +199,7 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     assert found.lower[part.boundary_states].tolist() == [[-7, 3, -np.inf, -1, -np.inf, -7]]
     assert found.upper[part.boundary_states].tolist() == [[7, 3, np.inf, -1, np.inf, 7]]
     first = box(part.n_variables)
-    hold_states(first, leg, Held(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
+    fix_states(first, leg, Held(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
     assert first.lower[part.boundary_states].tolist() == [[-1, -np.inf, -7, -7, -7, -7]]
 
 
@@ -217,7 +217,7 @@ def test_an_arc_that_goes_on_from_the_phase_before_has_begun_there(
         first.hold([[FREE, FREE]], states=[[FREE, before]])
     part = collocation("LG", Mesh.uniform(2, 1), n=1)
     found = box(part.n_variables)
-    hold_states(found, second, Held(((FREE,) * 2,), states=((LOW, LOW),)), part)
+    fix_states(found, second, Held(((FREE,) * 2,), states=((LOW, LOW),)), part)
     assert found.lower[part.boundary_states].tolist() == [[start, -np.inf, -np.inf]]
 
 
@@ -235,10 +235,10 @@ def stated() -> tuple[go.Problem, tuple[go.Phase, go.Phase]]:
 def test_arcs_of_another_number_of_segments_are_refused() -> None:
     problem = cart().with_fixed_arcs(arcs=[[0, 0]])
     leg = problem.get_phase()
-    check_segments(leg, collocation("LG", Mesh.uniform(2, 3)))
-    check_segments(cart().get_phase(), collocation("LG", Mesh.uniform(3, 3)))
+    check_arc_segments(leg, collocation("LG", Mesh.uniform(2, 3)))
+    check_arc_segments(cart().get_phase(), collocation("LG", Mesh.uniform(3, 3)))
     with pytest.raises(ProblemError, match="given for 2 segments, but its mesh has 3"):
-        check_segments(leg, collocation("LG", Mesh.uniform(3, 3)))
+        check_arc_segments(leg, collocation("LG", Mesh.uniform(3, 3)))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3])
@@ -336,7 +336,7 @@ def test_variables_are_scaled_by_what_the_user_says_or_by_what_is_found() -> Non
     program = Transcription(problem, {"leg": Mesh.uniform(2, 2)}, "LG")
     start = np.zeros(program.n_variables)
     start[program.parameter_places] = 1.5
-    found, usual = (scale_variables(program, problem, start, overridden=o) for o in (True, False))
+    found, usual = (choose_variable_scales(program, problem, start, overridden=o) for o in (True, False))
     part = program.parts["leg"].collocation
     assert found[part.boundary_states].tolist() == [[4.0] * 3, [0.25] * 3] and set(
         found[part.point_states][1]
@@ -360,8 +360,8 @@ def test_rows_are_scaled_by_their_states_or_by_their_slopes() -> None:
     problem.get_phase().guess(time=(0.5, 6.5), q=(0.0, 3.0), a=(2.0, 2.0))
     program = Transcription(problem, {"leg": Mesh.uniform(2, 2)}, "LG")
     start = np.linspace(0.5, 1.5, program.n_variables)
-    scales = scale_variables(program, problem, start)
-    rows, objective = scale_rows(program, problem, start, scales)
+    scales = choose_variable_scales(program, problem, start)
+    rows, objective = choose_row_scales(program, problem, start, scales)
     part = program.parts["leg"].collocation
     for k in range(2):
         assert rows[part.dynamics_rows[k]] == pytest.approx(
@@ -373,5 +373,5 @@ def test_rows_are_scaled_by_their_states_or_by_their_slopes() -> None:
     beside = 1 + NEARBY * np.cos(np.pi * (3 - np.sqrt(5)) * places)
     assert pure == pytest.approx(10.0 / (50.0 + start[places] * np.maximum(1.0, beside)))
     assert objective > 0 and NEARBY == 0.1
-    again = scale_rows(program, problem.with_scale(v=1e-3), start, scales)
+    again = choose_row_scales(program, problem.with_scale(v=1e-3), start, scales)
     assert again[1] == pytest.approx(objective) and again[0] == pytest.approx(rows)

@@ -27,10 +27,10 @@ from gnc_opt.planning.optimality.costate_jumps import (
     explain_costate_jumps,
     integrate_nearby_multipliers,
 )
-from gnc_opt.planning.optimality.kkt import variation_weights
+from gnc_opt.planning.optimality.kkt import variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
     _adjoint_rows,
-    _program_variables,
+    _fill_program_variables,
     _quadrature_weights,
 )
 from gnc_opt.planning.optimality.switches import Switches
@@ -40,21 +40,25 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
-from gnc_opt.planning.verification.control_conditions import find_undetermined
-from gnc_opt.planning.verification.costate_conditions import _inadmissible_multipliers
+from gnc_opt.planning.verification.control_conditions import mask_undetermined_controls
+from gnc_opt.planning.verification.costate_conditions import _multipliers_of_wrong_sign
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    _hold_limits_along_arcs,
+    _extend_active_limits_along_arcs,
+    _list_variables_along_segments,
     _state_node_variables,
-    _variables_by_line,
 )
 from gnc_opt.planning.verification.recomputed_solution import (
     _relative_difference,
-    evaluate_ends,
+    boundary_gradients,
     has_costates,
     recompute_from_problem,
 )
-from gnc_opt.planning.verification.reduced_hessian import Curvature, _flat_curvature_text, _locate_direction
+from gnc_opt.planning.verification.reduced_hessian import (
+    Curvature,
+    _describe_zero_curvature,
+    _locate_direction,
+)
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
@@ -103,9 +107,9 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     s = arc(problem, breaks=(origin, origin + 0.5, origin + 2.0))
     legs = replace(s.leg, final_time=origin + 2.0 - off, final_time_bounds=by_hand.interval(-np.inf, np.inf))
     solution = by_hand.solution(problem, legs)
-    samples = [PhaseSamples.of(legs, s.functions)]
+    samples = [PhaseSamples.from_phase(legs, s.functions)]
     condition = feasibility.check_boundary_conditions(
-        solution, samples, evaluate_ends(solution), given_scales(samples), 1e-9
+        solution, samples, boundary_gradients(solution), given_scales(samples), 1e-9
     )
     assert (condition.result is ConditionResult.PASS) is excused, condition
     if not excused:
@@ -116,7 +120,7 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
 def test_no_singular_arc_asks_for_nothing() -> None:
     problem = plain(np.zeros((2, 2)), lambda t, x, u: u**2)
     s = arc(problem)
-    arcs = analyse_singular_arcs(problem, s, *find_undetermined(s, 1e-5), 1e-5)
+    arcs = analyse_singular_arcs(problem, s, *mask_undetermined_controls(s, 1e-5), 1e-5)
     condition = check_generalised_legendre_clebsch(arcs, 1e-5)
     assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
 
@@ -128,8 +132,8 @@ def test_multipliers_that_bounds_cannot_exert() -> None:
     """At the lower limit -1 is right and 1 is not, at the upper one conversely; a given value takes both."""
     box = by_hand.interval([0.0, 0.0, 0.0, 5.0], [1.0, 1.0, 1.0, 5.0])
     values, scale = np.array([0.9e-4, 1 - 0.9e-4, 0.5, 7.0]), np.full(4, 100.0)
-    np.testing.assert_allclose(_inadmissible_multipliers(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
-    np.testing.assert_allclose(_inadmissible_multipliers(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
+    np.testing.assert_allclose(_multipliers_of_wrong_sign(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
+    np.testing.assert_allclose(_multipliers_of_wrong_sign(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
 
 
 def test_difference_in_shares_of_the_larger() -> None:
@@ -187,7 +191,7 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     )  # fmt: skip
     samples = list(solution.samples().values())
     np.testing.assert_allclose(samples[0].state_scale, [2.0, 4.0])
-    found = Magnitudes.of(solution, samples)
+    found = Magnitudes.from_solution(solution, samples)
     assert found.cost == pytest.approx(27.0)
     np.testing.assert_allclose(found.constraints[:2], [20.0, 14.0])
     assert 0 < found.constraints[2] < 1e-3  # nothing changes it: a share of its size
@@ -204,7 +208,7 @@ def limited(**changes: Any) -> PhaseSamples:
 def test_sides_of_state_bounds_that_are_active() -> None:
     s = limited(state_bounds=by_hand.interval([-9.0, 1.75], [1.5, 9.0]))
     times = np.array([0.2, 0.5])
-    found = StateConstraintSides.at(s, times, s.leg.x(times), s.leg.flown(times))
+    found = StateConstraintSides.evaluate_at(s, times, s.leg.x(times), s.leg.applied(times))
     np.testing.assert_array_equal(
         found.active, [[False, True], [False, False], [False, False], [False, True]]
     )
@@ -266,11 +270,11 @@ def test_induced_problem_in_closed_form() -> None:
         parameter_multipliers=np.zeros(1), constraint_multipliers=np.array([0.3]), constraint_labels=("both",),
     )  # fmt: skip
     solution = recompute_from_problem(base)
-    samples, ends = list(solution.samples().values()), evaluate_ends(solution)
-    switches = {"leg": Switches.of(samples[0])}
-    unknowns = Unknowns.of(solution, samples, switches)
-    found = InducedProblem.of(
-        solution, samples, ends, unknowns, {"leg": switches["leg"].build_pieces((0,))}, 4
+    samples, ends = list(solution.samples().values()), boundary_gradients(solution)
+    switches = {"leg": Switches.from_samples(samples[0])}
+    unknowns = Unknowns.from_switches(solution, samples, switches)
+    found = InducedProblem.integrate_controls(
+        solution, samples, ends, unknowns, {"leg": switches["leg"].piecewise_control((0,))}, 4
     )
 
     t0, s, tf, x0, factor = theta = [ca.SX.sym(name) for name in hand]
@@ -303,7 +307,7 @@ def test_induced_problem_in_closed_form() -> None:
     area = float(ca.Function("area", [everything], [integral])(list(hand.values())))
     expected = [1.0 - (area + 0.3 * 1.5), 0.3, -(-0.8 + 0.3 * -4.0), 0, 0, 0, 0]
     np.testing.assert_allclose(conditions.multipliers, expected, atol=1e-9)
-    curved, terms = found.hessian(np.array([0.4, -0.6, 9.0, 9.0, 9.0, 9.0, 9.0]))
+    curved, terms = found.lagrangian_hessian(np.array([0.4, -0.6, 9.0, 9.0, 9.0, 9.0, 9.0]))
     np.testing.assert_allclose(curved, hessian * np.outer(scale, scale), atol=1e-8)
     assert terms >= np.linalg.norm(curved) * (1 - 1e-9)
 
@@ -314,7 +318,9 @@ def test_multipliers_nearest_to_the_solutions_own() -> None:
     at_lower, at_upper = np.array([True, False, True, False]), np.array([True, False, False, True])
     induced: Any = SimpleNamespace(
         unknowns=SimpleNamespace(free=np.array([True, True, False])),
-        conditions=SimpleNamespace(active=(at_lower, at_upper), multipliers=np.array([1.0, 5.0, 5.0, 0.5])),
+        conditions=SimpleNamespace(
+            active_limits=(at_lower, at_upper), multipliers=np.array([1.0, 5.0, 5.0, 0.5])
+        ),
     )
     active, rows, norms, multipliers = estimate_nearest_multipliers(
         np.array([-9.0, -12.0, 4.0]), jacobian, induced
@@ -347,7 +353,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
         Samples(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
     transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
-    x = _program_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
+    x = _fill_program_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
     (part,) = transcription.parts.values()
     collocation = part.collocation
     points = 0.5 + 2 * collocation.fractions
@@ -388,7 +394,8 @@ def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
     transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
     collocation = next(iter(transcription.parts.values())).collocation
     lines = [
-        list(map(int, line)) for line in _variables_by_line(SimpleNamespace(transcription=transcription))[0]
+        list(map(int, line))
+        for line in _list_variables_along_segments(SimpleNamespace(transcription=transcription))[0]
     ]
     controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
     states = [list(map(int, row)) for k in range(2) for row in _state_node_variables(collocation, k)]
@@ -401,7 +408,7 @@ def test_arcs_on_a_limit_are_held_throughout() -> None:
     values = np.array([1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 2.0, 2.0])
     pushed = np.array([True, False, False, False, False, False, True, False])
     held, doubtful = pushed.copy(), np.array([False, True, True, False, True, True, False, False])
-    _hold_limits_along_arcs(lines, values, pushed, held, doubtful)
+    _extend_active_limits_along_arcs(lines, values, pushed, held, doubtful)
     np.testing.assert_array_equal(held, [True, True, False, False, False, False, True, False])
     np.testing.assert_array_equal(doubtful, [False, False, True, False, True, True, False, False])
 
@@ -410,7 +417,7 @@ def test_metric_of_variations_is_an_integral() -> None:
     """Along the phase weights add up to 1; inner boundaries count by what lies beside them, ends and parameters 1."""
     mesh = go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 2))
     transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
-    weights = variation_weights(transcription)
+    weights = variation_norm_weights(transcription)
     (part,) = transcription.parts.values()
     collocation = part.collocation
     for places in (collocation.point_states, collocation.point_controls):
@@ -487,8 +494,8 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
         lambda t, k: np.array([costates + 0 * t, 0 * t]),
         breaks=(0.0, 0.5, 2.0),
     )
-    ends = evaluate_ends(by_hand.solution(problem, base.leg))
-    s = PhaseSamples.of(replace(leg, integral_weights=np.array([weight])), base.functions)
+    ends = boundary_gradients(by_hand.solution(problem, base.leg))
+    s = PhaseSamples.from_phase(replace(leg, integral_weights=np.array([weight])), base.functions)
     assert has_costates([s], ends, amount) is told
 
 
@@ -521,8 +528,8 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
 def test_doubt_says_whether_it_is_flat() -> None:
     for value, flat in ((-5e-4, False), (-5e-5, True), (0.0, True)):
         curvature = Curvature(value, -1.0, np.zeros(1), 0.0)
-        assert ("flat" in _flat_curvature_text(curvature, 1e-4)) is flat
-    assert "flat" in _flat_curvature_text(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
+        assert ("flat" in _describe_zero_curvature(curvature, 1e-4)) is flat
+    assert "flat" in _describe_zero_curvature(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
     assert (
         up.is_positive and not replace(up, value=5e-7).is_positive and not replace(up, share=5e-7).is_positive

@@ -21,11 +21,11 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    direction_optimal_gradient,
+    best_direction_gradient,
     find_vector_control,
-    hold_inactive_directions,
+    fix_inactive_directions,
 )
-from gnc_opt.planning.verification.hamiltonian_minimum import _Search, search_bounds
+from gnc_opt.planning.verification.hamiltonian_minimum import _Search, control_search_bounds
 from gnc_opt.planning.verification.reduced_hessian import run_lanczos
 
 # The least Hamiltonian: in closed form for controls that enter it affinely, by a search for the others.
@@ -201,7 +201,7 @@ def samples(solution: go.Solution, angle: float = 0.0) -> PhaseSamples:
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     values = tuple(np.vstack([u[:1], turn @ u[DIRECTION]]) for u in leg.u.values)
     turned = replace(leg, u=replace(leg.u, values=values))
-    return PhaseSamples.of(turned, solution.functions("leg"))
+    return PhaseSamples.from_phase(turned, solution.functions("leg"))
 
 
 @pytest.mark.parametrize("least", [0.0, 0.2])
@@ -213,8 +213,8 @@ def test_nothing_in_the_annulus_has_a_lower_hamiltonian(least: float, angle: flo
     vector = find_vector_control(s, group)
     assert vector is not None
     search = _Search(s, group, every)
-    lower, upper = search_bounds(s)
-    best = lower[:, None] + (upper - lower)[:, None] * search.vector_minima(vector)
+    lower, upper = control_search_bounds(s)
+    best = lower[:, None] + (upper - lower)[:, None] * search.minimise_over_vector(vector)
     assert np.all(np.isclose(best[MAGNITUDE], least) | np.isclose(best[MAGNITUDE], 2.0))
     np.testing.assert_allclose(np.linalg.norm(best[DIRECTION], axis=0), 1.0, rtol=1e-12)
     lowest = s.functions.hamiltonian(s.times, s.x, best, s.lam)
@@ -289,7 +289,7 @@ def test_a_push_would_begin_along_the_primer_vector(angle: float) -> None:
     s = samples(flight(0.0), angle)
     coasts = s.u[MAGNITUDE] < 1e-9
     assert np.sum(coasts) > 20
-    found = direction_optimal_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
+    found = best_direction_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
     primer = np.linalg.norm(s.lam[2:], axis=0)
     np.testing.assert_allclose(found[MAGNITUDE, coasts], 1 - primer[coasts], atol=1e-12)
     np.testing.assert_array_equal(found[:, ~coasts], s.control_gradient[:, ~coasts])
@@ -315,13 +315,13 @@ def test_a_coast_leaves_no_doubt_of_a_minimum() -> None:
 
 def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
     solution = flight(0.0)
-    s, cone = samples(solution), CriticalCone.of(ProgramPoint.of(solution))
+    s, cone = samples(solution), CriticalCone.from_program_point(ProgramPoint.from_solution(solution))
     collocation = cone.point.transcription.parts["leg"].collocation
     magnitude, direction = collocation.point_controls[MAGNITUDE], collocation.point_controls[DIRECTION]
     length = cone.point.x.size + collocation.path_rows[0]
     strong = cone.strong.copy()
     strong[length] = True  # as if it were 1 along the coast, too
-    held = hold_inactive_directions(replace(cone, strong=strong), [s])
+    held = fix_inactive_directions(replace(cone, strong=strong), [s])
     coasts = cone.point.x[magnitude] < 1e-9
     assert 0 < np.sum(coasts) < coasts.size
     assert np.all(cone.strong[magnitude[coasts]]) and not np.any(cone.strong[direction[:, coasts]])
@@ -329,7 +329,7 @@ def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
     np.testing.assert_array_equal(held.strong[length], ~coasts)  # of what is held already no row is left
     freed = cone.strong.copy()
     freed[magnitude] = False  # a magnitude that nothing pushes to zero may grow, in any direction
-    assert not np.any(hold_inactive_directions(replace(cone, strong=freed), [s]).strong[direction])
+    assert not np.any(fix_inactive_directions(replace(cone, strong=freed), [s]).strong[direction])
 
 
 # Second order of smooth problems: minima pass, saddles and maxima that satisfy every first-order condition

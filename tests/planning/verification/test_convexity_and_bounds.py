@@ -17,12 +17,12 @@ import gnc_opt as go
 from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.relaxation import find_relaxations
-from gnc_opt.planning.verification.optimality_check import _pass_by_convexity
+from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
 from gnc_opt.planning.verification.sufficiency import (
     _split_sum,
+    cost_lower_bound,
     has_unique_solution,
     is_convex,
-    lower_cost_limit,
 )
 from gnc_opt.report import summary_dict
 
@@ -104,13 +104,13 @@ def test_a_curvature_that_fails_or_is_inconclusive_says_that_the_problem_is_conv
     made = go.Condition(
         "second order", go.ConditionResult.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True
     )
-    assert _pass_by_convexity(made).result is go.ConditionResult.INCONCLUSIVE
-    assert "there; the problem is convex" in _pass_by_convexity(made).where
-    open_ = _pass_by_convexity(replace(made, result=go.ConditionResult.INCONCLUSIVE))
+    assert _pass_by_convexity_theorem(made).result is go.ConditionResult.INCONCLUSIVE
+    assert "there; the problem is convex" in _pass_by_convexity_theorem(made).where
+    open_ = _pass_by_convexity_theorem(replace(made, result=go.ConditionResult.INCONCLUSIVE))
     assert open_.result is go.ConditionResult.INCONCLUSIVE and "the problem is convex" in open_.where
     passed, first = replace(made, result=go.ConditionResult.PASS), replace(made, sufficient=False)
-    assert _pass_by_convexity(passed) is passed
-    assert _pass_by_convexity(first) is first
+    assert _pass_by_convexity_theorem(passed) is passed
+    assert _pass_by_convexity_theorem(first) is first
 
 
 @pytest.mark.slow
@@ -653,12 +653,12 @@ def two_phases(cost: Any) -> go.Problem:
     ],
 )
 def test_least_costs(cost: Any, least: float) -> None:
-    assert lower_cost_limit(two_phases(cost)) == pytest.approx(least)
+    assert cost_lower_bound(two_phases(cost)) == pytest.approx(least)
 
 
 def test_what_is_maximised_is_bounded_from_above() -> None:
-    assert lower_cost_limit(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
-    assert lower_cost_limit(tracking(2.0)) == pytest.approx(7.0)
+    assert cost_lower_bound(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
+    assert cost_lower_bound(tracking(2.0)) == pytest.approx(7.0)
 
 
 def test_a_range_of_free_parameters_counts() -> None:
@@ -671,4 +671,4 @@ def test_a_range_of_free_parameters_counts() -> None:
     leg.time(0.0, 1.0)
     leg.initial(q=0.0)
     problem.minimize(leg.integral(w) + leg.final_state("q") ** 2)
-    assert lower_cost_limit(problem) == -2.0
+    assert cost_lower_bound(problem) == -2.0

@@ -30,7 +30,7 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_parameter_stationarity,
     check_transversality,
 )
-from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 
@@ -83,7 +83,9 @@ def arcs(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     monkeypatch.setattr(singular, "_analyse_singular_arc", judge)
     none: Any = None
-    return lambda s: analyse_singular_arcs(none, s, *controls.find_undetermined(s, TOLERANCE), TOLERANCE)
+    return lambda s: analyse_singular_arcs(
+        none, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE
+    )
 
 
 LATE = [([0], [1], 0.5, 2.0)]
@@ -186,7 +188,7 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    (arc,) = analyse_singular_arcs(problem, s, *controls.find_undetermined(s, TOLERANCE), TOLERANCE)
+    (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     expected = sign * 2.0 * 4.0 * 1.5**2 / s.hamiltonian_scale
     assert arc == SingularArc("phase leg, u from 0.5 s to 2 s", 1, pytest.approx(expected), why)
 
@@ -205,7 +207,7 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
         breaks=(0.0, 2.0),
         control_bounds=BOX,
     )
-    (arc,) = analyse_singular_arcs(problem, s, *controls.find_undetermined(s, TOLERANCE), TOLERANCE)
+    (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     assert arc == SingularArc("phase leg, u, w from 0 s to 2 s", 0, 0.0, singular.NOT_AFFINE)
 
 
@@ -299,8 +301,10 @@ def test_a_state_limit_takes_its_control_where_it_pushes_for_a_while(
 def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
     box = by_hand.interval([1.0, 2.0], [1.0, 2.0])
     s = flown(u=(1.0, 1.0), control_bounds=by_hand.interval([-1.0, -9.0], [1.0, 9.0]))
-    s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
-    condition = controls.check_legendre_clebsch([s], TOLERANCE, [controls.find_undetermined(s, TOLERANCE)[0]])
+    s = PhaseSamples.from_phase(replace(s.leg, control_bounds=box), s.functions)
+    condition = controls.check_legendre_clebsch(
+        [s], TOLERANCE, [controls.mask_undetermined_controls(s, TOLERANCE)[0]]
+    )
     assert condition.result is ConditionResult.PASS and condition.sufficient
     assert (condition.value, condition.tolerance, condition.where) == (
         0.0,
@@ -323,7 +327,9 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
     for t in s.times:
         hessian = np.array([[bend, np.exp(-t) / 2], [np.exp(-t) / 2, 1.0]]) * np.outer(unit, unit)
         least.append(np.linalg.eigvalsh(hessian)[0])
-    condition = controls.check_legendre_clebsch([s], TOLERANCE, [controls.find_undetermined(s, TOLERANCE)[0]])
+    condition = controls.check_legendre_clebsch(
+        [s], TOLERANCE, [controls.mask_undetermined_controls(s, TOLERANCE)[0]]
+    )
     assert condition.value == pytest.approx(-min(least), rel=1e-9) and condition.tolerance == -TOLERANCE
     assert (
         condition.result is (ConditionResult.PASS if min(least) > 0 else ConditionResult.FAIL)
@@ -586,7 +592,7 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
     # Of H = lam_0 + lam_1 u the initial value is 3 + 0, which a lower limit of the initial time cannot explain.
     sign = -1.0 if end == "initial" else 1.0
     s = drift(drifting(), begin, **changes, lam=lambda t, k: sign * np.array([3 - t, 1 + 2 * t]))
-    ends = evaluate_ends(by_hand.solution(drifting(), s.leg))
+    ends = boundary_gradients(by_hand.solution(drifting(), s.leg))
     found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     level = 3.0 if end == "initial" else abs(1.0 - 5.0 * 4.0)
     if off > 1:
@@ -625,7 +631,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
     }
     s = drift(drifting(), **changes)
     scales = given_scales([s], cost=4.0, radius=3.0)
-    condition = check_transversality([s], evaluate_ends(by_hand.solution(drifting(), s.leg)), scales)
+    condition = check_transversality([s], boundary_gradients(by_hand.solution(drifting(), s.leg)), scales)
     assert condition.value == pytest.approx(abs(gap) * 3.0 / 4.0, rel=1e-9)
     if gap:
         assert condition.where == f"phase leg, {'start' if end == 'initial' else 'end'}, costate of x[{row}]"
@@ -634,8 +640,8 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
         along.lower[row], along.upper[row] = given[row] if gap < 0 else -99.0, given[row] if gap > 0 else 99.0
         if end == "initial":
             along.lower[row], along.upper[row] = given[row], 99.0
-        held = PhaseSamples.of(replace(s.leg, state_bounds=along), s.functions)
-        ends = evaluate_ends(by_hand.solution(drifting(), held.leg))
+        held = PhaseSamples.from_phase(replace(s.leg, state_bounds=along), s.functions)
+        ends = boundary_gradients(by_hand.solution(drifting(), held.leg))
         assert check_transversality([held], ends, scales).value == 0.0
 
 
@@ -695,9 +701,11 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     leg = replace(
         base.leg, **{f"{kind}_bounds": by_hand.interval(lower, upper), f"{kind}_multipliers": multipliers}
     )
-    s = PhaseSamples.of(leg, base.functions)
+    s = PhaseSamples.from_phase(leg, base.functions)
     solution = by_hand.solution(problem, leg)
-    condition = check_complementarity(solution, [s], evaluate_ends(solution), given_scales([s], cost=4.0))
+    condition = check_complementarity(
+        solution, [s], boundary_gradients(solution), given_scales([s], cost=4.0)
+    )
     lasts = leg.rules[1].weights[j - 4] / 2 * 1.5
     room = 0.1 if sign > 0 else 0.2
     assert condition.value == pytest.approx(5.0 * room * lasts / 4.0, rel=1e-9)
@@ -717,7 +725,7 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
         )
         rows = ([amount, 1.0], [0.0, 0.0], [1.0, 1.0])
         scales = given_scales([s], cost=4.0, constraints=rows)
-        found = check_complementarity(solution, [s], evaluate_ends(solution), scales)
+        found = check_complementarity(solution, [s], boundary_gradients(solution), scales)
         assert found.value == pytest.approx(expected / 4.0, rel=1e-9)
         assert found.where == "multiplier of constraint a"
 
@@ -764,7 +772,7 @@ def test_a_parameter_is_stationary_or_pushes_at_its_limit(
     one = (lambda t, k: np.array([t]),) * 3
     solution = by_hand.solution(problem, by_hand.phase(problem, *one), parameter_values=np.array([value]))
     found = check_parameter_stationarity(
-        solution, [], evaluate_ends(solution), given_scales([], cost=amount, parameters=[1.0])
+        solution, [], boundary_gradients(solution), given_scales([], cost=amount, parameters=[1.0])
     )
     assert found.value == pytest.approx(left) and found.where == "parameter k"
 

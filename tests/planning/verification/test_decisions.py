@@ -100,7 +100,7 @@ def test_curvature_on_the_mesh(
         further=None,
         strong=strong,
         weak=weak,
-        admits=lambda direction, samples: direction[0] in admitted,
+        admits_direction=lambda direction, samples: direction[0] in admitted,
     )
 
     def least(point: Any, held: Any, unit: Any, further: Any) -> Curvature:
@@ -109,7 +109,7 @@ def test_curvature_on_the_mesh(
 
     monkeypatch.setattr(reduced_hessian, "minimise_curvature", least)
     monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
-    monkeypatch.setattr(reduced_hessian, "_find_jumping_control", lambda samples: jumps)
+    monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: jumps)
     solution: Any = SimpleNamespace(structure=())
     condition = reduced_hessian.check_reduced_hessian(solution, [], cone)
     assert condition.result is result and condition.sufficient and condition.name == "second order"
@@ -125,14 +125,19 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     """One of several phases with such a control is enough."""
     monkeypatch.setattr(reduced_hessian, "minimise_curvature", lambda *given: curved(-5e-3))
     monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
-    monkeypatch.setattr(reduced_hessian, "_find_jumping_control", lambda samples: "")
+    monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: "")
     cone: Any = SimpleNamespace(
-        point=None, unit=None, further=None, strong=None, weak=np.zeros(1), admits=lambda *given: True
+        point=None,
+        unit=None,
+        further=None,
+        strong=None,
+        weak=np.zeros(1),
+        admits_direction=lambda *given: True,
     )
     solution: Any = SimpleNamespace(structure=())
     samples: Any = [False, True]
     monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s)
-    monkeypatch.setattr(reduced_hessian, "find_gaining_end_control", lambda cone, s: ("", np.inf))
+    monkeypatch.setattr(reduced_hessian, "find_improving_final_control", lambda cone, s: ("", np.inf))
     assert reduced_hessian.check_reduced_hessian(solution, samples, cone).result is UNTOLD
     assert reduced_hessian.check_reduced_hessian(solution, samples[:1], cone).result is FAIL
 

@@ -33,7 +33,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     _Controls,
     _find_control_kinks,
     _Jump,
-    _place_jumps,
+    _locate_jump_times,
     fit_trajectory,
 )
 from gnc_opt.planning.problem.interval import Interval
@@ -47,15 +47,15 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     estimate_nearest_multipliers,
 )
 from gnc_opt.planning.verification.feasibility import _worst_interval_violation
-from gnc_opt.planning.verification.goh_transformation import find_flat_controls
+from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.planning.verification.recomputed_solution import (
-    evaluate_ends,
-    find_missing_number,
+    boundary_gradients,
+    find_nonfinite_entry,
     has_costates,
     recompute_from_problem,
 )
 from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
-from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_shape
+from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_array
 from gnc_opt.tolerances import NEGLIGIBLE
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ def bang(
 def test_switches_are_simultaneous_to_a_ten_millionth_of_the_duration(begin: float) -> None:
     """2e-7 of 2 s, wherever these begin."""
     for apart, together in ((1e-7, True), (4e-7, False)):
-        found = Switches.of(bang(begin, 0.7 + apart))
+        found = Switches.from_samples(bang(begin, 0.7 + apart))
         assert found.channels.tolist() == [0, 1] and bool(found.times[0] == found.times[1]) is together
         np.testing.assert_allclose(
             found.times - begin, [0.7, 0.7 + apart * (not together)], atol=3e-12 * max(1, begin)
@@ -133,7 +133,7 @@ def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
     assert _controls_with_vanishing_switching(still, 0).tolist() == [2]
     given = replace(still.leg, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
     assert (
-        _controls_with_vanishing_switching(PhaseSamples.of(given, still.functions), 0).tolist() == []
+        _controls_with_vanishing_switching(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
     )  # it has no range
 
 
@@ -170,7 +170,7 @@ def test_rows_that_say_the_same_to_rounding_share_their_multiplier() -> None:
     induced: Any = SimpleNamespace(
         unknowns=SimpleNamespace(free=np.array([True, True])),
         conditions=SimpleNamespace(
-            active=(np.array([True, True]), np.array([True, True])), multipliers=np.zeros(2)
+            active_limits=(np.array([True, True]), np.array([True, True])), multipliers=np.zeros(2)
         ),
     )
     multipliers = estimate_nearest_multipliers(np.array([4.0, 1.0]), rows, induced)[3]
@@ -210,7 +210,7 @@ def test_unknowns_of_two_phases() -> None:
         )
     )
     samples = list(solution.samples().values())
-    found = Unknowns.of(solution, samples, {s.leg.name: Switches.of(s) for s in samples})
+    found = Unknowns.from_switches(solution, samples, {s.leg.name: Switches.from_samples(s) for s in samples})
     assert [label.split(", ")[-1].split(" at ")[0] for label in found.labels] == [
         *("initial time", "switch of u", "final time", "initial y"),
         *("initial time", "switch of u", "final time", "initial x"),
@@ -296,7 +296,7 @@ def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
     u = np.where(t < switch, first, second)
     samples = Samples(t, way(t)[None], u[None])
     jump = _Jump(1, 0.3, (0,))
-    _place_jumps(samples, _Controls(samples, [jump]), [jump], rates)
+    _locate_jump_times(samples, _Controls(samples, [jump]), [jump], rates)
     assert jump.time == pytest.approx(switch, abs=1e-7)
 
 
@@ -332,10 +332,10 @@ def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
 @pytest.mark.parametrize("amount", [0.5, 1.0, 30.0])
 def test_the_objective_is_off_in_shares_of_what_the_flight_changes_it(amount: float) -> None:
     solution, samples = energetic(amount)
-    ends = evaluate_ends(solution)
+    ends = boundary_gradients(solution)
     assert ends.cost == pytest.approx(6.0)
     for stored in (5.75, 6.25):
-        off = feasibility.check_cost(
+        off = feasibility.check_reported_cost(
             replace(solution, objective=stored), samples, ends, True, given_scales(samples, cost=amount), 1e-6
         )
         assert off.value == pytest.approx(0.25 / amount, rel=1e-6)
@@ -354,16 +354,16 @@ def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> No
         "integral": {"integrals": np.array([12.3])},
     }
     wrong = replace(solution, phases={"leg": replace(leg, **changes[what])})
-    found = feasibility.check_cost(
-        wrong, samples, evaluate_ends(solution), told, given_scales(samples, cost=2.0), 1e-6
+    found = feasibility.check_reported_cost(
+        wrong, samples, boundary_gradients(solution), told, given_scales(samples, cost=2.0), 1e-6
     )
     assert found.value == pytest.approx(0.6 if "weight" in what else 0.075, rel=1e-6)
     assert found.where.startswith(f"phase leg, {what} ")
     if what == "integral" and not told:
         lost = replace(solution, phases={"leg": replace(leg, integral_weights=np.array([np.nan]))})
         assert (
-            feasibility.check_cost(
-                lost, samples, evaluate_ends(solution), False, given_scales(samples), 1e-6
+            feasibility.check_reported_cost(
+                lost, samples, boundary_gradients(solution), False, given_scales(samples), 1e-6
             ).value
             < 1e-9
         )
@@ -383,7 +383,7 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    condition = controls.check_singular_arcs([s], 1e-5, [controls.find_undetermined(s, 1e-5)[0]])
+    condition = controls.check_singular_arcs([s], 1e-5, [controls.mask_undetermined_controls(s, 1e-5)[0]])
     assert condition.result is ConditionResult.INCONCLUSIVE and condition.sufficient
     assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
     assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
@@ -397,9 +397,10 @@ def test_a_missing_costate_among_zeros_is_none() -> None:
     zero = by_hand.phase(problem, lam=lambda t, k: np.zeros((2, t.size)))
     gone = by_hand.phase(problem, lam=lambda t, k: np.full((2, t.size), np.nan))
     solution = by_hand.solution(problem, zero)
-    ends = evaluate_ends(solution)
+    ends = boundary_gradients(solution)
     samples = {
-        name: PhaseSamples.of(leg, by_hand.functions(problem)) for name, leg in (("z", zero), ("g", gone))
+        name: PhaseSamples.from_phase(leg, by_hand.functions(problem))
+        for name, leg in (("z", zero), ("g", gone))
     }
     assert has_costates([samples["z"]], ends, 1.0)
     assert not has_costates([samples["z"], samples["g"]], ends, 1.0)
@@ -409,19 +410,19 @@ def test_a_missing_costate_among_zeros_is_none() -> None:
 def test_the_first_missing_number_has_its_place() -> None:
     problem = by_hand.cart()
     base = by_hand.phase(problem)
-    assert find_missing_number(by_hand.solution(problem, base), True).value == 0.0
+    assert find_nonfinite_entry(by_hand.solution(problem, base), True).value == 0.0
 
     def hole(t: Array, k: int) -> Array:
         return by_hand.rest(t, k) * (np.nan if k == 1 else 1.0)
 
     gone = by_hand.solution(problem, by_hand.phase(problem, hole))
-    worst = find_missing_number(gone, False)
+    worst = find_nonfinite_entry(gone, False)
     assert worst.value == np.inf and worst.where == "phase leg, segment 2 (from t = 0.5), x is not finite"
     dual = by_hand.solution(problem, replace(base, lam_start=np.full_like(base.lam_start, np.nan)))
-    assert find_missing_number(dual, False).value == 0.0
-    assert find_missing_number(dual, True).where == "phase leg, lam_start is not finite"
+    assert find_nonfinite_entry(dual, False).value == 0.0
+    assert find_nonfinite_entry(dual, True).where == "phase leg, lam_start is not finite"
     cost = by_hand.solution(problem, base, objective=float("nan"))
-    assert find_missing_number(cost, False).where == "objective is not finite"
+    assert find_nonfinite_entry(cost, False).where == "objective is not finite"
 
 
 def test_integrals_without_integrands_have_no_span() -> None:
@@ -433,12 +434,12 @@ def test_integrals_without_integrands_have_no_span() -> None:
 
 
 def test_a_trajectory_without_controls_needs_none() -> None:
-    assert _read_shape([], (0, 5), "controls").shape == (0, 5)
+    assert _read_array([], (0, 5), "controls").shape == (0, 5)
     with pytest.raises(go.ProblemError, match=r"has shape \(1,\) where \(0, 5\)"):
-        _read_shape([3.0], (0, 5), "controls")
-    np.testing.assert_array_equal(_read_shape([1.0, 2.0], (1, 2), "x"), [[1.0, 2.0]])
+        _read_array([3.0], (0, 5), "controls")
+    np.testing.assert_array_equal(_read_array([1.0, 2.0], (1, 2), "x"), [[1.0, 2.0]])
     with pytest.raises(go.ProblemError, match="not every number is finite"):
-        _read_shape([1.0, np.inf], (1, 2), "x")
+        _read_array([1.0, np.inf], (1, 2), "x")
 
 
 @pytest.mark.parametrize("maximised", [False, True])
@@ -474,10 +475,12 @@ def test_both_ends_of_a_spectrum_must_have_settled() -> None:
 def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that what they curve by counts as it is; the others are scaled to unit gradients."""
     point: Any = SimpleNamespace(
-        x=np.zeros(2), transcription=None, jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]]))
+        x=np.zeros(2),
+        transcription=None,
+        row_jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
     )
-    monkeypatch.setattr(null_space, "variation_weights", lambda transcription: np.array([1.0, 4.0]))
-    found = NullSpace.of(point, np.array([False, False, True, True]))
+    monkeypatch.setattr(null_space, "variation_norm_weights", lambda transcription: np.array([1.0, 4.0]))
+    found = NullSpace.with_fixed(point, np.array([False, False, True, True]))
     np.testing.assert_allclose(found.unit.diagonal(), [1.0, 0.5])
     np.testing.assert_allclose(found.norms, [1.0, np.sqrt(9 + 4)])
     np.testing.assert_allclose(found.jacobian.toarray(), [[0, 0], [3 / np.sqrt(13), 2 / np.sqrt(13)]])
@@ -502,7 +505,7 @@ def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> Non
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     part = transcription.parts["leg"].collocation
-    np.testing.assert_allclose(found.lam_x[part.point_controls[0]] / part.quadrature, sign, rtol=1e-6)
+    np.testing.assert_allclose(found.lam_x[part.point_controls[0]] / part.quadrature_weights, sign, rtol=1e-6)
     assert found.lam_x[part.boundary_states[0, 0]] == pytest.approx(sign, rel=1e-6)
 
 
@@ -512,7 +515,7 @@ def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
     for off, told in ((3e-6, True), (5e-6, False)):
         s = bang(unit=unit)
         box = by_hand.interval([-unit, -off * unit, -3 * unit], [unit, (4.0 + off) * unit, 2 * unit])
-        s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
+        s = PhaseSamples.from_phase(replace(s.leg, control_bounds=box), s.functions)
         on_bound = np.any(s.at_control_bounds, axis=0)
         assert bool(np.all(on_bound[1])) is told and np.all(on_bound[[0, 2]])
 
@@ -527,7 +530,7 @@ def test_given_times_do_not_change_the_cost() -> None:
         breaks=(0.0, 0.5, 2.0),
     )  # fmt: skip
     solution = recompute_from_problem(by_hand.solution(problem, base))
-    found = Magnitudes.of(solution, list(solution.samples().values()))
+    found = Magnitudes.from_solution(solution, list(solution.samples().values()))
     assert found.cost == pytest.approx(6.0)
 
 
@@ -540,7 +543,7 @@ def test_derivatives_that_grow_too_large_are_not_reported(monkeypatch: pytest.Mo
         weights=(1.0,), breaks=(0.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
     )  # fmt: skip
     monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
-    (arc,) = singular.analyse_singular_arcs(problem, s, *controls.find_undetermined(s, 1e-5), 1e-5)
+    (arc,) = singular.analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
     assert arc.why == "the switching function has too large a derivative of order 0"
 
@@ -580,4 +583,4 @@ def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) 
                 control_bounds=by_hand.interval(-1.0, 4.0),
             )  # fmt: skip
             bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
-        assert bool(np.all(find_flat_controls(s))) is told
+        assert bool(np.all(mask_zero_curvature(s))) is told

@@ -77,7 +77,7 @@ def flown_by(
     )
     judged = recompute_from_problem(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
     samples = list(judged.samples().values())
-    return check_limits(judged, samples, Scales.of(judged, samples), CONDITION_TOLERANCE)
+    return check_limits(judged, samples, Scales.from_solution(judged, samples), CONDITION_TOLERANCE)
 
 
 FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {
@@ -259,10 +259,10 @@ def test_order_of_a_state_constraint_is_found(order: int, by_path: bool) -> None
     leg = solution.phase()
     assert np.allclose(np.hstack(leg.x.values), 0.0, atol=1e-6)
     solution = scaled(scaled(solution, "x", 0.0), "u", 0.0)
-    s = PhaseSamples.of(with_pushes(solution, by_path, 1.0).phase(), solution.functions("leg"))
+    s = PhaseSamples.from_phase(with_pushes(solution, by_path, 1.0).phase(), solution.functions("leg"))
     inside = np.ones((1, s.times.size), dtype=bool)
     assert all(basis.shape == (1, 0) for basis in free_control_directions(s, inside, np.ones(1)))
-    idle = PhaseSamples.of(with_pushes(solution, by_path, 0.0).phase(), solution.functions("leg"))
+    idle = PhaseSamples.from_phase(with_pushes(solution, by_path, 0.0).phase(), solution.functions("leg"))
     assert all(basis.shape == (1, 1) for basis in free_control_directions(idle, inside, np.ones(1)))
 
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.kkt import NullSpace, compute_curvature, run_lanczos
-from gnc_opt.planning.optimality.multiplier_estimate import _Limits, _select_multipliers
+from gnc_opt.planning.optimality.multiplier_estimate import _fit_multipliers, _Limits
 from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.verification.bang_bang_second_order import (
-    _explain_residual_by_order,
     _extrapolate_richardson,
+    _fit_switch_order_multipliers,
 )
 from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.planning.verification.reduced_hessian import minimise_curvature
@@ -33,7 +33,7 @@ def sparse(matrix: Array) -> object:
 
 
 def space_of(jacobian: Array, root: Array, free: Array, size: int) -> NullSpace:
-    """Rows scaled to unit gradients, as `NullSpace.of` leaves them."""
+    """Rows scaled to unit gradients, as `NullSpace.with_fixed` leaves them."""
     norms = np.linalg.norm(jacobian, axis=1)
     rows = np.arange(jacobian.shape[0])
     unit = sparse(np.eye(size)[:, free] * root)
@@ -51,7 +51,7 @@ def test_projected_inverse_is_that_of_the_hessian_on_the_null_space() -> None:
     z = scipy.linalg.null_space(jacobian)
     vector = RANDOM.standard_normal(7)
     expected = z @ np.linalg.solve(z.T @ hessian @ z, z.T @ vector)
-    np.testing.assert_allclose(space.projected_inverse(sparse(hessian))(vector), expected, rtol=1e-9)
+    np.testing.assert_allclose(space.projected_hessian_inverse(sparse(hessian))(vector), expected, rtol=1e-9)
 
 
 def test_dependent_rows_do_no_harm() -> None:
@@ -59,7 +59,7 @@ def test_dependent_rows_do_no_harm() -> None:
     row = RANDOM.standard_normal((1, 5))
     space = space_of(np.vstack([row, row]), np.ones(5), np.arange(5), 5)
     vector = RANDOM.standard_normal(5)
-    projected = space.projected_inverse(scipy.sparse.eye_array(5))(vector)
+    projected = space.projected_hessian_inverse(scipy.sparse.eye_array(5))(vector)
     np.testing.assert_allclose(projected, vector - row[0] * (row[0] @ vector) / (row[0] @ row[0]), rtol=1e-9)
 
 
@@ -124,13 +124,13 @@ def test_extrapolation_takes_away_an_error_of_the_order_of_flows() -> None:
 def test_what_an_order_explains_of_a_gradient() -> None:
     """An order pushes one way only."""
     precedences = np.array([[-1.0, 1.0, 0.0]])
-    residual, pushes = _explain_residual_by_order(np.array([-2.0, 2.0, 0.5]), precedences)
+    residual, pushes = _fit_switch_order_multipliers(np.array([-2.0, 2.0, 0.5]), precedences)
     np.testing.assert_allclose(residual, [0.0, 0.0, 0.5], atol=1e-12)
     np.testing.assert_allclose(pushes, [2.0])
-    residual, pushes = _explain_residual_by_order(np.array([2.0, -2.0, 0.5]), precedences)
+    residual, pushes = _fit_switch_order_multipliers(np.array([2.0, -2.0, 0.5]), precedences)
     np.testing.assert_allclose(residual, [2.0, -2.0, 0.5])
     np.testing.assert_allclose(pushes, [0.0])
-    residual, pushes = _explain_residual_by_order(np.array([1.0]), np.zeros((0, 1)))
+    residual, pushes = _fit_switch_order_multipliers(np.array([1.0]), np.zeros((0, 1)))
     np.testing.assert_allclose(residual, [1.0])
     assert pushes.shape == (0,)
 
@@ -142,13 +142,13 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     """Of values at the lower, at the upper, at neither, at both limits, with a slack of 1e-5 of the scale."""
     box = Interval(np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 1.0]))
     values, scales = np.array([0.9e-3, 1 - 0.9e-3, 0.5, 7.0, 1.1e-3]), np.full(5, 100.0)
-    limits = _Limits.of(box, values, 1e-5 * scales)
+    limits = _Limits.from_values(box, values, 1e-5 * scales)
     np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
     np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
     np.testing.assert_array_equal(limits.at_any_limit, [True, True, False, True, False])
-    np.testing.assert_array_equal(limits.wrong(np.ones(5), 1.0), [True, False, False, False, False])
-    np.testing.assert_array_equal(limits.wrong(-np.ones(5), 1.0), [False, True, False, False, False])
-    assert not np.any(limits.wrong(np.ones(5), 1e8))
+    np.testing.assert_array_equal(limits.wrong_signs(np.ones(5), 1.0), [True, False, False, False, False])
+    np.testing.assert_array_equal(limits.wrong_signs(-np.ones(5), 1.0), [False, True, False, False, False])
+    assert not np.any(limits.wrong_signs(np.ones(5), 1e8))
 
 
 def none_at(n: int, lower: bool = False, upper: bool = False) -> _Limits:
@@ -158,19 +158,19 @@ def none_at(n: int, lower: bool = False, upper: bool = False) -> _Limits:
 def test_limits_that_would_pull_are_let_go() -> None:
     """min z^2 / 2 - g z under the row z <= 0, at z = 0: the multiplier is g if that pushes, else none."""
     matrix, exact = sparse(np.ones((1, 1))), np.zeros(1, dtype=bool)
-    held = _select_multipliers(
+    held = _fit_multipliers(
         matrix, np.array([-2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, upper=True)
     )
     assert held == pytest.approx([2.0])
-    free = _select_multipliers(
+    free = _fit_multipliers(
         matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, upper=True)
     )
     assert free == pytest.approx([0.0])
-    lower = _select_multipliers(
+    lower = _fit_multipliers(
         matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, lower=True)
     )
     assert lower == pytest.approx([-2.0])
-    assert _select_multipliers(
+    assert _fit_multipliers(
         matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1)
     ) == pytest.approx([0.0])
 
@@ -180,18 +180,18 @@ def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
     matrix, exact = sparse(np.ones((2, 1))), np.zeros(2, dtype=bool)
     rows = none_at(1, lower=True, upper=True)
     at_lower = _Limits(np.array([False, True]), np.zeros(2, dtype=bool))
-    assert _select_multipliers(
+    assert _fit_multipliers(
         matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
     ) == pytest.approx([-1.0])
     # -(g - 1) > 0 is no multiplier of a lower limit: its row is imposed as well, and the least squares are -0.5.
-    assert _select_multipliers(
+    assert _fit_multipliers(
         matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
     ) == pytest.approx([-0.5])
     at_upper = _Limits(np.zeros(2, dtype=bool), np.array([False, True]))
-    assert _select_multipliers(
+    assert _fit_multipliers(
         matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
     ) == pytest.approx([-1.0])
-    assert _select_multipliers(
+    assert _fit_multipliers(
         matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
     ) == pytest.approx([-2.0])
 
@@ -213,8 +213,8 @@ def program(
         )
 
     point: Any = SimpleNamespace(
-        x=x, lam=np.zeros(m), values=np.zeros(m), rounding=0.0,
-        jacobian=sparse(jacobian), hessian=sparse(hessian), hessian_of=of_rows,
+        x=x, lam=np.zeros(m), row_values=np.zeros(m), rounding=0.0,
+        row_jacobian=sparse(jacobian), lagrangian_hessian=sparse(hessian), hessian_of=of_rows,
         scaling=SimpleNamespace(objective=0.25, variables=np.ones(n)),
         variables=ProgramLimits(box, np.zeros(n, dtype=bool), np.zeros(n), tuple(f"z{i}" for i in range(n))),
         rows=ProgramLimits(rows, np.ones(m, dtype=bool), np.zeros(m), tuple(f"row {i}" for i in range(m))),
@@ -226,7 +226,7 @@ def program(
 @pytest.fixture
 def metric(monkeypatch: pytest.MonkeyPatch) -> Array:
     weights = np.array([1.0, 4.0, 0.25, 1.0, 2.0])
-    monkeypatch.setattr(null_space, "variation_weights", lambda transcription: weights)
+    monkeypatch.setattr(null_space, "variation_norm_weights", lambda transcription: weights)
     return weights
 
 
@@ -290,15 +290,17 @@ def test_what_is_held_and_what_may_leave_to_one_side() -> None:
     lower, upper = [-9.0, 0.0, -9.0, 0.0, 2.0], [9.0, 9.0, 1.0, 9.0, 2.0]
     point: Any = program(np.zeros((1, 5)), np.eye(5), lower, upper, np.array([1.0, 0.0, 1.0, 1e-7, 2.0]))
     point.multiplier_densities = np.array([0.0, -0.5, 0.5, -1e-8, 0.0]), np.zeros(1)
-    cone = CriticalCone.of(point)
+    cone = CriticalCone.from_program_point(point)
     np.testing.assert_array_equal(cone.strong, [False, True, True, False, True, True])
     np.testing.assert_array_equal(cone.weak, [False, False, False, True, False, False])
     inwards, outwards = np.eye(5)[3], -np.eye(5)[3]
-    assert cone.admits(inwards, []) and not cone.admits(outwards, [])
-    assert cone.admits(0.009 * outwards, []) and cone.admits(np.eye(5)[0], [])
+    assert cone.admits_direction(inwards, []) and not cone.admits_direction(outwards, [])
+    assert cone.admits_direction(0.009 * outwards, []) and cone.admits_direction(np.eye(5)[0], [])
     point.variables = replace(
         point.variables, box=Interval(np.array(lower), np.array([9.0, 9.0, 1.0, 1e-6, 2.0]))
     )
     point.x = np.array([1.0, 0.0, 1.0, 9e-7, 2.0])
-    nearer = CriticalCone.of(point)  # to the upper limit
-    assert nearer.weak[3] and nearer.admits(outwards, []) and not nearer.admits(inwards, [])
+    nearer = CriticalCone.from_program_point(point)  # to the upper limit
+    assert (
+        nearer.weak[3] and nearer.admits_direction(outwards, []) and not nearer.admits_direction(inwards, [])
+    )

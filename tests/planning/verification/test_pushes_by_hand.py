@@ -55,12 +55,12 @@ def test_gradients_and_sides_of_paths() -> None:
         path_bounds=by_hand.interval([-99.0, -2.0], [0.0, 9.0]),
     )  # fmt: skip
     times = np.array([0.0, 1.0])
-    x, u = s.leg.x(times), s.leg.flown(times)
+    x, u = s.leg.x(times), s.leg.applied(times)
     found, _, by_parameter = path_gradients(s.functions, len(s.leg.path_labels), times, x, u)
     assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
-    pushers = StateConstraintSides.at(s, times, x, u)
+    pushers = StateConstraintSides.evaluate_at(s, times, x, u)
     np.testing.assert_allclose(pushers.directions[:, 2], found[:, 1])
     np.testing.assert_allclose(pushers.directions[:, 5], -found[:, 1])
     # 2 - 6 + 2 = -2 is at the lower limit, 4 - 3 + 2 = 3 is not.

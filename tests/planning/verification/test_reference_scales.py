@@ -35,7 +35,7 @@ from gnc_opt.planning.verification.verify_trajectory import _build_solution
 
 
 Array = NDArray[np.float64]
-PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
+PHASES = (Phase.explicit, Phase.cached, Phase.generate)
 TIMES = np.linspace(0.0, 1.0, 41)
 
 
@@ -170,7 +170,7 @@ def measured(
     ]
     lam = replace(leg_solution.lam, values=tuple(values))
     solution = replace(solution, phases={"leg": replace(leg_solution, lam=lam)})
-    scales = Scales.of(solution, list(solution.samples().values()))
+    scales = Scales.from_solution(solution, list(solution.samples().values()))
     own = scales.phases["leg"]
     displacement, gradient = np.linspace(0.3, -0.2, n), np.linspace(1.0, 2.0, n)
     return (
@@ -354,7 +354,7 @@ def test_control_that_is_worth_little_beside_another_is_checked() -> None:
 
 def spans(solution: go.Solution) -> PhaseSamples:
     leg = solution.phase()
-    return PhaseSamples.of(leg, solution.functions(leg.name))
+    return PhaseSamples.from_phase(leg, solution.functions(leg.name))
 
 
 def test_states_that_do_not_move_are_measured_by_what_could_move_them() -> None:
@@ -838,7 +838,7 @@ def test_free_parameters_alone_have_a_cost_scale(unit: float) -> None:
     problem.constrain("impulse", leg.initial_state("v") / unit - speed, equals=0.0)
     problem.minimize(1e6 * speed**2)
     solution = recompute_from_problem(go.solve(problem, mesh="3x4", tol=None))
-    scales = Scales.of(solution, list(solution.samples().values()))
+    scales = Scales.from_solution(solution, list(solution.samples().values()))
     assert 0.5e6 <= scales.cost <= 2e6
 
 
@@ -906,7 +906,7 @@ def test_a_displacement_does_not_depend_on_how_states_are_mixed(mixture: float) 
     """W = ((1/3, 1/2), (1/2, 1)) of a cart moves its place alone by 1/sqrt(12), whatever else is added to the place."""
     mixed = np.array([[1.0, mixture], [0.0, 1.0]])
     gramian = mixed @ np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]) @ mixed.T
-    ellipsoid = Ellipsoid.of(gramian, np.sqrt(np.diag(gramian)))
+    ellipsoid = Ellipsoid.from_gramian(gramian, np.sqrt(np.diag(gramian)))
     assert ellipsoid.normalise_displacement(np.array([1.0, 0.0])) == pytest.approx(np.sqrt(12), rel=1e-3)
     assert ellipsoid.maximise_change(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
 

@@ -17,9 +17,9 @@ from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltoni
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     _Search,
-    coupled_gains,
-    low_discrepancy_points,
-    search_bounds,
+    compute_coupled_gains,
+    control_search_bounds,
+    draw_low_discrepancy_points,
 )
 from gnc_opt.tolerances import EQUAL
 
@@ -67,7 +67,7 @@ def hamiltonian(u: Any, w: Any, t: Any) -> Any:
 def test_limits_of_controls_and_well_beyond_what_occurs() -> None:
     """Twice the largest value, or the scale of one that is unbounded."""
     s = flown(coupled(bowl), u=-7.0, control_bounds=by_hand.interval([-np.inf, -1.0], [np.inf, np.inf]))
-    lower, upper = search_bounds(s)
+    lower, upper = control_search_bounds(s)
     np.testing.assert_allclose(lower, [-14.0, -1.0])
     np.testing.assert_allclose(upper, [14.0, 2.0])
 
@@ -75,7 +75,7 @@ def test_limits_of_controls_and_well_beyond_what_occurs() -> None:
 @pytest.mark.parametrize("dimensions", [1, 2, 3])
 def test_lattice_is_of_powers_of_the_root(dimensions: int) -> None:
     """x^(d + 1) = x + 1; stretches of it fill the cube evenly."""
-    points = low_discrepancy_points(200, dimensions)
+    points = draw_low_discrepancy_points(200, dimensions)
     assert points.shape == (dimensions, 200) and np.all((points >= 0) & (points < 1))
     root = max(np.roots([1.0, *np.zeros(dimensions - 1), -1.0, -1.0]).real)
     shares = root ** -(1.0 + np.arange(dimensions))
@@ -93,7 +93,7 @@ def test_value_slope_and_curvature_by_shares_of_the_range() -> None:
     np.testing.assert_allclose(
         found.evaluate_hamiltonian(shares, at), hamiltonian(u, w, s.times[at]), rtol=1e-12
     )
-    gradient, bends = found.slopes(shares, at)
+    gradient, bends = found.gradient_and_hessian(shares, at)
     np.testing.assert_allclose(
         gradient, 4 * np.array([6 * (u - 1) + w + 0.3, 2 * (w - 2) + u - 0.2]), rtol=1e-9
     )
@@ -108,7 +108,7 @@ def test_a_group_leaves_the_other_controls_as_flown() -> None:
         found.evaluate_hamiltonian(np.array([[0.0, 1.0]]), at),
         hamiltonian(0.5, np.array([-1.0, 3.0]), s.times[at]),
     )
-    gradient, bends = found.slopes(np.array([[0.0, 1.0]]), at)
+    gradient, bends = found.gradient_and_hessian(np.array([[0.0, 1.0]]), at)
     np.testing.assert_allclose(gradient, 4 * (2 * (np.array([[-1.0, 3.0]]) - 2) + 0.5 - 0.2))
     np.testing.assert_allclose(bends, [[[32.0]], [[32.0]]])
 
@@ -194,7 +194,7 @@ def test_multipliers_of_paths_that_h_pushes_against(u: float, w: float, active: 
     s = flown(steep, u, w)
     found, at = search(s), np.array([6])
     shares = np.array([[(u + 2) / 4], [(w + 1) / 4]])
-    gradient, _ = found.slopes(shares, at)
+    gradient, _ = found.gradient_and_hessian(shares, at)
     rows, mu = found._active_paths(shares, at, gradient, np.ones((1, 2)))
     if not active:
         assert not np.any(rows) and not np.any(mu)
@@ -210,7 +210,7 @@ def test_multipliers_at_the_lower_limit_push_downwards() -> None:
     s = flown(coupled(lambda t, x, u, w: u + 2 * w - 0.3 * u + 0.2 * w + 1e-3 * u * w, MIXED), -1.0, -1.0)
     found, at = search(s), np.array([6])
     shares = np.array([[0.25], [0.0]])
-    gradient, _ = found.slopes(shares, at)
+    gradient, _ = found.gradient_and_hessian(shares, at)
     rows, mu = found._active_paths(shares, at, gradient, np.ones((1, 2)))
     np.testing.assert_allclose(rows, [[[4.0, 8.0]]])
     assert mu[0, 0] == pytest.approx(-1.0, abs=5e-3)
@@ -247,12 +247,12 @@ def test_descent_reaches_the_minimum_or_the_limit() -> None:
     s = flown(coupled(bowl))
     found = search(s)
     at = np.array([0, 9])
-    shares, value = found.descend(np.array([[0.0, 1.0], [1.0, 0.0]]), at)
+    shares, value = found.descend_by_newton(np.array([[0.0, 1.0], [1.0, 0.0]]), at)
     minimum = np.linalg.solve([[6.0, 1.0], [1.0, 2.0]], [6 - 0.3, 4 + 0.2])
     np.testing.assert_allclose(shares, np.tile(((minimum + OFFSET) / 4)[:, None], 2), atol=1e-6)
     np.testing.assert_allclose(value, hamiltonian(*minimum, s.times[at]), rtol=1e-9)
     held = search(flown(coupled(bowl, (MIXED[0], -9.0, 2.6))))
-    shares, value = held.descend(np.array([[0.5], [0.5]]), np.array([3]))
+    shares, value = held.descend_by_newton(np.array([[0.5], [0.5]]), np.array([3]))
     # On u + 2 w = 2.6 the least of H: (6 (u - 1) + w + 0.3) = mu' / 1, (2 (w - 2) + u - 0.2) = mu' / ... / 2.
     system = np.array([[6.0, 1.0, 1.0], [1.0, 2.0, 2.0], [1.0, 2.0, 0.0]])
     u, w, _ = np.linalg.solve(system, [5.7, 4.2, 2.6])
@@ -275,8 +275,8 @@ def test_descent_reaches_the_minimum_or_the_limit() -> None:
 def test_only_a_convex_quadratic_function_has_one_minimum_for_sure(cost: Any, one: bool) -> None:
     """Convex at all times, and without steps or kinks elsewhere."""
     s = flown(coupled(cost))
-    assert search(s).only_one_minimum is one
-    gains, searched = coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
+    assert search(s).has_unique_minimum is one
+    gains, searched = compute_coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert len(gains) == 1 and searched is not one
 
 
@@ -287,18 +287,18 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     better = found._applied_shares.copy()
     better[0] += 0.25
     value = found.evaluate_hamiltonian(better, at)
-    gain, share = found._gain_and_share(better, value, at)
+    gain, share = found._compute_gain_and_share(better, value, at)
     before, after = hamiltonian(0.5, 1.0, s.times), hamiltonian(1.5, 1.0, s.times)
     np.testing.assert_allclose(gain, np.maximum(before - after, 0.0), atol=1e-12)
     span = s.control_span[0]
     worth = max(abs(6 * -0.5 + 1 + 0.3) * span, 0.5 * 6 * span**2)
     np.testing.assert_allclose(share, gain / (worth + gain), rtol=1e-9)
     np.testing.assert_allclose(
-        found._largest_change(-7.0 * (better - found._applied_shares)), worth, rtol=1e-9
+        found._largest_hamiltonian_change(-7.0 * (better - found._applied_shares)), worth, rtol=1e-9
     )
-    none, share = found._gain_and_share(found._applied_shares, np.full(at.size, np.inf), at)
+    none, share = found._compute_gain_and_share(found._applied_shares, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
-    endless, share = found._gain_and_share(
+    endless, share = found._compute_gain_and_share(
         found._applied_shares, np.full(at.size, -np.inf), at
     )  # a pole of H is no gain
     assert not np.any(endless) and not np.any(share)
@@ -308,7 +308,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
     """Half of them are near the applied control, and half of both differ in u or in w alone; bounds are among them."""
     s = flown(coupled(bowl))
     found = search(s)
-    shares, at = found._trial_points()[:2]
+    shares, at = found._sample_trial_points()[:2]
     n = s.times.size
     assert at.size == (POINTS // n) * n and np.all(np.bincount(at) == POINTS // n)
     assert np.min(shares) == 0.0 and np.max(shares) == 1.0
@@ -328,7 +328,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
         assert np.mean(row == 1.0) == pytest.approx(0.05 / 1.1, rel=0.05)
         inner = row[(row > 0) & (row < 1)]
         assert np.mean(inner) == pytest.approx(0.5, abs=0.01)
-    alone = search(s, [1])._trial_points()[0]
+    alone = search(s, [1])._sample_trial_points()[0]
     assert alone.shape == (1, at.size)
 
 
@@ -340,7 +340,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 
     problem = coupled(cost)
     s = flown(problem, -1.0, 0.0, breaks=(0.0, 1.0, 2.0))
-    gains, searched = coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
+    gains, searched = compute_coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert searched and len(gains) == 1
     (gain,) = gains
     # To first order in the tilt, the better well gains twice the tilt.
@@ -349,7 +349,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
     assert np.max(gain.gain[early]) < 0.02
     assert gain.gain.shape == gain.share.shape == gain.times.shape
     assert np.all((gain.share >= 0) & (gain.share < 1)) and np.max(gain.share) > 1e-2
-    calm, _ = coupled_gains(
+    calm, _ = compute_coupled_gains(
         s, 0.5 * s.control_span, 1.0, 0.99
     )  # nothing beyond the tolerance: what was found is told as it is
     assert np.max(calm[0].gain) == pytest.approx(np.max(gain.gain), rel=0.1)
@@ -359,7 +359,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 def test_times_are_no_more_than_four_hundred() -> None:
     s = flown(coupled(bowl), breaks=tuple(np.linspace(0.0, 2.0, 41)))
     assert s.times.size > least_hamiltonian._MOST_TIMES
-    (gain,), _ = coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
+    (gain,), _ = compute_coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert gain.times.size == least_hamiltonian._MOST_TIMES
     assert gain.times[0] == 0.0 and gain.times[-1] == 2.0
 
@@ -371,7 +371,7 @@ def test_slopes_that_are_no_numbers_point_nowhere() -> None:
     )
     s = flown(root, -0.5, 0.25)
     found, at = search(s), np.array([3])
-    gradient, bends = found.slopes(np.array([[0.0], [0.5]]), at)
+    gradient, bends = found.gradient_and_hessian(np.array([[0.0], [0.5]]), at)
     assert gradient[0, 0] == 0.0 and np.isfinite(gradient[1, 0]) and bends[0, 0, 0] == 0.0
     assert found.evaluate_hamiltonian(np.array([[0.5], [0.1]]), at) == [np.inf]
     shares = np.array([[0.5, 0.9], [0.1, 0.5]])  # w = -0.6 and 1: the second one is beyond the path
@@ -384,7 +384,9 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
     """At u = -2 without a slope in u, the coupling to w still moves both."""
     curved = 16 * np.array([[2.0, 1.0], [1.0, 2.0]])
     slope = np.array([0.0, -8.0])
-    monkeypatch.setattr(_Search, "slopes", lambda self, shares, at, mu=None: (slope[:, None], curved[None]))
+    monkeypatch.setattr(
+        _Search, "gradient_and_hessian", lambda self, shares, at, mu=None: (slope[:, None], curved[None])
+    )
     found, at = search(flown(coupled(bowl))), np.array([2])
     step = found._newton_step(np.array([[0.0], [0.25]]), at)[:, 0]
     np.testing.assert_allclose(step, -np.linalg.solve(curved, slope), rtol=1e-9)

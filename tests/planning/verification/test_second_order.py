@@ -20,9 +20,9 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.bang_bang_second_order import (
     check_bang_bang_second_order,
-    check_strict_switches,
+    check_strict_bang_bang_property,
 )
-from gnc_opt.planning.verification.recomputed_solution import evaluate_ends, recompute_from_problem
+from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -67,10 +67,12 @@ def induced_problem(solution: go.Solution, refinement: int = 4) -> InducedProble
     solution = recompute_from_problem(solution)
     samples = list(solution.samples().values())
     name = samples[0].leg.name
-    switches = {name: Switches.of(samples[0])}
-    pieces = {name: switches[name].build_pieces(next(switches[name].list_orders()))}
-    unknowns = Unknowns.of(solution, samples, switches)
-    return InducedProblem.of(solution, samples, evaluate_ends(solution), unknowns, pieces, refinement)
+    switches = {name: Switches.from_samples(samples[0])}
+    pieces = {name: switches[name].piecewise_control(next(switches[name].list_orders()))}
+    unknowns = Unknowns.from_switches(solution, samples, switches)
+    return InducedProblem.integrate_controls(
+        solution, samples, boundary_gradients(solution), unknowns, pieces, refinement
+    )
 
 
 def test_induced_jacobian_is_that_of_the_flow_in_closed_form(refined: go.Solution) -> None:
@@ -83,7 +85,7 @@ def test_induced_jacobian_is_that_of_the_flow_in_closed_form(refined: go.Solutio
     np.testing.assert_allclose(left[1:], 0.0, atol=1e-6)
     # Final state of the oscillator in closed form: turning about (u, 0) at unit rate from switch to switch.
     knots = leg.breaks[list(leg.mesh.anchors)]
-    controls = leg.flown(0.5 * (knots[1:] + knots[:-1]))[0]
+    controls = leg.applied(0.5 * (knots[1:] + knots[:-1]))[0]
 
     def final_state(times: np.ndarray) -> np.ndarray:
         z = complex(5.0, 0.0)
@@ -155,7 +157,9 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
     induced = induced_problem(replace(solution, structure=arcs))
     order = [induced.unknowns.labels.index(what) for what in ("phase leg, initial x", switch_label(induced))]
     scale = induced.unknowns.scale[order]
-    found = induced.hessian(induced.conditions.multipliers)[0][np.ix_(order, order)] / np.outer(scale, scale)
+    found = induced.lagrangian_hessian(induced.conditions.multipliers)[0][np.ix_(order, order)] / np.outer(
+        scale, scale
+    )
     np.testing.assert_allclose(found, hessian, rtol=1e-5)
 
 
@@ -166,11 +170,11 @@ def switch_label(induced: InducedProblem) -> str:
 def test_a_slope_that_is_no_number_is_not_strict(
     refined: go.Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    samples = PhaseSamples.of(refined.phase(), refined.functions("leg"))
-    assert check_strict_switches([samples]).result is ConditionResult.PASS
+    samples = PhaseSamples.from_phase(refined.phase(), refined.functions("leg"))
+    assert check_strict_bang_bang_property([samples]).result is ConditionResult.PASS
     unknown = lambda self, t, x, u, lam, mu: np.full(np.shape(u), np.nan)  # noqa: E731
     monkeypatch.setattr(PhaseFunctions, "control_gradient", unknown)
-    assert check_strict_switches([samples]).result is ConditionResult.FAIL
+    assert check_strict_bang_bang_property([samples]).result is ConditionResult.FAIL
 
 
 def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None:
@@ -193,7 +197,7 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
 
 def of_switch_times(solution: go.Solution) -> go.Condition:
     judged = recompute_from_problem(solution)
-    return check_bang_bang_second_order(judged, list(judged.samples().values()), evaluate_ends(judged))
+    return check_bang_bang_second_order(judged, list(judged.samples().values()), boundary_gradients(judged))
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])

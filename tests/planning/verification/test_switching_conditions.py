@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from testing import constructed_solutions as by_hand
-from testing.internals import PhaseSamples, check_strict_switches, explain_inapplicability
+from testing.internals import PhaseSamples, check_strict_bang_bang_property, explain_inapplicable_theorem
 from testing.models import dynamics, one_phase
 from testing.second_order import of_samples, second_order_of
 from testing.wrong_solutions import singular_problem
@@ -26,19 +26,19 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
     PiecewiseControl,
     integrate_bang_bang,
 )
-from gnc_opt.planning.optimality.cost_scale import exclude_switches, lasting_minimum_index
+from gnc_opt.planning.optimality.cost_scale import lasting_minimum_index, mask_interior_controls
 from gnc_opt.planning.optimality.switches import Switches, _merge_equal_times
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
     CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,
-    narrow_arc_ends,
-    singular_segments,
+    mask_singular_segments,
+    refine_singular_arc_ends,
 )
 from gnc_opt.planning.verification.reduced_hessian import (
-    _enrich_mesh,
-    _find_jumping_control,
+    _find_bang_bang_control,
     _has_partly_singular_segment,
+    _refine_mesh_for_variations,
 )
 from gnc_opt.planning.verification.verify_trajectory import _find_bound_arcs
 from gnc_opt.tolerances import NEGLIGIBLE
@@ -117,7 +117,7 @@ def test_least_slope_on_either_side_of_a_switch(
     """Over 2 s and the range 2 of u, in shares of H."""
     before, between, after = slopes
     s = flight((line(before, 0.8), arch(between), line(-after, 1.4)), FALLS)
-    condition = check_strict_switches([s])
+    condition = check_strict_bang_bang_property([s])
     assert condition.result is ConditionResult.PASS and condition.sufficient
     assert condition.value == pytest.approx(-least * 2.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.tolerance == -NEGLIGIBLE
@@ -127,7 +127,7 @@ def test_least_slope_on_either_side_of_a_switch(
 def test_slope_of_the_wrong_sign() -> None:
     """All are; that of w over its range of 5 is the steepest."""
     s = flight((line(-5.0, 0.8), arch(-10.0), line(2.0, 1.4)), (line(7.0, 1.4),) * 3)
-    condition = check_strict_switches([s])
+    condition = check_strict_bang_bang_property([s])
     assert condition.result is ConditionResult.FAIL
     assert condition.value == pytest.approx(7.0 * 5.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.where == "phase leg, t = 1.4 s, w"
@@ -138,14 +138,14 @@ def test_the_worst_of_several_phases_counts() -> None:
     good = flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), FALLS)
     bad = flight((line(-5.0, 0.8), arch(-10.0), line(2.0, 1.4)), FALLS)
     for pair in ([good, bad], [bad, good]):
-        assert check_strict_switches(pair).result is ConditionResult.FAIL
-    assert check_strict_switches([good, good]).result is ConditionResult.PASS
+        assert check_strict_bang_bang_property(pair).result is ConditionResult.FAIL
+    assert check_strict_bang_bang_property([good, good]).result is ConditionResult.PASS
 
 
 def test_a_slope_of_zero_is_not_reported() -> None:
     """A cubic zero has the right sign on both sides, and no slope."""
     flat = flight((lambda t: 5 * (t - 0.8) ** 3, arch(10.0), line(-5.0, 1.4)), FALLS)
-    condition = check_strict_switches([flat])
+    condition = check_strict_bang_bang_property([flat])
     assert condition.result is ConditionResult.INCONCLUSIVE and condition.where == "phase leg, t = 0.8 s, u"
 
 
@@ -157,7 +157,7 @@ def test_a_slope_of_the_wrong_sign_that_is_worth_nothing_is_not_reported(
 ) -> None:
     """The first one makes 2e-6 of H per phase and 8e-7 of H up to the switch: zero within the errors of costates."""
     s = flight((line(-slope, 0.8), arch(-slope), line(-5.0, 1.4)), FALLS)
-    condition = check_strict_switches([s])
+    condition = check_strict_bang_bang_property([s])
     assert condition.result is result
     assert condition.value == pytest.approx(slope * 2.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.where.startswith("phase leg, t = 0.8 s, u")
@@ -169,7 +169,7 @@ def touching(t: Any) -> Any:
 
 def test_zero_that_is_touched_between_switches() -> None:
     s = flight((line(5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)
-    condition = check_strict_switches([s])
+    condition = check_strict_bang_bang_property([s])
     assert (condition.result, condition.value, condition.tolerance) == (
         ConditionResult.INCONCLUSIVE,
         0.0,
@@ -180,7 +180,7 @@ def test_zero_that_is_touched_between_switches() -> None:
     )
     # A slope of the wrong sign weighs more.
     assert (
-        check_strict_switches([flight((line(-5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)]).result
+        check_strict_bang_bang_property([flight((line(-5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)]).result
         is ConditionResult.FAIL
     )
 
@@ -189,9 +189,12 @@ def test_zero_that_is_touched_between_switches() -> None:
 def test_slopes_and_touches_do_not_depend_on_units(second: float, cost: float) -> None:
     units = {"second": second, "cost": cost}
     touch, slopes = (line(5.0, 0.8), touching, line(-5.0, 1.4)), (line(5.0, 0.8), arch(10.0), line(-2.0, 1.4))
-    assert check_strict_switches([flight(touch, FALLS, **units)]).result is ConditionResult.INCONCLUSIVE
-    assert check_strict_switches([flight(slopes, FALLS, **units)]).value == pytest.approx(
-        check_strict_switches([flight(slopes, FALLS)]).value, rel=1e-6
+    assert (
+        check_strict_bang_bang_property([flight(touch, FALLS, **units)]).result
+        is ConditionResult.INCONCLUSIVE
+    )
+    assert check_strict_bang_bang_property([flight(slopes, FALLS, **units)]).value == pytest.approx(
+        check_strict_bang_bang_property([flight(slopes, FALLS)]).value, rel=1e-6
     )
 
 
@@ -207,14 +210,14 @@ def test_a_zero_right_beside_its_own_switch_is_checked_by_its_slope() -> None:
         weights=(), breaks=ends, control_bounds=s.leg.control_bounds,
     )  # fmt: skip
     assert np.min(np.diff(beside.times[beside.segments == 1])) < 1e-4 * 2.0
-    assert "touches" not in check_strict_switches([beside]).where
+    assert "touches" not in check_strict_bang_bang_property([beside]).where
 
 
 def test_zero_that_is_touched_where_another_control_switches() -> None:
     """u stays at -1 while w switches at 1.4 s."""
     once = ((1.0, -1.0, -1.0), (-2.0, -2.0, 3.0))
     touch = (line(5.0, 0.8), lambda t: 5 * (t - 0.8) * (1.4 - t) ** 2, lambda t: 5 * (t - 1.4) ** 2)
-    condition = check_strict_switches([flight(touch, FALLS, once)])
+    condition = check_strict_bang_bang_property([flight(touch, FALLS, once)])
     assert condition.result is ConditionResult.INCONCLUSIVE
     assert condition.where == "phase leg, t = 1.4 s, u: touches zero between switches"
 
@@ -222,8 +225,10 @@ def test_zero_that_is_touched_where_another_control_switches() -> None:
 def test_touched_without_any_switch() -> None:
     still = ((-1.0,) * 3, (-2.0,) * 3)
     away, touch = (lambda t: 1.0 + 0 * t,) * 3, (lambda t: (t - 1.1) ** 2,) * 3
-    assert check_strict_switches([flight(touch, away, still)]).result is ConditionResult.INCONCLUSIVE
-    condition = check_strict_switches([flight(away, away, still)])
+    assert (
+        check_strict_bang_bang_property([flight(touch, away, still)]).result is ConditionResult.INCONCLUSIVE
+    )
+    condition = check_strict_bang_bang_property([flight(away, away, still)])
     assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
     assert condition.where == "no switch" and condition.sufficient
 
@@ -232,17 +237,18 @@ def test_what_touches_zero_matters_only_for_a_control_with_a_range_and_on_it() -
     """v has no range and a switching function of zero; u is between its bounds in a segment."""
     crossing = (line(5.0, 0.8), arch(10.0), line(-5.0, 1.4))
     assert (
-        check_strict_switches([flight(crossing, FALLS, upper=0.0, level=0.0)]).result is ConditionResult.PASS
+        check_strict_bang_bang_property([flight(crossing, FALLS, upper=0.0, level=0.0)]).result
+        is ConditionResult.PASS
     )
     between = ((1.0, 0.5, 1.0), (-2.0, -2.0, 3.0))
     away = (lambda t: t, lambda t: (t - 1.1) ** 2, lambda t: t)
-    assert check_strict_switches([flight(away, FALLS, between)]).result is ConditionResult.PASS
+    assert check_strict_bang_bang_property([flight(away, FALLS, between)]).result is ConditionResult.PASS
 
 
 def test_switches_and_those_that_may_come_in_from_the_ends() -> None:
     """w's switching function vanishes at the end, u's at the start."""
     late = (line(-7.0, 1.4), line(-7.0, 1.4), lambda t: 7 * (t - 1.4) * (t - 2.0))
-    switches = Switches.of(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
+    switches = Switches.from_samples(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
     np.testing.assert_allclose(switches.times, [0.8, 1.4, 1.4, 2.0])
     np.testing.assert_array_equal(switches.channels, [0, 0, 1, 1])
     np.testing.assert_allclose(switches.first, [1.0, -2.0, 1.0])
@@ -250,30 +256,34 @@ def test_switches_and_those_that_may_come_in_from_the_ends() -> None:
     np.testing.assert_allclose(switches.ends, [0.0, 2.0])
     assert switches.labels[2] == "switch of w at 1.4 s"
     early = (lambda t: 5 * t * (t - 0.8), arch(10.0), line(-5.0, 1.4))
-    switches = Switches.of(flight(early, FALLS))
+    switches = Switches.from_samples(flight(early, FALLS))
     np.testing.assert_allclose(switches.times, [0.0, 0.8, 1.4, 1.4])
     np.testing.assert_array_equal(switches.channels, [0, 0, 0, 1])
     np.testing.assert_allclose(switches.first, [-1.0, -2.0, 1.0])
-    none = Switches.of(flight(early, FALLS, ((-1.0,) * 3, (-2.0,) * 3), upper=0.0, level=0.0))
+    none = Switches.from_samples(flight(early, FALLS, ((-1.0,) * 3, (-2.0,) * 3), upper=0.0, level=0.0))
     np.testing.assert_array_equal(none.channels, [0])  # v has nothing to switch between
 
 
 def test_orders_pieces_and_precedences() -> None:
     late = (line(-7.0, 1.4), line(-7.0, 1.4), lambda t: 7 * (t - 1.4) * (t - 2.0))
-    switches = Switches.of(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
-    assert switches.groups == [[0], [1, 2], [3]] and switches.n_orders == 2
+    switches = Switches.from_samples(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
+    assert switches.simultaneous_groups == [[0], [1, 2], [3]] and switches.n_orders == 2
     assert list(switches.list_orders()) == [(0, 1, 2, 3), (0, 2, 1, 3)]
-    pieces = switches.build_pieces((0, 2, 1, 3))
+    pieces = switches.piecewise_control((0, 2, 1, 3))
     np.testing.assert_allclose(pieces.times, [0.0, 0.8, 1.4, 1.4, 2.0, 2.0])
     np.testing.assert_array_equal(pieces.unknowns, [0, 1, 3, 2, 4, 5])
     np.testing.assert_allclose(pieces.controls[0], [1, -1, -1, 1, 1])
     np.testing.assert_allclose(pieces.controls[1], [-2, -2, 3, 3, -2])
-    np.testing.assert_allclose(switches.precedences((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]])
-    np.testing.assert_allclose(switches.precedences((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]])
-    single = Switches.of(
+    np.testing.assert_allclose(
+        switches.order_constraints((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]]
+    )
+    np.testing.assert_allclose(
+        switches.order_constraints((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]]
+    )
+    single = Switches.from_samples(
         flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), (line(-7.0, 3.0),) * 3, (U[0], (-2.0,) * 3))
     )
-    assert single.precedences((0, 1)).shape == (0, 4)
+    assert single.order_constraints((0, 1)).shape == (0, 4)
 
 
 def test_times_that_are_nearly_equal_are_made_equal() -> None:
@@ -293,11 +303,11 @@ def test_controls_that_jump_from_bound_to_bound_are_named() -> None:
     """H is straight in all controls; w does not jump if it stays, nor does what has no curvature in between."""
     once = ((-1.0, -1.0, -1.0), (-2.0, -2.0, 3.0))
     late = "switch times that are not variables of the mesh do not vary"
-    assert _find_jumping_control([flight(STRAIGHT, FALLS)]) == f"phase leg, u: {late}"
-    assert _find_jumping_control([flight(STRAIGHT, FALLS, once)]) == f"phase leg, w: {late}"
-    assert _find_jumping_control([flight(STRAIGHT, FALLS, ((-1.0,) * 3, (-2.0,) * 3))]) == ""
+    assert _find_bang_bang_control([flight(STRAIGHT, FALLS)]) == f"phase leg, u: {late}"
+    assert _find_bang_bang_control([flight(STRAIGHT, FALLS, once)]) == f"phase leg, w: {late}"
+    assert _find_bang_bang_control([flight(STRAIGHT, FALLS, ((-1.0,) * 3, (-2.0,) * 3))]) == ""
     between = ((-1.0, 0.5, -1.0), (-2.0, 0.0, -2.0))
-    assert _find_jumping_control([flight(STRAIGHT, FALLS, between)]) == ""
+    assert _find_bang_bang_control([flight(STRAIGHT, FALLS, between)]) == ""
     assert not _has_partly_singular_segment(flight(STRAIGHT, FALLS, between))  # but all along a segment
     assert not _has_partly_singular_segment(flight(STRAIGHT, FALLS))
 
@@ -317,12 +327,12 @@ def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> No
         weights=(1.0,),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    assert bool(_find_jumping_control([s])) is (bend <= 1e-8)
+    assert bool(_find_bang_bang_control([s])) is (bend <= 1e-8)
 
 
 def test_simple_meshes_get_thirty_points() -> None:
-    assert _enrich_mesh(go.Mesh((0.0, 1.0), (4,))).degrees == (30,)
-    fine = _enrich_mesh(go.Mesh((0.0, 0.2, 0.5, 0.7, 1.0), (5, 9, 3, 8), (1, 3)))
+    assert _refine_mesh_for_variations(go.Mesh((0.0, 1.0), (4,))).degrees == (30,)
+    fine = _refine_mesh_for_variations(go.Mesh((0.0, 0.2, 0.5, 0.7, 1.0), (5, 9, 3, 8), (1, 3)))
     assert (
         fine.degrees == (8, 9, 8, 8) and fine.movable == (1, 3) and fine.breaks == (0.0, 0.2, 0.5, 0.7, 1.0)
     )
@@ -345,12 +355,17 @@ def test_arcs_of_a_trajectory_between_its_jumps() -> None:
 
 def test_obstacles_are_reported_by_their_phase() -> None:
     s = flight(STRAIGHT, FALLS)
-    assert explain_inapplicability([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
+    assert explain_inapplicable_theorem([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
     between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
-    assert explain_inapplicability([s, between]) == "phase leg, t = 0.8 s, u: a control between its bounds"
+    assert (
+        explain_inapplicable_theorem([s, between]) == "phase leg, t = 0.8 s, u: a control between its bounds"
+    )
     assert not is_bang_bang([s, between])
     short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
-    assert explain_inapplicability([PhaseSamples.of(short, s.functions)]) == "phase leg has no length"
+    assert (
+        explain_inapplicable_theorem([PhaseSamples.from_phase(short, s.functions)])
+        == "phase leg has no length"
+    )
 
 
 # First and second derivatives of bang-bang flows in switch times and start values.
@@ -373,9 +388,9 @@ class Case:
     def __post_init__(self) -> None:
         leg = self.solution.phase()
         self.leg, self.functions = leg, self.solution.functions(leg.name)
-        self.samples = PhaseSamples.of(leg, self.functions)
+        self.samples = PhaseSamples.from_phase(leg, self.functions)
         self.times = leg.breaks
-        self.controls = leg.flown(0.5 * (self.times[1:] + self.times[:-1]))
+        self.controls = leg.applied(0.5 * (self.times[1:] + self.times[:-1]))
         self.unknowns = np.concatenate([self.times, leg.x(self.times[0])[self.free_start]])
 
     def flow(self, refinement: int = 4) -> BangBangFlow:
@@ -442,7 +457,7 @@ def any_point(problem: go.Problem, mesh: go.Mesh) -> go.Solution:
 def test_double_integrator_in_closed_form() -> None:
     """With a = -1 until s, then 1: v = v0 - (s - t0) + (tf - s), q = q0 + v0 T - T^2 / 2 + (tf - s)^2."""
     flow = double_integrator().flow()
-    np.testing.assert_allclose(flow.final, [0.0, 0.0, 20.0], atol=1e-9)
+    np.testing.assert_allclose(flow.final_state, [0.0, 0.0, 20.0], atol=1e-9)
     slopes = [[20.0, -20.0, 0.0, 1.0, 20.0], [1.0, -2.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]
     np.testing.assert_allclose(flow.final_sensitivity, slopes, atol=1e-9)
     position = [
@@ -452,34 +467,34 @@ def test_double_integrator_in_closed_form() -> None:
         [0.0, 0.0, 0.0, 0.0, 0.0],
         [-1.0, 0.0, 1.0, 0.0, 0.0],
     ]
-    np.testing.assert_allclose(flow.curvature(np.array([1.0, 0.0, 0.0])), position, atol=1e-9)
-    np.testing.assert_allclose(flow.curvature(np.array([0.0, 1.0, 1.0])), 0.0, atol=1e-9)
+    np.testing.assert_allclose(flow.final_state_hessian(np.array([1.0, 0.0, 0.0])), position, atol=1e-9)
+    np.testing.assert_allclose(flow.final_state_hessian(np.array([0.0, 1.0, 1.0])), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("build", [van_der_pol, six_degrees_of_freedom])
 def test_derivatives_are_those_of_an_independent_integration(build: Callable[[], Case]) -> None:
     """Differences of DOP853 along a random direction in all unknowns, to 1e-6 of the largest derivative."""
     case, random = build(), np.random.default_rng(3)
-    flow, adjoint = case.flow(), random.normal(size=case.flow().final.size)
-    assert flow.initial_sensitivity.shape == (flow.final.size, case.unknowns.size)
+    flow, adjoint = case.flow(), random.normal(size=case.flow().final_state.size)
+    assert flow.initial_sensitivity.shape == (flow.final_state.size, case.unknowns.size)
     direction = random.normal(size=case.unknowns.size)
     direction /= np.linalg.norm(direction)
-    slope, curvature = flow.final_sensitivity, flow.curvature(adjoint)
-    np.testing.assert_allclose(flow.final, case.flown_end(case.unknowns), atol=1e-6)
+    slope, curvature = flow.final_sensitivity, flow.final_state_hessian(adjoint)
+    np.testing.assert_allclose(flow.final_state, case.flown_end(case.unknowns), atol=1e-6)
     first, second = case.derivative(1, direction), adjoint @ case.derivative(2, direction)
     np.testing.assert_allclose(slope @ direction, first, atol=1e-6 * np.max(np.abs(slope)))
     np.testing.assert_allclose(
         direction @ curvature @ direction, second, atol=1e-6 * np.max(np.abs(curvature))
     )
     np.testing.assert_allclose(
-        flow.gradient(adjoint), adjoint @ slope, rtol=1e-10, atol=1e-12 * np.max(np.abs(slope))
+        flow.final_state_gradient(adjoint), adjoint @ slope, rtol=1e-10, atol=1e-12 * np.max(np.abs(slope))
     )
 
 
 def test_half_the_width_of_steps_leaves_a_256th_of_the_error() -> None:
     """On two grids that are not yet at rounding; half an order either way."""
     case = van_der_pol()
-    coarse, fine, best = (case.flow(n).final for n in (1, 2, 8))
+    coarse, fine, best = (case.flow(n).final_state for n in (1, 2, 8))
     ratio = np.linalg.norm(coarse - best) / np.linalg.norm(fine - best)
     assert 2 ** (ORDER - 0.7) < ratio < 2 ** (ORDER + 1.5)
 
@@ -700,8 +715,8 @@ def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() ->
 def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
     times = np.linspace(0.0, 1.0, 100001)
     inside = np.array([(times > 0.3) & (times < 0.30005), (times > 0.3) & (times < 0.301)])
-    assert not np.any(exclude_switches(times, inside)[0])
-    np.testing.assert_array_equal(exclude_switches(times, inside)[1], inside[1])
+    assert not np.any(mask_interior_controls(times, inside)[0])
+    np.testing.assert_array_equal(mask_interior_controls(times, inside)[1], inside[1])
 
 
 @pytest.mark.slow
@@ -855,7 +870,7 @@ def test_a_segment_is_singular_as_a_whole_or_partly() -> None:
             problem, one, lambda t, k, f=first: np.array([f(t) if k == 0 else 0.5 + 0 * t]), one,
             weights=(1.0,), breaks=(0.0, 1.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
         )  # fmt: skip
-        np.testing.assert_array_equal(singular_segments(s), [[not partly, True]])
+        np.testing.assert_array_equal(mask_singular_segments(s), [[not partly, True]])
         assert _has_partly_singular_segment(s) is partly
 
 
@@ -872,28 +887,28 @@ def test_a_control_that_a_state_limit_determines_is_not_singular(
         weights=(1.0,), breaks=(0.0, 1.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
         state_bounds=by_hand.interval(-1.0, limit), states=lambda t, k: np.array([push + 0 * t]),
     )  # fmt: skip
-    np.testing.assert_array_equal(singular_segments(s), [[not held, not held]])
+    np.testing.assert_array_equal(mask_singular_segments(s), [[not held, not held]])
     assert not _has_partly_singular_segment(s)
 
 
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     mesh = go.Mesh((0.0, 0.2, 0.5, 1.0), (3, 8, 4), (1, 2))
-    finer = narrow_arc_ends(mesh, np.array([False, True, False]))
+    finer = refine_singular_arc_ends(mesh, np.array([False, True, False]))
     first, last = CUTS
     n = len(first + last) + 1
     assert finer.degrees == (3, *[8] * n, 4) and finer.movable == (1, 1 + n)
     np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(first + last)), 0.5])
     assert (
-        narrow_arc_ends(mesh, np.array([True, False, False])).degrees[:n]
+        refine_singular_arc_ends(mesh, np.array([True, False, False])).degrees[:n]
         == (SINGULAR_SEGMENT_MIN_POINTS,) * n
     )
     # an arc of several segments is narrow at its ends, not wherever the mesh has a boundary
-    arc = narrow_arc_ends(mesh, np.array([False, True, True]))
+    arc = refine_singular_arc_ends(mesh, np.array([False, True, True]))
     np.testing.assert_allclose(
         arc.breaks, [0.0, 0.2, *(0.2 + 0.3 * np.array(first)), 0.5, *(0.5 + 0.5 * np.array(last)), 1.0]
     )
     assert arc.degrees == (3, 8, 8, 8, *[SINGULAR_SEGMENT_MIN_POINTS] * 3) and arc.movable == (1, 4)
-    assert narrow_arc_ends(mesh, np.zeros(3, dtype=bool)) == mesh
+    assert refine_singular_arc_ends(mesh, np.zeros(3, dtype=bool)) == mesh
 
 
 def test_an_end_that_curves_downwards_fails_where_nothing_else_curves() -> None:

@@ -250,7 +250,7 @@ def test_the_largest_fall_of_all_groups_is_reported(monkeypatch: pytest.MonkeyPa
 
     module = importlib.import_module("gnc_opt.planning.verification.switching_times")
     gains = iter([Worst(0.1, "first"), None, Worst(0.3, "third")])
-    monkeypatch.setattr(module.ShiftedTrajectory, "find_decrease", lambda _: next(gains))
+    monkeypatch.setattr(module.ShiftedTrajectory, "find_second_order_decrease", lambda _: next(gains))
     jumps = [module.Jump("leg", t, 0, 1.0, "next") for t in (0.1, 0.5, 0.9)]
     monkeypatch.setattr(module, "find_jumps", lambda _: jumps)
     monkeypatch.setattr(module, "MOST_TOGETHER", 1)

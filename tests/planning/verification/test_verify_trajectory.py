@@ -124,7 +124,7 @@ def test_several_phases_and_a_parameter() -> None:
     solution = go.solve(interior_point.build(), tol=1e-8)
     times = {name: np.linspace(leg.initial_time, leg.final_time, 61) for name, leg in solution.phases.items()}
     x = {name: leg.x(times[name]) for name, leg in solution.phases.items()}
-    u = {name: leg.flown(times[name]) for name, leg in solution.phases.items()}
+    u = {name: leg.applied(times[name]) for name, leg in solution.phases.items()}
     verdict = go.verify_trajectory(interior_point.build(), times, x, u)
     assert verdict.ok, verdict.explain()
     assert go.verify_trajectory(design_problem(), *smooth(), p={"k": 1.5}, tol=1e-8).ok

@@ -37,9 +37,9 @@ from testing.wrong_solutions import (
 import gnc_opt as go
 from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.propagation import propagate
+from gnc_opt.planning.solution.propagation import integrate_dynamics
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.control_conditions import check_singular_arcs, find_undetermined
+from gnc_opt.planning.verification.control_conditions import check_singular_arcs, mask_undetermined_controls
 
 SMALL = 1e-3
 
@@ -264,7 +264,7 @@ def test_nothing_is_claimed_about_a_phase_without_length(start: float) -> None:
 
 def samples_of(solution: go.Solution) -> PhaseSamples:
     leg = solution.phase()
-    return PhaseSamples.of(leg, solution.functions(leg.name))
+    return PhaseSamples.from_phase(leg, solution.functions(leg.name))
 
 
 def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
@@ -443,7 +443,7 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     problem.minimize(leg.integral(x**2 + w**2))
     solution = go.solve(problem, mesh=go.Mesh((0.0, 0.25, 0.5, 0.75, 1.0), (4,) * 4), tol=None)
     samples = list(solution.samples().values())
-    singular = [find_undetermined(samples[0], 1e-4)[0]]
+    singular = [mask_undetermined_controls(samples[0], 1e-4)[0]]
     condition = check_singular_arcs(samples, 1e-4, singular)  # H alone determines nothing there
     assert condition.result is go.ConditionResult.INCONCLUSIVE
     assert condition.value == pytest.approx(0.75, abs=0.03)
@@ -480,16 +480,20 @@ def test_propagation_flies_what_respects_the_bounds() -> None:
     problem = bang_bang().need_problem("copy").with_fixed_arcs(arcs=None)
     solution = go.solve(problem, mesh="7x3", tol=None)
     leg = solution.phase()
-    jumps = leg.flown.jumps
-    assert jumps.size > 8 and leg.flown.held.any() and not leg.flown.held.all()
+    jumps = leg.applied.jump_times
+    assert (
+        jumps.size > 8
+        and leg.applied.is_piecewise_constant.any()
+        and not leg.applied.is_piecewise_constant.all()
+    )
     q, v = 1.0, 0.0
     for left, right in itertools.pairwise(jumps):
         inner = np.linspace(left, right, 2001)[1:-1]
-        a, h = float(np.mean(leg.flown(inner))), right - left
+        a, h = float(np.mean(leg.applied(inner))), right - left
         q, v = q + v * h + a * h**2 / 2, v + a * h
     miss = max(abs(q), abs(v))
     assert "dynamics" in failed(solution)
     functions = solution.functions("leg")
     for control, error in (("flown", [q, v]), ("polynomial", [0.0, 0.0])):
-        run = propagate(leg, functions, control=control)  # type: ignore[arg-type]
+        run = integrate_dynamics(leg, functions, control=control)  # type: ignore[arg-type]
         assert run.error == pytest.approx(error, abs=0.02 * miss)

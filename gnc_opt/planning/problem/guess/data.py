@@ -94,7 +94,7 @@ def guess_from_data(
         values[variable.name] = np.stack(rows)
     if not values:
         raise ProblemError(
-            f"the data of guess_from_data() has no column of a state or control of {leg.where}: name them as "
+            f"the data of guess_from_data() has no column of a state or control of {leg.label}: name them as "
             f"{', '.join(labels)}."
         )
     return problem.with_guess(leg.name, times, **values)

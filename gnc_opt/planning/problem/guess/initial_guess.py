@@ -33,20 +33,20 @@ class PhaseStart:
     controls: Array
 
 
-def phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
+def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
     """Return the guess of a phase at the given fractions of its duration, with or without `control_perturbation`."""
-    times = guess_times(leg)
+    times = guess_phase_times(leg)
     at = times[0] + fractions * (times[1] - times[0])
     model, numbers = leg.model, leg.numbers
-    first, last = guess_ends(leg)
+    first, last = guess_boundary_states(leg)
     states = first[:, None] + (last - first)[:, None] * fractions
-    controls = np.repeat(numbers.controls.middle[:, None], fractions.size, axis=1)
-    for vector in leg.vectors:
-        _set_constant_vector(leg, vector, times, (first, last), controls)
+    controls = np.repeat(numbers.controls.midpoint[:, None], fractions.size, axis=1)
+    for vector in leg.vector_controls:
+        _set_constant_vector_control(leg, vector, times, (first, last), controls)
     if perturbed:
         controls += control_perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
-        what = f"the guess of '{name}' in {leg.where}"
+        what = f"the guess of '{name}' in {leg.label}"
         values = sample_guess(value, leg.guessable_names[name].size, at, fractions, numbers.guess.time, what)
         if name in model.states:
             states[model.states.slice(name)] = values
@@ -55,12 +55,12 @@ def phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
     return PhaseStart(times, states, controls)
 
 
-def _set_constant_vector(
+def _set_constant_vector_control(
     leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array
 ) -> None:
     """Set a vector control to the constant that gives the mean rate between the ends, if sustained and allowed."""
     layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
-    if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
+    if leg.has_unit_direction(vector):  # at its centre the derivatives of the sphere vanish
         controls[layout.slice(vector.direction)] = vector.variable.size**-0.5
     if duration <= 0 or controls.shape[1] == 0:
         return
@@ -95,7 +95,7 @@ def control_perturbation(bounds: Interval, fractions: Array) -> Array:
     return np.asarray(amplitude[:, None] * np.cos(phase))
 
 
-def record_known_ends(
+def record_known_states(
     constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
     """Note in phases the values at which rows of a constraint hold that are affine in one end state alone.
@@ -111,7 +111,7 @@ def record_known_ends(
     }
     known = {symbol.element_hash() for symbol in ca.vertsplit(parameters)}
     numbers = np.concatenate([*guess.values(), np.zeros(0)])
-    for row, wanted in zip(ca.vertsplit(constraint.expression), constraint.interval.middle, strict=True):
+    for row, wanted in zip(ca.vertsplit(constraint.expression), constraint.interval.midpoint, strict=True):
         symbols = [s for s in ca.symvar(row) if s.element_hash() not in known]
         if len(symbols) != 1 or symbols[0].element_hash() not in owners:
             continue
@@ -160,21 +160,21 @@ def trim_vector_control(
     return (length, wanted / length) if length > 0 else None
 
 
-def guess_times(leg: Phase) -> Array:
+def guess_phase_times(leg: Phase) -> Array:
     """Return guessed initial and final time (2,); phases without a known end share the time up to the next evenly."""
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
-    initial, final = leg.times()
+    initial, final = leg.time_ranges()
     before, after = _find_time_links(leg)
     if before is not None and np.isnan(wanted[0]):
-        wanted[0] = guess_times(before)[1]
-    t0 = _choose_time(initial, wanted[0], default=0.0)
+        wanted[0] = guess_phase_times(before)[1]
+    t0 = _choose_guess_time(initial, wanted[0], default=0.0)
     span = leg.numbers.duration
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
-    if np.isnan(wanted[1]) and after is not None and not _is_bounded(final):
+    if np.isnan(wanted[1]) and after is not None and not _has_bounded_time(final):
         usual = _divide_time_equally(after, t0) or usual
-    tf = _choose_time(final, wanted[1], default=t0 + usual)
+    tf = _choose_guess_time(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
@@ -182,13 +182,13 @@ def guess_times(leg: Phase) -> Array:
 
 def _find_time_links(leg: Phase) -> tuple[Phase | None, Phase | None]:
     """Return the phases in whose end this one begins, and that begin in its end, by links of times."""
-    place = next(k for k, phase in enumerate(leg.siblings) if phase.name == leg.name)
-    before = (phase for phase in leg.siblings[:place] if phase.name == leg.follows)
-    after = (phase for phase in leg.siblings[place + 1 :] if phase.follows == leg.name)
+    place = next(k for k, phase in enumerate(leg.all_phases) if phase.name == leg.name)
+    before = (phase for phase in leg.all_phases[:place] if phase.name == leg.follows)
+    after = (phase for phase in leg.all_phases[place + 1 :] if phase.follows == leg.name)
     return next(before, None), next(after, None)
 
 
-def _is_bounded(time: Interval) -> bool:
+def _has_bounded_time(time: Interval) -> bool:
     return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
 
 
@@ -197,15 +197,15 @@ def _divide_time_equally(leg: Phase | None, start: float) -> float:
     phases = 1
     while leg is not None:
         phases += 1
-        own, final = leg.numbers.guess.time, leg.times()[1]
-        if own is not None or _is_bounded(final):
-            end = float(own[-1]) if own is not None else float(final.middle[0])
+        own, final = leg.numbers.guess.time, leg.time_ranges()[1]
+        if own is not None or _has_bounded_time(final):
+            end = float(own[-1]) if own is not None else float(final.midpoint[0])
             return max(end - start, 0.0) / phases
         leg = _find_time_links(leg)[1]
     return 0.0
 
 
-def _choose_time(interval: Interval, wanted: float, default: float) -> float:
+def _choose_guess_time(interval: Interval, wanted: float, default: float) -> float:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower
@@ -216,7 +216,7 @@ def _choose_time(interval: Interval, wanted: float, default: float) -> float:
     return float(np.clip(default, lower, upper))
 
 
-def guess_ends(leg: Phase) -> tuple[Array, Array]:
+def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
     """Return guessed initial and final states, each (n,).
 
     A state that is open at an end is on a straight line between the known values before and after it in linked phases,
@@ -225,7 +225,7 @@ def guess_ends(leg: Phase) -> tuple[Array, Array]:
     first, last = np.zeros((2, leg.model.states.size))
     for name in leg.model.states.names:
         rows = leg.model.states.slice(name)
-        first[rows], last[rows] = _guessed_ends(_find_linked_phases(leg, name), leg)
+        first[rows], last[rows] = _guess_chain_states(_find_linked_phases(leg, name), leg)
     return first, last
 
 
@@ -241,12 +241,12 @@ class _Link:
     jump: Array
 
     @classmethod
-    def of(cls, leg: Phase, name: str) -> _Link:
-        numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_times(leg)
+    def from_phase(cls, leg: Phase, name: str) -> _Link:
+        numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_phase_times(leg)
         box = Interval(numbers.states.lower[rows], numbers.states.upper[rows])
         guess = np.full((box.lower.size, 2), np.nan)
         if name in numbers.guess.values:
-            what = f"the guess of '{name}' in {leg.where}"
+            what = f"the guess of '{name}' in {leg.label}"
             value, ends = numbers.guess.values[name], np.array([0.0, 1.0])
             guess = sample_guess(value, box.lower.size, times, ends, numbers.guess.time, what)
         known = []
@@ -257,29 +257,27 @@ class _Link:
             limited = np.isfinite(here.lower) | np.isfinite(here.upper)
             told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
             open_end = np.where(np.isnan(guessed), told, guessed)
-            known.append(np.where(limited, intersect(here, box).middle, open_end))
+            known.append(np.where(limited, intersect(here, box).midpoint, open_end))
         handed = leg.find_state_source(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
 def _find_linked_phases(leg: Phase, name: str) -> list[_Link]:
-    """Return the phases that links join to one in a state, in their order."""
     chain = [leg]
     while handed := chain[0].find_state_source(name):
         chain.insert(0, handed[0])
-    while following := [p for p in leg.siblings if (p.find_state_source(name) or (None,))[0] is chain[-1]]:
+    while following := [p for p in leg.all_phases if (p.find_state_source(name) or (None,))[0] is chain[-1]]:
         chain.append(following[0])
-    return [_Link.of(phase, name) for phase in chain]
+    return [_Link.from_phase(phase, name) for phase in chain]
 
 
-def _guessed_ends(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
-    """Return the guessed ends of a state in one phase of a chain."""
+def _guess_chain_states(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
         ahead, time = _find_next_known_value(chain[index:])
         begin = np.where(np.isnan(last), ahead, last + link.jump)
-        begin = np.where(np.isnan(begin), link.box.middle, np.clip(begin, link.box.lower, link.box.upper))
+        begin = np.where(np.isnan(begin), link.box.midpoint, np.clip(begin, link.box.lower, link.box.upper))
         first = np.where(np.isnan(link.start), begin, link.start)
         share = np.divide(link.duration, time, out=np.ones_like(time), where=time > 0)
         reached = np.where(np.isnan(ahead), first, first + share * (ahead - first))

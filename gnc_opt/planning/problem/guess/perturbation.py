@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angles import PERIODS
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -57,10 +57,10 @@ def with_random_guess(
     turned: dict[str, float] = {}
     for name, leg in problem.phases.items():
         known = (durations or {}).get(name)
-        guessed = guess_times(leg)
+        guessed = guess_phase_times(leg)
         times = _draw_times(leg, rng, shift, known)
         shift = times[1] - guessed[1]
-        start = phase_guess(leg, FRACTIONS)
+        start = build_phase_guess(leg, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
         states, controls = start.states + _draw_angle_turns(problem, leg, rng, ratio, turned), start.controls
         if known is not None or not keeps_guess_shape(index):
@@ -80,7 +80,7 @@ def find_angular_states(problem: Problem, leg: Phase) -> Array:
         probe = build_angle_probe(problem, leg, of_states=True)
         return np.array([probe.find_period(i, PERIODS) for i in range(leg.model.states.size)])
 
-    return problem.reuse(("angular states", leg.name), build)
+    return problem.cache(("angular states", leg.name), build)
 
 
 def _draw_angle_turns(
@@ -89,7 +89,7 @@ def _draw_angle_turns(
     """Return turns of angles to add to the states (n_states, n_fractions); ``turned`` carries them between phases."""
     numbers, periods = leg.numbers, find_angular_states(problem, leg)
     first, last = (intersect(end, numbers.states) for end in (numbers.initial, numbers.final))
-    guess = phase_guess(leg, FRACTIONS[[0, -1]]).states
+    guess = build_phase_guess(leg, FRACTIONS[[0, -1]]).states
     added = np.zeros((periods.size, FRACTIONS.size))
     for i in np.flatnonzero(periods > 0):
         label, period = leg.model.states.labels[i], periods[i]
@@ -116,8 +116,8 @@ def _values_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
 
 def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float | None = None) -> Array:
     """Return initial and final time (2,); a free initial time follows the end of the phase before."""
-    first, last = guess_times(leg)
-    initial, final = leg.times()
+    first, last = guess_phase_times(leg)
+    initial, final = leg.time_ranges()
     span, spread, box = last - first, DURATION_MAX_RATIO, leg.numbers.duration
     if known:
         span, spread = known, KNOWN_DURATION_MAX_RATIO
@@ -156,7 +156,7 @@ def _draw_controls(
 ) -> Array:
     """Return full bang-bang patterns, or such patterns or smooth waves of any level, both equally likely."""
     bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
-    middle = np.where(bounded[:, None], box.middle[:, None], guess)
+    middle = np.where(bounded[:, None], box.midpoint[:, None], guess)
     reach = np.where(bounded, 0.5 * (box.upper - box.lower), magnitudes)
     if full or rng.uniform() < 0.5:
         pattern = np.stack([_draw_bang_bang_pattern(rng) for _ in range(reach.size)]) if reach.size else guess
@@ -167,7 +167,6 @@ def _draw_controls(
 
 
 def _draw_bang_bang_pattern(rng: np.random.Generator) -> Array:
-    """Return a pattern of -1 and +1 with a few random switches, at `FRACTIONS`."""
     switches = np.sort(rng.uniform(size=rng.integers(0, 5)))
     sign = rng.choice((-1.0, 1.0))
     return np.asarray(sign * (-1.0) ** np.searchsorted(switches, FRACTIONS))

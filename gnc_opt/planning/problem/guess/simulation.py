@@ -17,9 +17,9 @@ from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, Spe
 from gnc_opt.model.variables import as_expression, as_vector
 from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import (
-    guess_ends,
-    guess_times,
-    phase_guess,
+    build_phase_guess,
+    guess_boundary_states,
+    guess_phase_times,
     set_control_values,
 )
 from gnc_opt.planning.problem.phase import Phase
@@ -34,7 +34,7 @@ def with_simulated_guess(problem: Problem) -> Problem | None:
     """Return the problem with each phase simulated with its guessed mean controls, or None if that is impossible."""
     for name, leg in problem.phases.items():
         layout = leg.model.controls
-        held = phase_guess(leg, FRACTIONS).controls.mean(axis=1)
+        held = build_phase_guess(leg, FRACTIONS).controls.mean(axis=1)
         law = {control: held[layout.slice(control)] for control in layout.names}
         try:
             flight = guess_from_simulation(problem, law, phase=name).phases[name].numbers.guess
@@ -106,30 +106,30 @@ def guess_from_simulation(
     expect(controls, Mapping, "the law of guess_from_simulation()", 'write {"u": expression}')
     read_integer(n, "n of guess_from_simulation()", 2)
     leg = problem.get_phase(phase)
-    t0, tf = guess_times(leg)
+    t0, tf = guess_phase_times(leg)
     if duration is not None:
         tf = t0 + read_positive(duration, "the duration of guess_from_simulation()")
-    law = _control_law(problem, leg, controls)
+    law = _make_control_law(problem, leg, controls)
     q = problem.guessed_parameters()
-    p, start = leg.model.parameter_values, _initial_state(leg, initial)
+    p, start = leg.model.parameter_values, _read_initial_state(leg, initial)
     fast = make_fast_call(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
 
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
 
     stop = None if until is None else _build_stop_event(problem, leg, until)
-    sizes = nonzero_magnitude(np.maximum(np.abs(start), np.abs(guess_ends(leg)[1])))
+    sizes = nonzero_magnitude(np.maximum(np.abs(start), np.abs(guess_boundary_states(leg)[1])))
     try:
         flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:
         raise ProblemError(
-            f"the flight that guess_from_simulation() makes of {leg.where} cannot go on ({error}): change the law"
+            f"the flight that guess_from_simulation() makes of {leg.label} cannot go on ({error}): change the law"
             f"{_SMOOTHER if isinstance(error, SpentError) else ''}, the initial state or the duration."
         ) from None
     end = float(flight.times[-1])
     if stop is not None and end >= tf:
         raise ProblemError(
-            f"the end condition of guess_from_simulation(), {leg.where}, is {stop(end, flight.states[:, -1]):.4g} at "
+            f"the end condition of guess_from_simulation(), {leg.label}, is {stop(end, flight.states[:, -1]):.4g} at "
             f"the end, t = {end:.4g} s, and was never zero: give a longer duration, or another law."
         )
     times = np.linspace(t0, end, n)
@@ -159,15 +159,15 @@ def _integrate_guess(
         return integrate(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
-def _initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
-    start = guess_ends(leg)[0].copy()
+def _read_initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
+    start = guess_boundary_states(leg)[0].copy()
     for name, value in read_mapping(given, "initial of guess_from_simulation()", 'write {"q": 1.0}').items():
         rows = leg.model.states.slice(name)
         start[rows] = as_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
     return start
 
 
-def _control_law(
+def _make_control_law(
     problem: Problem, leg: Phase, controls: Mapping[str, Any]
 ) -> Callable[[float, Array], Array]:
     """Return the controls as a function of t and x, within their bounds."""
@@ -177,8 +177,8 @@ def _control_law(
     expressions: dict[str, Any] = {}
     for name, value in controls.items():
         if name not in sizes:
-            raise unknown_name("control", name, f"the law of guess_from_simulation() for {leg.where}", sizes)
-        what = f"the law of '{name}' for {leg.where}"
+            raise unknown_name("control", name, f"the law of guess_from_simulation() for {leg.label}", sizes)
+        what = f"the law of '{name}' for {leg.label}"
         if callable(value) and not isinstance(value, ca.SX):
             timed[name] = value
             continue
@@ -193,7 +193,7 @@ def _control_law(
         values = dict(zip(expressions, np.split(function(t, x), ends), strict=False))
         for name, signal in timed.items():
             values[name] = as_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
-        u = box.middle[:, None].copy()
+        u = box.midpoint[:, None].copy()
         for name, value in values.items():
             set_control_values(model, u, name, value[:, None])
         return np.clip(u[:, 0], box.lower, box.upper)
@@ -210,11 +210,10 @@ def _build_stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[flo
 def _compile_expression(
     problem: Problem, leg: Phase, expression: Any, what: str
 ) -> Callable[[float, Array], Array]:
-    """Return an expression in time, states and parameters as a function of t and x."""
     t, x, u, p = leg.model.arguments()
-    problem.refuse_foreign(leg, expression, what)
+    problem.check_foreign_symbols(leg, expression, what)
     if leg.model.controls.size and ca.depends_on(expression, u):
-        raise ProblemError(f"{what} uses controls of {leg.where}: write it in time, states and parameters.")
+        raise ProblemError(f"{what} uses controls of {leg.label}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
     function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind(leg, expression))])
     return make_fast_call(function, leg.model.parameter_values, problem.guessed_parameters())

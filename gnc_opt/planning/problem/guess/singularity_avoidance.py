@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.planning.problem.check_functions import find_nonfinite_at_guess
-from gnc_opt.planning.problem.guess.initial_guess import phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.planning.problem.typical_magnitudes import phase_magnitudes
@@ -36,7 +36,7 @@ def with_curved_guess(problem: P) -> P:
 
 def _curve_states(leg: Phase) -> dict[str, Any]:
     """All states that the user does not guess, as functions of time."""
-    start, layout, box = phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
+    start, layout, box = build_phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Each state by another share: r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
     states = start.states + (phase_magnitudes(leg)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)

@@ -12,7 +12,7 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.variables import as_vector
-from gnc_opt.planning.problem.interval import reject_ambiguous_pair
+from gnc_opt.planning.problem.interval import check_ambiguous_pair
 
 GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
 
@@ -36,7 +36,7 @@ def resample_guesses(
     shared = np.union1d(old_times, times)
     shared = shared[(shared >= times[0]) & (shared <= times[-1])]
     resampled = {
-        name: _interpolate_rows(value, given, shared) if _is_time_table(value, given) else value
+        name: _interpolate_guess(value, given, shared) if _is_time_table(value, given) else value
         for values, given in ((old, old_times), (new, times))
         for name, value in values.items()
     }
@@ -47,7 +47,7 @@ def _is_time_table(value: GuessValue, times: Array) -> bool:
     return not callable(value) and not isinstance(value, tuple) and np.shape(value)[-1:] == times.shape
 
 
-def _interpolate_rows(value: GuessValue, times: Array, at: Array) -> Array:
+def _interpolate_guess(value: GuessValue, times: Array, at: Array) -> Array:
     rows = np.asarray(value, dtype=float).reshape(-1, times.size)
     return np.stack([np.interp(at, times, row) for row in rows])
 
@@ -59,7 +59,7 @@ def sample_guess(
     if callable(value):
         sampled = np.stack([as_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
     elif isinstance(value, tuple):
-        sampled = _sample_line(value, size, fractions, what)
+        sampled = _sample_straight_line(value, size, fractions, what)
     else:
         sampled = _sample_table(read_numbers(value, what, ProblemError), size, at, times, what)
     bad = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
@@ -68,12 +68,12 @@ def sample_guess(
     return sampled
 
 
-def _sample_line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
+def _sample_straight_line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
     if len(value) != 2:
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."
         )
-    reject_ambiguous_pair((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
+    check_ambiguous_pair((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
     first, last = (
         as_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True)
     )
@@ -92,4 +92,4 @@ def _sample_table(array: Array, size: int, at: Array, times: Array | None, what:
         raise ProblemError(
             f"{what} has the shape {array.shape}: with {times.size} guess times give ({size}, {times.size})."
         )
-    return _interpolate_rows(array, times, at)
+    return _interpolate_guess(array, times, at)

@@ -28,7 +28,7 @@ from gnc_opt.model.function_evaluation import evaluate
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_terms
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
@@ -48,7 +48,7 @@ class AlgebraicForm:
     rate: Any
     ends: dict[str, dict[str, Any]]
 
-    def is_wanted(self, leg: Phase) -> bool:
+    def is_needed(self, leg: Phase) -> bool:
         """Whether the variable was declared as algebraic, or would hide bang-bang arcs of the other controls."""
         model, name = leg.model, self.symbol.variable.name
         if name in model.equations:
@@ -64,9 +64,9 @@ class AlgebraicForm:
 
     def is_regular(self, leg: Phase) -> bool:
         """Whether the rate of the variable is finite along a phase's guess."""
-        start, model = phase_guess(leg, SAMPLES, perturbed=False), leg.model
-        first, last = guess_times(leg)
-        function = leg.reuse(
+        start, model = build_phase_guess(leg, SAMPLES, perturbed=False), leg.model
+        first, last = guess_phase_times(leg)
+        function = leg.cache(
             f"rate of {self.constraint}", lambda: ca.Function("rate", [*model.arguments()], [self.rate])
         )
         with np.errstate(all="ignore"):
@@ -79,7 +79,7 @@ class AlgebraicForm:
             )
         return bool(np.all(np.isfinite(values)))
 
-    def apply(self, problem: Statement, leg: Phase) -> None:
+    def apply_to_phase(self, problem: Statement, leg: Phase) -> None:
         """Let the variable be a state of a phase."""
         t, x, _, _ = leg.model.arguments()
         constraint = leg.paths[self.constraint]
@@ -98,13 +98,13 @@ def with_algebraic_states(problem: P) -> P:
     """Return a problem whose algebraic variables are states; itself if it has none."""
     found = []
     for name, leg in problem.phases.items():
-        forms = problem.reuse(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]
-        found += [(name, form) for form in forms if form.is_wanted(leg) and form.is_regular(leg)]
+        forms = problem.cache(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]
+        found += [(name, form) for form in forms if form.is_needed(leg) and form.is_regular(leg)]
     if not found:
         return problem
     twin = problem.clone()
     for name, form in found:
-        form.apply(twin, twin.phases[name])
+        form.apply_to_phase(twin, twin.phases[name])
     twin.builds = problem.builds.setdefault(
         ("algebraic", *((name, form.constraint) for name, form in found)), {}
     )

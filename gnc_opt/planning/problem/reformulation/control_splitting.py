@@ -18,7 +18,7 @@ from gnc_opt.model.composed_controls import SplitControl
 from gnc_opt.model.expressions import replace_in
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval import Interval, by_name, free, intersect, stack_ranges
+from gnc_opt.planning.problem.interval import Interval, by_name, intersect, stack_ranges, unbounded
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
@@ -45,7 +45,7 @@ class Bend:
     corner: float
 
     @classmethod
-    def of(cls, kink: Extremum, controls: Mapping[int, Any], domain: Domain) -> Bend | None:
+    def from_kink(cls, kink: Extremum, controls: Mapping[int, Any], domain: Domain) -> Bend | None:
         """Return the bend that a kink is; None if it has more pieces, or its corner is no number on one control."""
         if len(kink.pieces) != 2:
             return None
@@ -66,18 +66,20 @@ BoundsByHand: TypeAlias = dict[str, Interval]
 """Of all controls, by the path constraint that says them."""
 
 
-def find_stated_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
+def find_constraint_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
     """Return the bounds of controls that path constraints with kinks amount to, and nothing else."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
     controls = {place: symbols[place] for place in index_stated_controls(leg).values()}
     smooth = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
     found = {
-        name: _read_bounds(c, controls, free(len(symbols))) for name, c in smooth.items() if c is not None
+        name: _read_control_bounds(c, controls, unbounded(len(symbols)))
+        for name, c in smooth.items()
+        if c is not None
     }
     return {name: box for name, box in found.items() if box is not None}
 
 
-def apply_stated_bounds(leg: Phase, found: BoundsByHand) -> None:
+def apply_constraint_bounds(leg: Phase, found: BoundsByHand) -> None:
     """Give controls the bounds that path constraints amount to, in place of those."""
     box = leg.numbers.controls
     for own in found.values():
@@ -88,7 +90,7 @@ def apply_stated_bounds(leg: Phase, found: BoundsByHand) -> None:
     leg.restatement = Restatement.from_limits(leg.model, texts).compose_after(leg.restatement)
 
 
-def _read_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
+def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
     """Return the bounds that a constraint amounts to if each row is affine in one control alone, else None."""
     for i, row in enumerate(ca.vertsplit(constraint.expression)):
         own = ca.symvar(row)
@@ -96,7 +98,7 @@ def _read_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval
         if place is None or not is_affine(row, own[0]):
             return None
         rest, slope = draw_values(ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0])))[:, 0]
-        limits = constraint.interval.row(i)
+        limits = constraint.interval.component(i)
         lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
         box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
     return box if np.all(box.lower <= box.upper) else None
@@ -110,12 +112,12 @@ class Bends:
     corners: dict[int, float]
 
     @classmethod
-    def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
+    def from_phase(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
         """Find those of controls all of whose components bend a cost, at one corner each."""
         layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
         controls = {i: symbols[i] for i in index_stated_controls(leg).values()}
         bends = {
-            name: [bend for kink in kinks if (bend := Bend.of(kink, controls, domain)) is not None]
+            name: [bend for kink in kinks if (bend := Bend.from_kink(kink, controls, domain)) is not None]
             for name, kinks in find_costed_kinks(problem, leg, domain).items()
         }
         corners: dict[int, float] = {}
@@ -128,7 +130,7 @@ class Bends:
         return cls({name: own for name, own in kept.items() if own}, corners)
 
     @property
-    def key(self) -> tuple[Any, ...]:
+    def cache_key(self) -> tuple[Any, ...]:
         """The same for the same form."""
         return tuple((name, *(b.node.element_hash() for b in own)) for name, own in self.at.items())
 
@@ -140,7 +142,7 @@ class SplitForm(PhaseForm):
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def of(cls, leg: Phase, bends: Bends) -> SplitForm:
+    def split_controls(cls, leg: Phase, bends: Bends) -> SplitForm:
         """Restate a phase in the parts of the controls that bend."""
         old, layout = leg.model, leg.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[SplitControl]()
@@ -172,7 +174,7 @@ class SplitForm(PhaseForm):
             return replace_in(replace_in(expression, known), instead)
 
         stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
-        lengths = {v.length for v in leg.vectors}
+        lengths = {v.length for v in leg.vector_controls}
         return cls(
             old.in_controls(
                 controls,
@@ -190,7 +192,7 @@ class SplitForm(PhaseForm):
             tuple(splits),
         )
 
-    def apply(self, leg: Phase) -> None:
+    def apply_to_phase(self, leg: Phase) -> None:
         """Give a phase this form with its own numbers."""
         old, scales = leg.numbers, dict(leg.numbers.scales)
         boxes = by_name(old.controls, leg.model.controls)
@@ -204,7 +206,7 @@ class SplitForm(PhaseForm):
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
-        self.give_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
+        self.apply_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
 def _find_corners(bends: Bends, places: range) -> tuple[float, ...]:

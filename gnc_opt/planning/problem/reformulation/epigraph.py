@@ -15,7 +15,6 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.expressions import find_operations, list_nodes, replace_in
-from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import table_calls
@@ -39,7 +38,7 @@ class Extremum:
 
 def find_costed_kinks(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
-    ignored, found = _table_pieces(problem, leg), {}
+    ignored, found = _table_node_hashes(problem, leg), {}
     wanted = find_integral_senses(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
@@ -59,11 +58,11 @@ def find_convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Dom
     for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
         own = sense * direction
         found = find_kink_pieces(node, own, domain) if own else None
-        if found is not None and len(found) > 1 and not _is_rounded(expression, Extremum(node, own, found)):
+        if found is not None and len(found) > 1 and not _is_smoothed(expression, Extremum(node, own, found)):
             yield Extremum(node, own, found)
 
 
-def _is_rounded(expression: Any, kink: Extremum) -> bool:
+def _is_smoothed(expression: Any, kink: Extremum) -> bool:
     """Whether an expression has no slope, or no finite one, wherever two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
     of_z = replace_in(expression, {kink.node.element_hash(): z})
@@ -85,7 +84,7 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
 
 def find_integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals of which less is never worse, -1 for more, 0 for both or neither, by name."""
-    domain = Domain.at_ends(problem)
+    domain = Domain.from_boundary(problem)
     ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
     box = problem.constraint_interval()
     lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
@@ -98,7 +97,7 @@ def find_integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
     return senses
 
 
-def _table_pieces(problem: Statement, leg: Phase) -> frozenset[int]:
+def _table_node_hashes(problem: Statement, leg: Phase) -> frozenset[int]:
     return frozenset[int]().union(*(use.hashes for use in table_calls(problem, problem.phases[leg.name])))
 
 
@@ -137,7 +136,7 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domai
 def find_kink_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     """Return smooth expressions of which a node is the largest (sense 1) or the least (-1); None if it is of none."""
     found = _find_smooth_pieces(node, sense, domain)
-    return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated(found, sense)
+    return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated_constants(found, sense)
 
 
 def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
@@ -150,12 +149,12 @@ def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
             return None
         if node.op() == ca.OP_FABS and domain.sign(operands[0]) > 0:
             operands = operands[:1]
-        return _merge_pieces([_find_smooth_pieces(operand, sense, domain) for operand in operands])
+        return _merge_smooth_pieces([_find_smooth_pieces(operand, sense, domain) for operand in operands])
     operation = node.op()
     if operation == ca.OP_NEG:
-        return _scale_pieces(_find_smooth_pieces(node.dep(0), -sense, domain), -1)
+        return _scale_smooth_pieces(_find_smooth_pieces(node.dep(0), -sense, domain), -1)
     if operation == ca.OP_TWICE:
-        return _scale_pieces(_find_smooth_pieces(node.dep(0), sense, domain), 2)
+        return _scale_smooth_pieces(_find_smooth_pieces(node.dep(0), sense, domain), 2)
     if operation in (ca.OP_ADD, ca.OP_SUB):
         sign = 1 if operation == ca.OP_ADD else -1
         left, right = (
@@ -178,12 +177,12 @@ def _find_product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None
     sign = domain.sign(factor) if is_smooth(factor) else 0
     if sign == 0:
         return None
-    return _scale_pieces(
+    return _scale_smooth_pieces(
         _find_smooth_pieces(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
     )
 
 
-def _merge_pieces(lists: list[Pieces | None]) -> Pieces | None:
+def _merge_smooth_pieces(lists: list[Pieces | None]) -> Pieces | None:
     found: dict[int, Any] = {}
     for one in lists:
         if one is None:
@@ -192,7 +191,7 @@ def _merge_pieces(lists: list[Pieces | None]) -> Pieces | None:
     return list(found.values())
 
 
-def _scale_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
+def _scale_smooth_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
@@ -235,7 +234,7 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
     return -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
 
 
-def _drop_dominated(found: Pieces, sense: int) -> Pieces:
+def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
     """Leave out constants that the larger of e and -e is never below."""
     values = draw_values(ca.vertcat(*found))
     opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
@@ -243,7 +242,7 @@ def _drop_dominated(found: Pieces, sense: int) -> Pieces:
     return [e for e, kept in zip(found, keep, strict=True) if kept]
 
 
-def split_rows(column: Any) -> Iterator[Any]:
+def split_column(column: Any) -> Iterator[Any]:
     """Yield the rows of a column, of which there may be none."""
     yield from ca.vertsplit(column) if column.numel() else ()
 
@@ -251,7 +250,7 @@ def split_rows(column: Any) -> Iterator[Any]:
 def has_end_kinks(problem: Statement) -> bool:
     """Whether cost or boundary constraints hold a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool({*KINKED} & problem.reuse(("operations", "ends"), lambda: find_operations(ends)))
+    return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operations(ends)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,8 +263,7 @@ class EndForm:
     texts: tuple[str, ...]
 
     @classmethod
-    def of(cls, problem: Statement, domain: Domain) -> EndForm:
-        """Restate a problem."""
+    def from_problem(cls, problem: Statement, domain: Domain) -> EndForm:
         limits = {name: split_kinked_constraint(c, domain) for name, c in problem.constraints.items()}
         changed = {name: c for name, c in limits.items() if c is not None}
         constraints, instead = {**problem.constraints, **changed}, {}
@@ -291,12 +289,11 @@ class EndForm:
         return cls(replace_in(problem.cost, instead), constraints, parameters, texts)
 
     @property
-    def key(self) -> tuple[Any, ...]:
+    def cache_key(self) -> tuple[Any, ...]:
         """The same for the same form."""
         return tuple((name, c.size) for name, c in self.constraints.items())
 
-    def apply(self, problem: Statement) -> None:
-        """Give a problem this form."""
+    def apply_to_problem(self, problem: Statement) -> None:
         for symbol, least in self.parameters.values():
             box = Interval(np.array([least]), np.full(1, np.inf))
             problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
@@ -314,8 +311,7 @@ class Kinked:
     limits: dict[str, Constraint]
 
     @classmethod
-    def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Kinked:
-        """Find them."""
+    def from_phase(cls, problem: Statement, leg: Phase, domain: Domain) -> Kinked:
         _, x, u, _ = leg.model.arguments()
         found = find_costed_kinks(problem, leg, domain)
         costs = {
@@ -328,7 +324,7 @@ class Kinked:
         )
 
     @property
-    def key(self) -> tuple[Any, ...]:
+    def cache_key(self) -> tuple[Any, ...]:
         """The same for the same form."""
         costs = ((name, *(k.node.element_hash() for k in own)) for name, own in self.costs.items())
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
@@ -338,7 +334,7 @@ def split_kinked_constraint(constraint: Constraint, domain: Domain) -> Constrain
     """Return a constraint with smooth rows for each row that is the largest or least of them; None if there is none."""
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False
-    for i, row in enumerate(split_rows(constraint.expression)):
+    for i, row in enumerate(split_column(constraint.expression)):
         sense = read_limit_sense(constraint, i)
         own = find_kink_pieces(row, sense, domain) if sense and not is_smooth(row) else None
         changed |= own is not None
@@ -362,7 +358,6 @@ def build_epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, flo
 
 
 def _is_constant_within(expression: Any, lower: float, upper: float) -> bool:
-    """Whether an expression is a constant within limits."""
     return bool(expression.is_constant() and lower <= float(expression) <= upper)
 
 
@@ -374,8 +369,7 @@ class EpigraphForm(PhaseForm):
     least: dict[str, float]
 
     @classmethod
-    def of(cls, leg: Phase, kinked: Kinked) -> EpigraphForm:
-        """Restate a phase with a control for each kink that costs."""
+    def from_phase(cls, leg: Phase, kinked: Kinked) -> EpigraphForm:
         old = leg.model
         symbols: dict[int, Symbol] = {}
         kinks, least, texts = {}, {}, []
@@ -385,7 +379,9 @@ class EpigraphForm(PhaseForm):
                 place = kink.node.element_hash()
                 if place in symbols:
                     continue
-                s = symbols[place] = _epigraph_symbol(old, len(symbols))
+                s = symbols[place] = Symbol(
+                    Variable(unused_name(old, f"epigraph_{len(symbols) + 1}".removesuffix("_1")), 1, "")
+                )
                 label = s.variable.name
                 kinks[label] = kink
                 paths[label], least[label] = build_epigraph_rows(s, kink)
@@ -406,7 +402,7 @@ class EpigraphForm(PhaseForm):
             least,
         )
 
-    def apply(self, problem: Statement, leg: Phase) -> None:
+    def apply_to_phase(self, problem: Statement, leg: Phase) -> None:
         """Give a phase this form with its own numbers."""
         stated = leg.clone()
         least = np.array([self.least[name] for name in self.kinks])
@@ -419,8 +415,4 @@ class EpigraphForm(PhaseForm):
             np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])
         )
         guessed = PhaseGuess(guess.time, {**guess.values, **values})
-        self.give_form(leg, replace(leg.numbers, controls=controls, guess=guessed))
-
-
-def _epigraph_symbol(model: Model, k: int) -> Symbol:
-    return Symbol(Variable(unused_name(model, "epigraph" if k == 0 else f"epigraph_{k + 1}"), 1, ""))
+        self.apply_form(leg, replace(leg.numbers, controls=controls, guess=guessed))

@@ -21,8 +21,8 @@ from gnc_opt.planning.problem.reformulation.algebraic_variables import with_alge
 from gnc_opt.planning.problem.reformulation.control_splitting import (
     Bends,
     SplitForm,
-    apply_stated_bounds,
-    find_stated_bounds,
+    apply_constraint_bounds,
+    find_constraint_bounds,
 )
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
@@ -43,7 +43,7 @@ _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 def _without_redundant_bounds(problem: P) -> P:
     """Return a problem without bounds of controls that exclude nothing; itself if it has none."""
-    found = {name: _without_redundant_numbers(problem, leg) for name, leg in problem.phases.items()}
+    found = {name: _without_redundant_phase_bounds(problem, leg) for name, leg in problem.phases.items()}
     if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
         return problem
     twin = problem.clone()
@@ -52,13 +52,13 @@ def _without_redundant_bounds(problem: P) -> P:
     return twin
 
 
-def _without_redundant_numbers(problem: Statement, leg: Phase) -> PhaseNumbers:
+def _without_redundant_phase_bounds(problem: Statement, leg: Phase) -> PhaseNumbers:
     """Return the numbers of a phase without the bounds of whole turns, and those that a length implies."""
     if leg.numbers.arcs is not None:
         return leg.numbers
     old, box = leg.numbers.controls, _find_bounds_beyond_length(problem, leg)
-    turns = _find_full_turns(problem, leg, box)
-    free = turns.free
+    turns = _find_unrestricted_angles(problem, leg, box)
+    free = turns.free_controls
     lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
     if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
         return leg.numbers
@@ -76,7 +76,7 @@ def _find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
         if square.size > 1 or not 0.0 < square[0] == constraint.interval.lower[0]:
             continue
         squared = partial(_find_squared_controls, leg, constraint.expression)
-        places = problem.reuse(("vector of length", leg.name, name), squared)
+        places = problem.cache(("vector of length", leg.name, name), squared)
         length = np.sqrt(square[0]) * (1.0 - ROUNDING)
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
@@ -97,14 +97,14 @@ def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
     return [int(i) for i in places] if only_squares else []
 
 
-def _find_full_turns(problem: Statement, leg: Phase, box: Interval) -> Turns:
+def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> Turns:
     """Return the angles whose bounds leave out no direction."""
     width, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = Turns(none - np.inf, none + np.inf, none)
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
-    if not _TURNING & problem.reuse(("operations", leg.name), lambda: find_operations(stack_terms(leg))):
+    if not _TURNING & problem.cache(("operations", leg.name), lambda: find_operations(stack_terms(leg))):
         return turns
     probe = build_angle_probe(problem, leg)
     if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
@@ -122,7 +122,7 @@ def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
-    function = problem.reuse(
+    function = problem.cache(
         ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_terms(leg))
     )
     values = leg.model.parameter_values
@@ -148,43 +148,42 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        rootless = problem.reuse(("rootless", leg.name), lambda leg=leg: remove_roots(leg))  # type: ignore[misc]
+        rootless = problem.cache(("rootless", leg.name), lambda leg=leg: remove_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes(), *rootless)
-        while (form := _find_next_form(problem, leg, key)) is not None:
-            key = (*key, *form.names, *form.apply(problem, leg))
+        while (form := _find_next_norm_form(problem, leg, key)) is not None:
+            key = (*key, *form.names, *form.apply_to_phase(problem, leg))
         keys.append((*key, *_reformulate_kinks(problem, leg, key)))
-    ends = _reformulate_ends(problem, twin) if kinked_ends else ()
+    ends = _reformulate_boundary(problem, twin) if kinked_ends else ()
     if all(len(key) == 2 for key in keys) and not ends:
         return problem
     twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
     return twin
 
 
-def _reformulate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
+def _reformulate_boundary(problem: Statement, twin: Statement) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
-    domain = Domain.at_ends(problem)
-    form = problem.reuse(("ends", domain.key), lambda: EndForm.of(problem, domain))
+    domain = Domain.from_boundary(problem)
+    form = problem.cache(("ends", domain.cache_key), lambda: EndForm.from_problem(problem, domain))
     if form.texts:
-        form.apply(twin)
-    return form.key if form.texts else ()
+        form.apply_to_problem(twin)
+    return form.cache_key if form.texts else ()
 
 
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.reuse(("operations", leg.name), lambda: find_operations(stack_terms(leg)))
+    operations = problem.cache(("operations", leg.name), lambda: find_operations(stack_terms(leg)))
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
-def _find_next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> NormForm | None:
-    """The next form of a phase, which is the same for all variations."""
+def _find_next_norm_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> NormForm | None:
 
     def build() -> NormForm | None:
         names = find_norm_vector(leg)
-        return None if names is None else NormForm.of(leg, names)
+        return None if names is None else NormForm.from_phase(leg, names)
 
-    return problem.reuse(("form", *key), build)
+    return problem.cache(("form", *key), build)
 
 
 def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -192,25 +191,33 @@ def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> 
     form_key = key
     if not _has_kinks(problem, leg, form_key):
         return ()
-    domain = Domain.along(problem, leg)
-    bounds = problem.reuse(("bounds", *form_key, domain.key), lambda: find_stated_bounds(leg, domain))
+    domain = Domain.from_phase(problem, leg)
+    bounds = problem.cache(
+        ("bounds", *form_key, domain.cache_key), lambda: find_constraint_bounds(leg, domain)
+    )
     if bounds:
         form_key = (*form_key, *bounds)
-        apply_stated_bounds(leg, bounds)
-        domain = Domain.along(problem, leg)
-    bends = problem.reuse(("bends", *form_key, domain.key), lambda: Bends.of(problem, leg, domain))
+        apply_constraint_bounds(leg, bounds)
+        domain = Domain.from_phase(problem, leg)
+    bends = problem.cache(
+        ("bends", *form_key, domain.cache_key), lambda: Bends.from_phase(problem, leg, domain)
+    )
     if bends.at:
-        form_key = (*form_key, *bends.key)
-        problem.reuse(("split", *form_key), lambda: SplitForm.of(leg, bends)).apply(leg)
-        domain = Domain.along(problem, leg)
+        form_key = (*form_key, *bends.cache_key)
+        problem.cache(("split", *form_key), lambda: SplitForm.split_controls(leg, bends)).apply_to_phase(leg)
+        domain = Domain.from_phase(problem, leg)
     if not _has_kinks(problem, leg, form_key):
         return form_key[len(key) :]
-    kinked = problem.reuse(("kinked", *form_key, domain.key), lambda: Kinked.of(problem, leg, domain))
+    kinked = problem.cache(
+        ("kinked", *form_key, domain.cache_key), lambda: Kinked.from_phase(problem, leg, domain)
+    )
     if kinked.costs or kinked.limits:
-        form_key = (*form_key, *kinked.key)
-        problem.reuse(("epigraph", *form_key), lambda: EpigraphForm.of(leg, kinked)).apply(problem, leg)
+        form_key = (*form_key, *kinked.cache_key)
+        problem.cache(("epigraph", *form_key), lambda: EpigraphForm.from_phase(leg, kinked)).apply_to_phase(
+            problem, leg
+        )
     return form_key[len(key) :]
 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
-    return bool({*KINKED} & problem.reuse(("operations", *key), lambda: find_operations(stack_terms(leg))))
+    return bool({*KINKED} & problem.cache(("operations", *key), lambda: find_operations(stack_terms(leg))))

@@ -11,29 +11,27 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import build_phase_function
-from gnc_opt.planning.problem.guess.initial_guess import guess_times, phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement
 from gnc_opt.planning.problem.statement import Statement
 
 
-def taken_names(model: Model) -> frozenset[str]:
-    """Return the names of a model's variables and outputs."""
+def used_variable_names(model: Model) -> frozenset[str]:
     layouts = (model.states, model.controls, model.parameters, model.outputs)
     return frozenset(name for layout in layouts for name in layout.names)
 
 
 def unused_name(model: Model, wanted: str) -> str:
     """Return a name that a model does not have yet."""
-    taken = taken_names(model)
+    taken = used_variable_names(model)
     while wanted in taken:
         wanted += "_"
     return wanted
 
 
 def copy_parameter_values(model: Model, old: Model) -> Model:
-    """Return a model with the values of another one's parameters."""
     layout = old.parameters
     return model.with_parameters(
         **{v.name: old.parameter_values[layout.slice(v.name)] for v in layout.variables}
@@ -49,7 +47,7 @@ class PhaseForm:
     integrands: dict[str, tuple[Any, Any]]
     restatement: Restatement
 
-    def give_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
+    def apply_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
         """Give a phase this form, and numbers in its controls."""
         leg.model = copy_parameter_values(self.model, leg.model)
         leg.numbers = numbers
@@ -63,8 +61,8 @@ def guess_column(problem: Statement, stated: Phase, column: Any) -> GuessValue:
     q = problem.guessed_parameters()
 
     def at(t: Any) -> Array:
-        first, last = guess_times(stated)
-        start = phase_guess(stated, np.array([(t - first) / (last - first)]), perturbed=False)
+        first, last = guess_phase_times(stated)
+        start = build_phase_guess(stated, np.array([(t - first) / (last - first)]), perturbed=False)
         values = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
         return np.asarray(values.full()[:, 0])
 

@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
 from gnc_opt.model.expressions import ROOTS, NormNodes, list_nodes, rebuild_node
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Symbol, Variable
+from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_terms
 from gnc_opt.planning.problem.interval import Interval, by_name, stack_intervals, stack_ranges
@@ -27,8 +27,8 @@ from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatem
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     guess_column,
-    taken_names,
     unused_name,
+    used_variable_names,
 )
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
@@ -39,7 +39,9 @@ Names: TypeAlias = tuple[str, ...]
 def find_norm_vector(leg: Phase) -> Names | None:
     """Return the controls of the largest vector of which a root is the norm, or whose norm is limited by a control."""
     return max(
-        [*_root_vectors(leg), *(names for names, _, _ in _limiting_controls(leg))], key=len, default=None
+        [*_find_vectors_in_norms(leg), *(names for names, _, _ in _find_norm_limits(leg))],
+        key=len,
+        default=None,
     )
 
 
@@ -52,13 +54,17 @@ def index_stated_controls(leg: Phase) -> dict[int, int]:
     return {s.element_hash(): i for i, s in enumerate(symbols) if i not in taken}
 
 
-def _root_vectors(leg: Phase) -> Iterator[Names]:
+def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
     """Yield vectors, whole controls, of which a root is the norm: there it has no derivative at zero."""
     stated, controls = index_stated_controls(leg), leg.model.controls
     for node in list_nodes(stack_terms(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
-            names = tuple(v.name for v in controls.variables if places & _control_places(controls, v.name))
+            names = tuple(
+                v.name
+                for v in controls.variables
+                if places & set(range(*controls.slice(v.name).indices(controls.size)))
+            )
             whole = sum(controls[name].size for name in names) == len(places)
             if whole and len(places) > 1:
                 vector = ca.vertcat(*map(leg.model.symbol, names))
@@ -66,7 +72,7 @@ def _root_vectors(leg: Phase) -> Iterator[Names]:
                     yield names
 
 
-def _limiting_controls(leg: Phase) -> Iterator[tuple[Names, str, str]]:
+def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
     """Yield vectors with the control >= 0 and the path constraint that limit their norms: ``T.T @ T <= d**2``."""
     layout, box = leg.model.controls, by_name(leg.numbers.controls, leg.model.controls)
     stated = set(index_stated_controls(leg))
@@ -79,11 +85,11 @@ def _limiting_controls(leg: Phase) -> Iterator[tuple[Names, str, str]]:
             if layout[name].size == 1 < sum(layout[n].size for n in others) and box[name].lower[0] >= 0:
                 vector, size = ca.vertcat(*(symbols[n] for n in others)), ca.SX.sym("size")
                 of_size = NormNodes.of(row, vector).replace_norms(row, size, {})
-                if _is_largest_size(of_size, size, symbols[name], limits):
+                if _is_norm_upper_limit(of_size, size, symbols[name], limits):
                     yield others, name, label
 
 
-def _is_largest_size(expression: Any, size: Any, control: Any, limits: Interval) -> bool:
+def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Interval) -> bool:
     """Whether a row with one limit, an expression of a norm and a control alone, says that the former is no larger."""
     if {s.element_hash() for s in ca.symvar(expression)} != {size.element_hash(), control.element_hash()}:
         return False
@@ -96,14 +102,10 @@ def _is_largest_size(expression: Any, size: Any, control: Any, limits: Interval)
 
 def _split_path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
-    lengths = {v.length for v in leg.vectors}
+    lengths = {v.length for v in leg.vector_controls}
     for name, c in leg.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
-            yield label, c.expression[i], c.interval.row(i)
-
-
-def _control_places(layout: Layout, name: str) -> set[int]:
-    return set(range(*layout.slice(name).indices(layout.size)))
+            yield label, c.expression[i], c.interval.component(i)
 
 
 _SIZES = (0.7, 1.3, 2.1)
@@ -128,7 +130,9 @@ def remove_roots(leg: Phase) -> dict[str, Constraint]:
     """Return those constraints of a phase that have rows ``root <= c``, as they are without the root."""
     changed = {}
     for name, c in leg.paths.items():
-        rows = [_remove_root(row, c.interval.row(i)) for i, row in enumerate(ca.vertsplit(c.expression))]
+        rows = [
+            _remove_root(row, c.interval.component(i)) for i, row in enumerate(ca.vertsplit(c.expression))
+        ]
         if any(row is not None for row in rows):
             kept = ca.vertsplit(c.expression)
             both = [old if new is None else new for new, old in zip(rows, kept, strict=True)]
@@ -144,15 +148,14 @@ def _remove_root(row: Any, limits: Interval) -> Any | None:
     place, size = root.element_hash(), ca.SX.sym("size")
     of_size = rebuild_node(row, lambda node: size if node.element_hash() == place else None)
     found = read_norm_limits(of_size, size, limits)
-    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _root_vanishes(root):
+    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _vanishes_at_origin(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
     return rebuild_node(row, lambda node: tangent if node.element_hash() == place else None)
 
 
-def _root_vanishes(root: Any) -> bool:
-    """Whether a root is zero where everything is."""
+def _vanishes_at_origin(root: Any) -> bool:
     symbols = ca.vertcat(*ca.symvar(root))
     return float(ca.Function("root", [symbols], [root])(np.zeros(symbols.numel()))) == 0
 
@@ -169,7 +172,7 @@ class NormForm(PhaseForm):
         Of the norm, from the constraints that were removed.
     on_sphere : bool or None
         True if a vector shorter than the magnitude could violate a limit, False if it is allowed, None if
-        `Phase.on_sphere` decides.
+        `Phase.has_unit_direction` decides.
     """
 
     names: Names
@@ -179,13 +182,13 @@ class NormForm(PhaseForm):
     on_sphere: bool | None
 
     @classmethod
-    def of(cls, leg: Phase, names: Names) -> NormForm:
+    def from_phase(cls, leg: Phase, names: Names) -> NormForm:
         """Restate a phase in the norm of some of its controls."""
         old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
         norms = NormNodes.of(ca.vertcat(stack_terms(leg), *outputs), vector)
-        found = _NormLimits.of(leg, names, norms)
-        name, magnitude, direction = _new_symbols(old, names)
+        found = _NormLimits.from_constraints(leg, names, norms)
+        name, magnitude, direction = _create_vector_symbols(old, names)
         if found.control is not None:
             magnitude = old.symbol(found.control)
         product = magnitude * direction
@@ -197,7 +200,7 @@ class NormForm(PhaseForm):
 
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
-        paths, on_sphere = _reformulate_paths(found.kept, express, magnitude)
+        paths, on_sphere = _reformulate_path_constraints(found.kept, express, magnitude)
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if found.control is None else magnitude
         for v in old.controls.variables:
@@ -210,8 +213,8 @@ class NormForm(PhaseForm):
         shown = name if len(names) == 1 else f"[{', '.join(names)}]"
         text = f"{shown} is solved for as {' * '.join(parts)}{_removed_limits_text(found.labels)}"
         return cls(
-            old.in_controls(controls, list(_composed_controls(old, names, control, product)), express),
-            {**paths, **{v.length: leg.paths[v.length] for v in leg.vectors}},
+            old.in_controls(controls, list(_build_composed_controls(old, names, control, product)), express),
+            {**paths, **{v.length: leg.paths[v.length] for v in leg.vector_controls}},
             {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(old, vector, product, ca.vertcat(*values), (text,)),
             names,
@@ -221,10 +224,10 @@ class NormForm(PhaseForm):
             on_sphere or None if found.control is None else False,
         )
 
-    def apply(self, problem: Statement, leg: Phase) -> tuple[str, ...]:
+    def apply_to_phase(self, problem: Statement, leg: Phase) -> tuple[str, ...]:
         """Give a phase this form with its own numbers; return the names of the constraints that are added."""
         stated, old, magnitude = leg.clone(), leg.numbers, self.control.magnitude
-        rows = self._component_limits(stated)
+        rows = self._component_constraints(stated)
         boxes = by_name(old.controls, stated.model.controls)
         boxes.setdefault(magnitude, Interval(np.array([self.limits[0]]), np.array([self.limits[1]])))
         scales = {name: value for name, value in old.scales.items() if name not in self.names}
@@ -237,12 +240,12 @@ class NormForm(PhaseForm):
             vector = ca.vertcat(*map(stated.model.symbol, self.names))
             guess = PhaseGuess(guess.time, {**kept, self.control.name: guess_column(problem, stated, vector)})
         controls = stack_ranges(boxes, self.model.controls)
-        self.give_form(leg, replace(old, controls=controls, scales=scales, guess=guess))
+        self.apply_form(leg, replace(old, controls=controls, scales=scales, guess=guess))
         leg.paths |= rows
-        leg.add_vector(self.control, on_sphere=self.on_sphere)
+        leg.record_vector_control(self.control, on_sphere=self.on_sphere)
         return tuple(rows)
 
-    def _component_limits(self, stated: Phase) -> dict[str, Constraint]:
+    def _component_constraints(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
         boxes, layout = by_name(stated.numbers.controls, stated.model.controls), stated.model.controls
         box, labels = (
@@ -265,12 +268,12 @@ class NormForm(PhaseForm):
 # --- controls ---------------------------------------------------------------------------------------------
 
 
-def _new_symbols(model: Model, names: Names) -> tuple[str, Symbol, Symbol]:
+def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Symbol]:
     """Return the name of a vector, that of its control or what those of several begin with, magnitude and direction."""
     variables = [model.controls[name] for name in names]
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
     common = "".join(letters[0] for letters in alike).rstrip("_")
-    usable = len(names) == 1 or (common.isidentifier() and common not in taken_names(model))
+    usable = len(names) == 1 or (common.isidentifier() and common not in used_variable_names(model))
     name = common if usable else "_".join(names)
     known = [max(v.nominal) for v in variables if v.nominal is not None]
     nominal, size = (max(known),) if known else None, sum(v.size for v in variables)
@@ -279,10 +282,9 @@ def _new_symbols(model: Model, names: Names) -> tuple[str, Symbol, Symbol]:
     return name, Symbol(magnitude), Symbol(direction)
 
 
-def _composed_controls(
+def _build_composed_controls(
     model: Model, names: Names, control: VectorControl, product: Any
 ) -> Iterator[tuple[ComposedControl, Any]]:
-    """Yield the vector with its value, and the controls that are components of it with theirs."""
     yield control, product
     if len(names) > 1:
         first = 0
@@ -308,7 +310,7 @@ class _NormLimits:
     control: str | None
 
     @classmethod
-    def of(cls, leg: Phase, names: Names, norms: NormNodes) -> _NormLimits:
+    def from_constraints(cls, leg: Phase, names: Names, norms: NormNodes) -> _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
         for label, row, limits in _split_path_rows(leg):
@@ -318,7 +320,7 @@ class _NormLimits:
             else:
                 least, most = max(least, own[0]), min(most, own[1])
                 removed.append(label)
-        limiting = [(control, label) for vector, control, label in _limiting_controls(leg) if vector == names]
+        limiting = [(control, label) for vector, control, label in _find_norm_limits(leg) if vector == names]
         if len(limiting) == 1 and not removed:
             ((control, label),) = limiting
             others = [c for c in kept if c.name != label]
@@ -336,7 +338,7 @@ def _removed_limits_text(labels: list[str]) -> str:
     return f", whose magnitude {' and '.join(map(repr, labels))} limit{'s' * (len(labels) == 1)}"
 
 
-def _reformulate_paths(
+def _reformulate_path_constraints(
     rows: list[Constraint], express: Callable[[Any], Any], magnitude: Symbol
 ) -> tuple[dict[str, Constraint], bool]:
     """Return constraints of magnitude and direction, and whether one of them requires the norm to be the magnitude."""
@@ -345,8 +347,8 @@ def _reformulate_paths(
     for row in rows:
         expression = _drop_cone_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
-            on_sphere |= not _allows_shorter(expression, magnitude, row.interval)
-            expression = _remove_square(expression, row.interval, magnitude)
+            on_sphere |= not _allows_shorter_vectors(expression, magnitude, row.interval)
+            expression = _remove_squared_magnitude(expression, row.interval, magnitude)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
 
@@ -359,7 +361,7 @@ def _drop_cone_magnitude(expression: Any, limits: Interval, magnitude: Any) -> A
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
-def _remove_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
+def _remove_squared_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
     r"""Return a limit proportional to the square of the magnitude as one proportional to the magnitude.
 
     :math:`r^2 \le c^2` is :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit, hence the same multiplier;
@@ -375,7 +377,7 @@ def _remove_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
     return 2 * most * magnitude * root - most**2
 
 
-def _allows_shorter(expression: Any, size: Any, limits: Interval) -> bool:
+def _allows_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
     """Whether what a scalar expression is limited to is kept by any shorter vector, as numbers show."""
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
     function = ca.Function("row", [size, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])

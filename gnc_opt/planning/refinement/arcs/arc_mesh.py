@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose_kind
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, select_kind
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE
 
@@ -161,7 +161,7 @@ class Plan:
         Whether state constraints may be left next to their touches, too. The barrier of an interior-point method pushes
         where points come close to a limit; but without limits a structure that lacks a contact may have no solution.
     firm : bool
-        Whether they may be left next to arcs that do not move only; see `PhaseStructure.mask_beside_contacts`.
+        Whether they may be left next to arcs that do not move only; see `PhaseStructure.mask_near_contacts`.
     """
 
     structure: PhaseStructure
@@ -173,7 +173,7 @@ class Plan:
     @classmethod
     def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
         """Return a plan that starts with the coarsest resolution that suits a mesh of so many points."""
-        first = tuple(_choose_initial_resolution(structure, k, points) for k in range(structure.pieces))
+        first = tuple(_choose_initial_resolution(structure, k, points) for k in range(structure.n_pieces))
         return cls(structure, first, points)
 
     @classmethod
@@ -236,18 +236,18 @@ class Plan:
         return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
 
     @property
-    def may_leave_limits(self) -> bool:
+    def may_leave_constraints(self) -> bool:
         """Whether state constraints may be left next to arcs that move."""
-        loose, firm = (self.structure.mask_beside_contacts(self.loose, firm) for firm in (self.firm, True))
+        loose, firm = (self.structure.mask_near_contacts(self.loose, firm) for firm in (self.firm, True))
         return bool(np.any(loose != firm))
 
     @property
     def segment_pieces(self) -> Indices:
         """The piece of every segment (K,)."""
-        return np.repeat(np.arange(self.structure.pieces), [r.segments for r in self.resolutions])
+        return np.repeat(np.arange(self.structure.n_pieces), [r.segments for r in self.resolutions])
 
     @property
-    def piece_ends(self) -> tuple[int, ...]:
+    def piece_breaks(self) -> tuple[int, ...]:
         """Indices of the mesh breaks at which pieces start and end; A + 1 of them."""
         return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
 
@@ -260,19 +260,21 @@ class Plan:
             times += [left + (right - left) * float(share) for share in r.segment_boundaries[1:]]
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
-        inner = range(1, self.structure.pieces)
-        movable = tuple(self.piece_ends[k] for k in inner if not self.structure.has_only_kinks(k))
+        inner = range(1, self.structure.n_pieces)
+        movable = tuple(self.piece_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def hold_arcs(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states held as the structure says."""
         structure, segments = self.structure, self.segment_pieces
-        n_controls, n_paths = len(structure.controls), len(structure.paths)
+        n_controls, n_paths = len(structure.control_kinds), len(structure.path_kinds)
         # An interior control may leave its bounds: by how much tells where its arc has to end.
-        controls = choose_kind(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
-        kinds = np.vstack([controls, structure.paths, structure.states])[:, segments]
+        controls = select_kind(
+            structure.control_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_kinds
+        )
+        kinds = np.vstack([controls, structure.path_kinds, structure.state_kinds])[:, segments]
         free = kinds == ArcKind.INTERIOR
-        kinds = choose_kind(free & self._find_released_rows(), ArcKind.RELEASED, kinds)
+        kinds = select_kind(free & self._find_released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_fixed_arcs(
             phase,
@@ -286,7 +288,7 @@ class Plan:
     def _find_released_rows(self) -> Mask:
         """Return where rows may leave their limits, if they are on none of them, (n_rows, K)."""
         structure = self.structure
-        beside = structure.mask_beside_contacts(self.loose, self.firm) | structure.mask_beside_exchanges()
+        beside = structure.mask_near_contacts(self.loose, self.firm) | structure.mask_near_exchanges()
         return np.asarray((structure.find_convex_rows() | beside)[:, self.segment_pieces])
 
     def _find_junctions(self) -> tuple[Junction, ...]:
@@ -294,11 +296,11 @@ class Plan:
 
         Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
         """
-        structure, n_controls = self.structure, len(self.structure.controls)
+        structure, n_controls = self.structure, len(self.structure.control_kinds)
         found: list[tuple[int, int, ArcKind, int, int]] = []
-        for k in range(1, structure.pieces):
+        for k in range(1, structure.n_pieces):
             taken = structure.find_constraint_exchange(k)[:1]
-            for i in structure.row_changes(k):
+            for i in structure.rows_changing_at(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
                 if after.at_limit and (order or i in taken):
                     found.append((k, i, after, order, -1 if i in taken else 0))
@@ -311,7 +313,7 @@ class Plan:
                 found.append((k, i, after, 0, -1) if after.at_limit else (k, i, before, 0, 1))
         found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
-            Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)
+            Junction(i - n_controls, self.piece_breaks[k], kind, conditions, tangent)
             for k, i, kind, conditions, tangent in found
         )
 
@@ -322,7 +324,7 @@ class Plan:
         that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of
         it, and errors fall with the third power of the length of segments only.
         """
-        structure, n_controls = self.structure, len(self.structure.controls)
+        structure, n_controls = self.structure, len(self.structure.control_kinds)
         found = []
         for piece, kinds in enumerate(structure.kinds):
             held = [
@@ -334,15 +336,14 @@ class Plan:
                 if 0 < len(singular) < len(free) and _have_independent_effects(
                     problem.phases[phase].model, free
                 ):
-                    last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
-                    ends = range(self.piece_ends[piece] + 1, last)
+                    last = self.piece_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
+                    ends = range(self.piece_breaks[piece] + 1, last)
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
         return tuple(found)
 
     def _define_control_polynomials(self) -> tuple[Smooth, ...]:
-        """One polynomial for every control that nothing determines, over each of its pieces."""
-        found, ends = [], self.piece_ends
-        for i, row in enumerate(self.structure.controls):
+        found, ends = [], self.piece_breaks
+        for i, row in enumerate(self.structure.control_kinds):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
                 r = self.resolutions[k]
                 if (
@@ -374,11 +375,11 @@ def _read_resolution(mesh: Mesh, first: int, last: int, coarsest: Resolution) ->
 
 
 def _choose_initial_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
-    kinds, share = structure.kinds[piece], structure.lengths[piece] / structure.lengths.sum()
+    kinds, share = structure.kinds[piece], structure.piece_lengths[piece] / structure.piece_lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
     if singular - structure.find_determined_controls(piece):
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
-    if ArcKind.INTERIOR in structure.controls[:, piece]:
+    if ArcKind.INTERIOR in structure.control_kinds[:, piece]:
         degree = FIRST_DEGREE if structure.has_contact(piece) else INTERIOR_DEGREE
         return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / (POINT_RATIO * ARC_MAX_DEGREE))) if points > COARSE_POINTS else 1

@@ -25,10 +25,10 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> P
     residual = samples.integrate_magnitudes(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
-    contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.pieces)])
+    contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.n_pieces)])
     residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    by_piece = np.split(per_segment, plan.piece_ends[1:-1])
+    by_piece = np.split(per_segment, plan.piece_breaks[1:-1])
     wanted = tuple(
         choose_next_resolution(r, errors, gradient, tol)
         for r, errors, gradient in zip(
@@ -64,9 +64,9 @@ def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: f
 
 def compute_singular_gradients(samples: PhaseSamples, plan: Plan) -> Array:
     """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
-    kinds = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
+    kinds = plan.structure.control_kinds[:, plan.segment_pieces[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
     per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
-    worst = np.zeros(plan.structure.pieces)
+    worst = np.zeros(plan.structure.n_pieces)
     np.maximum.at(worst, plan.segment_pieces[samples.segments], per_sample)
     return worst

@@ -28,13 +28,13 @@ def remove_oscillation_arcs(
     """Return the structure without arcs shorter than some segments of the mesh that no trajectory has."""
     short = _short_pieces(structure, constraints, segments)
     for piece in short:
-        for arc in (piece - 1, piece + 1) if 0 < piece < structure.pieces - 1 else ():
-            if _leaves_limits_without_bang(structure, piece, arc):
+        for arc in (piece - 1, piece + 1) if 0 < piece < structure.n_pieces - 1 else ():
+            if _leaves_first_order_limits(structure, piece, arc):
                 return remove_oscillation_arcs(_merge_with_arc(structure, piece, arc), constraints, segments)
     for piece in short:
         for arc in (piece - 1, piece + 1):
-            for row in _find_left_limits(structure, piece, arc):
-                if _violates_limit_by_bang(structure, constraints, row, piece, arc):
+            for row in _find_limits_left_by_bang(structure, piece, arc):
+                if _does_bang_violate_limit(structure, constraints, row, piece, arc):
                     start, end = structure.times[piece], structure.times[piece + 1]
                     wider = structure.with_arc(structure.holders[row][0], start, end, ArcKind.SINGULAR)
                     wider = wider.with_arc(row, start, end, structure.kinds[arc][row])
@@ -43,16 +43,15 @@ def remove_oscillation_arcs(
 
 
 def _short_pieces(structure: PhaseStructure, constraints: StateConstraints, segments: float) -> list[int]:
-    """Pieces shorter than some of the segments that they are in."""
     breaks = constraints.samples.leg.breaks
     middles = 0.5 * (np.asarray(structure.times[1:]) + np.asarray(structure.times[:-1]))
     place = np.clip(np.searchsorted(breaks, middles) - 1, 0, breaks.size - 2)
-    return [int(k) for k in np.flatnonzero(structure.lengths < segments * np.diff(breaks)[place])]
+    return [int(k) for k in np.flatnonzero(structure.piece_lengths < segments * np.diff(breaks)[place])]
 
 
-def _leaves_limits_without_bang(structure: PhaseStructure, piece: int, arc: int) -> bool:
+def _leaves_first_order_limits(structure: PhaseStructure, piece: int, arc: int) -> bool:
     """Whether nothing but limits of first order are left next to an arc, by controls that are on no bound there."""
-    rows = structure.row_changes(max(piece, arc))
+    rows = structure.rows_changing_at(max(piece, arc))
     return bool(rows) and all(
         structure.is_first_order(row)
         and structure.kinds[arc][row].at_limit
@@ -62,35 +61,34 @@ def _leaves_limits_without_bang(structure: PhaseStructure, piece: int, arc: int)
 
 
 def _merge_with_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
-    """Return the structure in which a piece has the kinds of a neighbouring arc."""
     kinds = list(structure.kinds)
     kinds[piece] = kinds[arc]
-    return replace(structure, kinds=tuple(kinds)).merged()
+    return replace(structure, kinds=tuple(kinds)).merge_pieces()
 
 
-def _find_left_limits(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
+def _find_limits_left_by_bang(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
     """Rows of first order that one control holds along an arc, and leaves, or comes from, by a neighbouring bang."""
-    if not 0 <= arc < structure.pieces:
+    if not 0 <= arc < structure.n_pieces:
         return []
     return [
         row
-        for row in structure.row_changes(max(piece, arc))
+        for row in structure.rows_changing_at(max(piece, arc))
         if structure.is_first_order(row)
         and [structure.kinds[arc][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
         and structure.kinds[piece][structure.holders[row][0]].at_limit
     ]
 
 
-def _violates_limit_by_bang(
+def _does_bang_violate_limit(
     structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, arc: int
 ) -> bool:
     """Whether a bang would lead a row beyond the limit along the neighbouring arc."""
     way = 1 if piece > arc else -1
     time, kind = structure.times[max(piece, arc)], structure.kinds[arc][row]
-    return way * _outward_rate(structure, constraints, row, piece, time, kind) > CONSTRAINT_RATE_MIN_SHARE
+    return way * _violation_rate(structure, constraints, row, piece, time, kind) > CONSTRAINT_RATE_MIN_SHARE
 
 
-def _outward_rate(
+def _violation_rate(
     structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, time: float, kind: ArcKind
 ) -> float:
     """How fast a bang would lead a row beyond a limit, in shares of what the range of its control does to it."""
@@ -100,8 +98,8 @@ def _outward_rate(
     u[control] = (bounds.upper if upper else bounds.lower)[control] + np.array(
         [0.0, s.control_scale[control]]
     )
-    rates = constraints.derivative(
-        row - len(structure.controls), 1, np.repeat(time, 2), np.tile(s.leg.x(time)[:, None], 2), u
+    rates = constraints.time_derivative(
+        row - len(structure.control_kinds), 1, np.repeat(time, 2), np.tile(s.leg.x(time)[:, None], 2), u
     )
     return float(kind.sign * rates[0] / max(abs(rates[1] - rates[0]), TINY))
 
@@ -115,17 +113,17 @@ def remove_overlapping_limits(structure: PhaseStructure) -> PhaseStructure:
     On a mesh both push in the segment in which one takes over from the other. One that is held on both sides of the
     other is left on the side on which it is shorter.
     """
-    for piece in range(structure.pieces):
+    for piece in range(structure.n_pieces):
         rows = _find_overdetermined_rows(structure, piece)
         if len(rows) < 2:
             continue
-        beside = [k for k in (piece - 1, piece + 1) if 0 <= k < structure.pieces]
+        beside = [k for k in (piece - 1, piece + 1) if 0 <= k < structure.n_pieces]
         around = [[k for k in beside if structure.kinds[k][i].at_limit] for i in rows]
         if sorted(around) == [[piece - 1], [piece + 1]]:
             return remove_overlapping_limits(structure.without_piece(piece))
         for row, sides in zip(rows, around, strict=True):
             if len(sides) == 2:
-                first, last = sorted((piece, min(sides, key=lambda k: structure.lengths[k])))
+                first, last = sorted((piece, min(sides, key=lambda k: structure.piece_lengths[k])))
                 start, end = structure.times[first], structure.times[last + 1]
                 return remove_overlapping_limits(structure.with_arc(row, start, end, ArcKind.INTERIOR))
     return structure
@@ -136,7 +134,7 @@ def _find_overdetermined_rows(structure: PhaseStructure, piece: int) -> list[int
 
     Its own bound may be among them.
     """
-    kinds, first = structure.kinds[piece], len(structure.controls)
+    kinds, first = structure.kinds[piece], len(structure.control_kinds)
     owners = [(i,) if i < first else own for i, own in enumerate(structure.holders)]
     found = [i for i, own in enumerate(owners) if kinds[i].at_limit and len(own) == 1]
     by_state = [i for i in found if structure.orders[i]]

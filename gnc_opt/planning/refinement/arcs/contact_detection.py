@@ -52,11 +52,12 @@ class ContactNodes:
     worth: Array
 
     def add_contacts(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-        """Return the structure with the contacts of the nodes."""
-        runs, order = find_mask_runs(self.worth > 0), structure.orders[self.row]
+        runs, order = find_true_runs(self.worth > 0), structure.orders[self.row]
         first, last = samples.leg.breaks[[0, -1]]
         free = self._find_unsaturated_controls(structure)
-        beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
+        beside = [
+            t for t in structure.touch_times(self.row, self.kind) if self.times[0] <= t <= self.times[-1]
+        ]
         if (
             order == 2 and free and (runs[-1][1] - runs[0][0] > TOUCH_MAX_NODES or beside)
         ):  # between its ends an arc need not push
@@ -87,7 +88,7 @@ class ContactNodes:
 
         A mesh of Gauss points has no row there, so that its points next to the end push for it.
         """
-        leg, path = samples.leg, self.row - len(structure.controls)
+        leg, path = samples.leg, self.row - len(structure.control_kinds)
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
             return None
         points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
@@ -104,7 +105,7 @@ class ContactNodes:
         end = self._touched_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
-    def beside_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+    def is_near_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Whether it is in the segments next to a touch of its own: the barrier pushes where points come close to it.
 
         What begins or ends with the phase is more than that.
@@ -112,7 +113,7 @@ class ContactNodes:
         pushing, breaks = self.times[self.worth > 0], samples.leg.breaks
         if np.any(np.isin(samples.leg.point_times[[0, -1]], pushing)):
             return False
-        for time in structure.touching(self.row, self.kind):
+        for time in structure.touch_times(self.row, self.kind):
             at = int(np.argmin(np.abs(breaks - time)))
             first, last = breaks[max(at - 1, 0)], breaks[min(at + 1, breaks.size - 1)]
             if np.all((pushing >= first) & (pushing <= last)):
@@ -122,7 +123,7 @@ class ContactNodes:
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
         """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
         pushing = self.times[self.worth > 0]
-        pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.pieces - 1)
+        pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.n_pieces - 1)
         return [
             i
             for i in structure.holders[self.row]
@@ -141,12 +142,12 @@ class ContactNodes:
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
         reach = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
-        for k in range(1, structure.pieces):
+        for k in range(1, structure.n_pieces):
             at = structure.times[k]
             if abs(at - time) >= reach or structure.has_only_kinks(k):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
-            changed = [i for i in structure.row_changes(k) if i in holders]
+            changed = [i for i in structure.rows_changing_at(k) if i in holders]
             if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
@@ -163,33 +164,31 @@ class ContactNodes:
 
 
 def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> list[ContactNodes]:
-    """Where constraints of some rows push."""
     s, rows = constraints.samples, list(rows)
     found: list[ContactNodes] = []
     if not rows:
         return found
     times, values, pushes = _evaluate_at_nodes(constraints)
     for row in rows:
-        for kind, limit in constraints.limits(int(row)):
-            near = np.abs(values[row] - limit) < NOTABLE * constraints.scales[row]
-            worth = kind.sign * pushes[row] * constraints.scales[row] / s.cost_scale
+        for kind, limit in constraints.row_limits(int(row)):
+            near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
+            worth = kind.sign * pushes[row] * constraints.row_scales[row] / s.cost_scale
             worth = np.where(
                 near & (worth > max(SMALL * float(np.max(worth)), CONTACT_MIN_COST_SHARE)),
                 worth,
                 0.0,
             )
             near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
-            if constraints.order(int(row)) > 1:
-                off = np.abs(values[row] - limit) > SMALL * constraints.scales[row]
-                for a, b in find_mask_runs(off & (worth == 0)):
-                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _covers_segment(times[a:b], s)
-            runs = [(a, b) for a, b in find_mask_runs(near) if np.any(worth[a:b] > 0)]
+            if constraints.row_order(int(row)) > 1:
+                off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
+                for a, b in find_true_runs(off & (worth == 0)):
+                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_times_cover_segment(times[a:b], s)
+            runs = [(a, b) for a, b in find_true_runs(near) if np.any(worth[a:b] > 0)]
             found += [ContactNodes(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
     return found
 
 
-def _covers_segment(times: Array, samples: PhaseSamples) -> bool:
-    """Whether all points of some segment are among the times of neighbouring nodes."""
+def _do_times_cover_segment(times: Array, samples: PhaseSamples) -> bool:
     leg = samples.leg
     inside = np.isin(leg.point_times, times)
     return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.offsets))
@@ -213,7 +212,7 @@ def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Arr
     atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
     order = np.argsort(times, kind="stable")
     pushes = np.hstack([densities, atoms])[:, order]
-    return times[order], constraints.values(times, x, u)[:, order], pushes
+    return times[order], constraints.evaluate_rows(times, x, u)[:, order], pushes
 
 
 def _join_adjacent_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -227,7 +226,7 @@ def _join_adjacent_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return joined
 
 
-def find_mask_runs(here: Mask) -> list[tuple[int, int]]:
+def find_true_runs(here: Mask) -> list[tuple[int, int]]:
     """First places, and those after the last ones, of the runs in which something holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

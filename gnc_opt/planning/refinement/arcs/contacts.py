@@ -73,7 +73,7 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[De
     constraints, leg = StateConstraints(problem, samples), samples.leg
     points, u = leg.point_times, np.hstack(leg.u.values)
     found = []
-    rows = [row for row in range(constraints.size) if constraints.order(row)]
+    rows = [row for row in range(constraints.n_rows) if constraints.row_order(row)]
     for run in find_contact_nodes(constraints, rows):
         held = np.flatnonzero(run.worth > 0)
         start, end = run.times[held[[0, -1]]]
@@ -84,7 +84,7 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[De
         at_lower, at_upper = leg.control_bounds.near(mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale)
         found += [
             Determined(i, float(start), float(end), run.row, run.kind)
-            for i in constraints.find_controls(run.row)
+            for i in constraints.find_determining_controls(run.row)
             if not at_lower[i] and not at_upper[i]
         ]
     return found
@@ -100,15 +100,19 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     more than a segment, else it touches; one of third order only touches, as arcs of odd order beyond the first have no
     simple junctions (Jacobson, Lele & Speyer, 1971).
     """
-    constraints, first = StateConstraints(problem, samples), len(structure.controls)
-    held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
-    orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
+    constraints, first = StateConstraints(problem, samples), len(structure.control_kinds)
+    held = [
+        any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.n_rows)
+    ]
+    orders = [0 if held[row] else constraints.row_order(row) for row in range(constraints.n_rows)]
     asked = [
-        bool(order) or (on and constraints.order(k) == 1)
+        bool(order) or (on and constraints.row_order(k) == 1)
         for k, (order, on) in enumerate(zip(orders, held, strict=True))
     ]
     known = structure.holders[first:]
-    holders = [constraints.find_controls(row) if ask else known[row] for row, ask in enumerate(asked)]
+    holders = [
+        constraints.find_determining_controls(row) if ask else known[row] for row, ask in enumerate(asked)
+    ]
     known = structure.leans[first:]
     leans = [constraints.control_effect_signs(row) if ask else known[row] for row, ask in enumerate(asked)]
     structure = replace(
@@ -126,25 +130,29 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
     """Where constraints push that determine a control, but for the contacts of the structure."""
-    first, found = len(structure.controls), []
+    first, found = len(structure.control_kinds), []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         worth = np.where(structure.is_at_limit(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
     s = constraints.samples
-    return [run for run in found if not run.is_end_touch(structure, s) and not run.beside_touch(structure, s)]
+    return [
+        run for run in found if not run.is_end_touch(structure, s) and not run.is_near_touch(structure, s)
+    ]
 
 
 # --- mended ---------------------------------------------------------------------------------------------------
 
 
-def find_wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
+def find_pulling_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
     """Return boundary and row of a touch whose limit would have to pull, or None."""
-    s, first = constraints.samples, len(structure.controls)
+    s, first = constraints.samples, len(structure.control_kinds)
     for k, touches in enumerate(structure.touches):
         for row, kind in touches:
             time = float(s.leg.breaks[np.argmin(np.abs(s.leg.breaks - structure.times[k]))])
-            gradient = constraints.gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
+            gradient = (
+                constraints.state_gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
+            )
             jump = (s.leg.lam(time, "left") - s.leg.lam(time, "right")) * s.state_scale
             push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), TINY)
             if push < -NEGLIGIBLE * s.cost_scale:
@@ -176,7 +184,7 @@ def replace_saturated_controls(
         The piece of every sample.
     """
     bounds = samples.leg.control_bounds
-    for boundary in range(1, structure.pieces):
+    for boundary in range(1, structure.n_pieces):
         taken = structure.find_constraint_exchange(boundary)
         if not taken:
             continue
@@ -210,6 +218,6 @@ def _add_most_severe_contact(
         added = run.add_contacts(structure, s)
         if added != structure:
             at = run.times[int(np.argmax(run.worth))]
-            label = labels[run.row - len(structure.controls)]
+            label = labels[run.row - len(structure.control_kinds)]
             return added, f"contact of {label} added at {s.describe_times(at)}"
     return None, ""

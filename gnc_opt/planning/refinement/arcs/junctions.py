@@ -45,18 +45,20 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     """
     structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
-    for boundary in range(1, structure.pieces):
+    for boundary in range(1, structure.n_pieces):
         if structure.has_only_kinks(boundary):
             wanted = [
                 junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
                 else _find_kink_time(samples, plan, boundary, i)
-                for i in structure.row_changes(boundary)
+                for i in structure.rows_changing_at(boundary)
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))
-    contact = [any(structure.orders[i] for i in structure.row_changes(k)) for k in range(1, structure.pieces)]
-    span, lengths = times[-1] - times[0], structure.lengths
+    contact = [
+        any(structure.orders[i] for i in structure.rows_changing_at(k)) for k in range(1, structure.n_pieces)
+    ]
+    span, lengths = times[-1] - times[0], structure.piece_lengths
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
     settled = np.where(
         [False, *contact, False],
@@ -70,7 +72,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
 
 def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
     """Return where a row's arc wants to begin or end: where its q-th derivative along the interior arc vanishes."""
-    leg, first = constraints.samples.leg, len(structure.controls)
+    leg, first = constraints.samples.leg, len(structure.control_kinds)
     entered = structure.kinds[boundary][row].at_limit
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
@@ -79,11 +81,11 @@ def junction_time(constraints: StateConstraints, structure: PhaseStructure, boun
         leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1]
     )
     times = np.array([leg.breaks[k], leg.breaks[k] - step])
-    values = constraints.derivative(
+    values = constraints.time_derivative(
         row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
     )
     slope = (values[0] - values[1]) / step
-    lengths = structure.lengths
+    lengths = structure.piece_lengths
     most = KINK_MAX_MOVE_SHARE * min(lengths[boundary - 1], lengths[boundary])
     move = -values[0] / slope if slope != 0 else 0.0
     return time + float(np.clip(move, -most, most))
@@ -94,7 +96,7 @@ def _find_kink_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) 
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
-    n_controls = len(plan.structure.controls)
+    n_controls = len(plan.structure.control_kinds)
     signals = _control_excess if row < n_controls else _path_excess
     pieces = plan.segment_pieces[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):

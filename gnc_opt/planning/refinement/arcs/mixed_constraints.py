@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose_kind
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, NOTABLE
 
@@ -97,7 +97,7 @@ class LinearLimits:
     def label_control(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""
         bounds = self.samples.leg.control_bounds
-        own = choose_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
+        own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
         above, below = self._compute_control_ranges(control)
         best = np.where(upward, bounds.upper[control], bounds.lower[control])
         held: dict[int, KindArray] = {}
@@ -105,11 +105,11 @@ class LinearLimits:
             here = np.where(upward, above[row], below[row])
             tighter = np.where(upward, here < best, here > best)
             best = np.where(tighter, here, best)
-            own = choose_kind(tighter, ArcKind.SINGULAR, own)
+            own = select_kind(tighter, ArcKind.SINGULAR, own)
             for other, kinds in held.items():
-                held[other] = choose_kind(tighter, ArcKind.INTERIOR, kinds)
-            limit = choose_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
-            held[row] = choose_kind(tighter, limit, ArcKind.INTERIOR)
+                held[other] = select_kind(tighter, ArcKind.INTERIOR, kinds)
+            limit = select_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
+            held[row] = select_kind(tighter, limit, ArcKind.INTERIOR)
         return own, held
 
     def _compute_control_ranges(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
@@ -142,7 +142,7 @@ class LinearLimits:
         kind : ArcKind
             INTERIOR for a constraint that is to be left: its control goes to the other side.
         """
-        first = len(structure.controls)
+        first = len(structure.control_kinds)
         holder = next((i for i, rows in self.rows.items() if row - first in rows), None)
         if holder is not None:
             inner = np.asarray(structure.times[1:-1])

@@ -41,7 +41,7 @@ def set_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) ->
     tol : float
         On the defects between the nodes, in those measures.
     """
-    left = _compute_series_remainders(s, flown)
+    left = _legendre_remainders(s, flown)
     times = np.asarray(plan.structure.times)
     at_once = left(times)
     found = [
@@ -79,7 +79,7 @@ def _subdivide_interval(
     return first + _subdivide_interval(left, halves[1], (middle, end), most, room // 2)
 
 
-def _compute_series_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
+def _legendre_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
     """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
     rule = gauss_rule(N_TERMS)

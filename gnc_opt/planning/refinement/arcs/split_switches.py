@@ -37,16 +37,16 @@ FREE_SPANS_MIN = 10.0
 """Pieces shorter than so many instants leave no room for one."""
 
 
-def find_shared_boundaries(structure: PhaseStructure) -> tuple[int, ...]:
+def simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     """Return the boundaries at which several controls change, with pieces next to them that have space."""
     least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
         k
-        for k in range(1, structure.pieces)
-        if sum(row < len(structure.controls) for row in structure.row_changes(k)) > 1
+        for k in range(1, structure.n_pieces)
+        if sum(row < len(structure.control_kinds) for row in structure.rows_changing_at(k)) > 1
         and not structure.has_only_kinks(k)
         and not structure.touches[k]
-        and min(structure.lengths[k - 1 : k + 1]) > least
+        and min(structure.piece_lengths[k - 1 : k + 1]) > least
     )
 
 
@@ -64,7 +64,6 @@ def solve_with_split_switches(
 
 
 def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Solution:
-    """The trajectory of a solution with the multipliers of another one."""
     held = solution.need_problem("refine")
     for name, plan in plans.items():
         held = plan.hold_arcs(held, name)
@@ -91,10 +90,12 @@ def _release_split_intervals(plan: Plan, problem: Problem, name: str) -> tuple[P
         arcs=cuts.expand_kinds(held.controls),
         paths=cuts.expand_kinds(held.paths) if held.paths else None,
         states=cuts.expand_kinds(held.states) if held.states else None,
-        smooth=tuple(replace(s, first=cuts.first(s.first), last=cuts.last(s.last)) for s in held.smooth),
+        smooth=tuple(
+            replace(s, first=cuts.first_segment(s.first), last=cuts.last_segment(s.last)) for s in held.smooth
+        ),
         junctions=tuple(replace(j, boundary=cuts.map_boundary(j.boundary)) for j in held.junctions),
     )
-    return twin, cuts.mesh(mesh)
+    return twin, cuts.build_mesh(mesh)
 
 
 @dataclass(frozen=True)
@@ -106,26 +107,26 @@ class _SplitMesh:
 
     @classmethod
     def from_plan(cls, plan: Plan) -> _SplitMesh:
-        ends = plan.piece_ends
-        return cls(ends[-1], tuple(ends[k] for k in find_shared_boundaries(plan.structure)))
+        ends = plan.piece_breaks
+        return cls(ends[-1], tuple(ends[k] for k in simultaneous_switches(plan.structure)))
 
     def map_boundary(self, old: int) -> int:
         """Where a boundary is among the new ones."""
         return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)
 
-    def first(self, old: int) -> int:
+    def first_segment(self, old: int) -> int:
         """The segment with which the old segment of that number begins, after its instant."""
         return self.map_boundary(old) + (old in self.boundaries)
 
-    def last(self, old: int) -> int:
+    def last_segment(self, old: int) -> int:
         """One after the segment with which the old segment before that number ends, before its instant."""
         return self.map_boundary(old) - (old in self.boundaries)
 
     def expand_kinds(self, rows: Kinds) -> KindArray:
         """Kinds by rows and new segments: in the instants free, what changes at their boundary."""
-        return np.array([self._expand_row(row) for row in rows], dtype=object)
+        return np.array([self._expand_kind_row(row) for row in rows], dtype=object)
 
-    def _expand_row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
+    def _expand_kind_row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
         found: list[ArcKind] = []
         for k, kind in enumerate(row):
             if k in self.boundaries:
@@ -134,7 +135,7 @@ class _SplitMesh:
             found.append(kind)
         return found
 
-    def mesh(self, old: Mesh) -> Mesh:
+    def build_mesh(self, old: Mesh) -> Mesh:
         """The mesh with its instants; shared boundaries stay where they are."""
         breaks, degrees = [0.0], []
         for k, (end, degree) in enumerate(zip(old.breaks[1:], old.degrees, strict=True)):

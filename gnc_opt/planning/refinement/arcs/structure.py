@@ -77,40 +77,38 @@ class PhaseStructure:
             object.__setattr__(self, "regular", (False,) * len(self.kinds[0]))
 
     @property
-    def controls(self) -> KindArray:
+    def control_kinds(self) -> KindArray:
         """What the controls do (n_controls, A)."""
-        return self.matrix()[: self.n_controls]
+        return self.kind_matrix()[: self.n_controls]
 
     @property
-    def paths(self) -> KindArray:
+    def path_kinds(self) -> KindArray:
         """What the path constraints do (n_paths, A)."""
-        return self.matrix()[self._n_free : self._n_free + self.n_paths]
+        return self.kind_matrix()[self._n_free : self._n_free + self.n_paths]
 
     @property
-    def states(self) -> KindArray:
+    def state_kinds(self) -> KindArray:
         """What the states do (n_states, A)."""
-        return self.matrix()[self._n_free + self.n_paths :]
+        return self.kind_matrix()[self._n_free + self.n_paths :]
 
     @property
     def _n_free(self) -> int:
-        """Number of controls."""
         return len(self.kinds[0]) if self.n_controls is None else self.n_controls
 
     @property
-    def pieces(self) -> int:
-        """Number of pieces A."""
+    def n_pieces(self) -> int:
         return len(self.kinds)
 
     @property
-    def lengths(self) -> Array:
+    def piece_lengths(self) -> Array:
         """Length of each piece (A,), s."""
         return np.diff(np.asarray(self.times))
 
-    def matrix(self) -> KindArray:
+    def kind_matrix(self) -> KindArray:
         """The kinds as an object array (n_rows, A)."""
         return np.asarray(self.kinds, dtype=object).T
 
-    def cut_before(self, time: float) -> PhaseStructure:
+    def truncate_before(self, time: float) -> PhaseStructure:
         """Return what of it lies after a time (s)."""
         if time <= self.times[0]:
             return self
@@ -140,7 +138,7 @@ class PhaseStructure:
         mixed = self.regular[row]
         return [i for i in range(self._n_free) if not mixed or self.regular[i]]
 
-    def row_changes(self, boundary: int) -> list[int]:
+    def rows_changing_at(self, boundary: int) -> list[int]:
         """Return the rows that change between a piece and the one before."""
         pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
         return [i for i, (before, after) in enumerate(pair) if before is not after]
@@ -156,14 +154,14 @@ class PhaseStructure:
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self.regular[i] or self._determines(i, boundary) or self.has_saturated_control(i, boundary))
+            (self.regular[i] or self._fixes_control(i, boundary) or self.has_saturated_control(i, boundary))
             and not (before[i].at_limit and after[i].at_limit)
-            for i in self.row_changes(boundary)
+            for i in self.rows_changing_at(boundary)
         )
 
     def find_convex_rows(self) -> Mask:
         """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""
-        return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.pieces, axis=1)
+        return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.n_pieces, axis=1)
 
     def has_saturated_control(self, row: int, boundary: int) -> bool:
         """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
@@ -185,7 +183,7 @@ class PhaseStructure:
 
     def find_limit_exchange(self, boundary: int) -> list[int]:
         """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
-        rows = self.row_changes(boundary)
+        rows = self.rows_changing_at(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
         sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].at_limit]
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
@@ -197,7 +195,7 @@ class PhaseStructure:
         Uphill a control comes to its limit on the side to which it holds the constraint, which is left; or it is on the
         other, braking, until the constraint is met. Either way it goes on without a jump, and the costates jump.
         """
-        rows, beside = self.row_changes(boundary), self.kinds[boundary - 1 : boundary + 1]
+        rows, beside = self.rows_changing_at(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
         states = [i for i in rows if self.is_first_order(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
@@ -227,36 +225,36 @@ class PhaseStructure:
 
     def find_path_limited_controls(self) -> Mask:
         """Return where a path constraint is in the place of a control's bound, (n_controls, A)."""
-        held = np.zeros((self._n_free, self.pieces), dtype=bool)
+        held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
         for row in np.flatnonzero(self.slopes):
             held[list(self.holders[row])] |= [kinds[row].at_limit for kinds in self.kinds]
         return held
 
-    def mask_beside_exchanges(self) -> Mask:
+    def mask_near_exchanges(self) -> Mask:
         """Return where rows are off their limit next to a boundary at which one takes over, (n_rows, A)."""
-        beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
-        for k in range(1, self.pieces):
-            given_out = [row for row in self.row_changes(k) if self.has_saturated_control(row, k)]
+        beside = np.zeros((len(self.kinds[0]), self.n_pieces), dtype=bool)
+        for k in range(1, self.n_pieces):
+            given_out = [row for row in self.rows_changing_at(k) if self.has_saturated_control(row, k)]
             for row in [*self.find_limit_exchange(k), *self.find_constraint_exchange(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
         return beside
 
-    def _determines(self, row: int, boundary: int) -> bool:
+    def _fixes_control(self, row: int, boundary: int) -> bool:
         """Whether a state constraint determines, on one side of a boundary, none but controls that H determines."""
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.holders[row])
         return bool(self.orders[row]) and not linear
 
-    def mask_beside_contacts(self, touches: bool, firm: bool = False) -> Mask:
+    def mask_near_contacts(self, touches: bool, firm: bool = False) -> Mask:
         """Return where state constraints are next to an arc on their limit or, with touches, off them, (n_rows, A).
 
         But not where the direction of a vector could hold them, whose magnitude is at its limit: it would lead far
         beyond. Firm: only next to arcs that stay where they are during a solve; others may move to where their limit
         has no value.
         """
-        held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
+        held = np.array([[kind.at_limit for kind in row] for row in self.kind_matrix()])
         beside = np.zeros_like(held)
-        for k in range(1, self.pieces):
+        for k in range(1, self.n_pieces):
             if not firm or self.has_only_kinks(k):
                 beside[:, k - 1] |= held[:, k]
                 beside[:, k] |= held[:, k - 1]
@@ -264,7 +262,7 @@ class PhaseStructure:
             beside[[row for here in self.touches for row, _ in here]] = True
         for row in np.flatnonzero(self.orders):
             bends = [i for i in self.holders[row] if not self.regular[i]]
-            beside[row] &= ~np.any(self.matrix()[bends] == ArcKind.INTERIOR, axis=0)
+            beside[row] &= ~np.any(self.kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
     def has_contact(self, piece: int) -> bool:
@@ -273,14 +271,13 @@ class PhaseStructure:
             kind.at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
         )
 
-    def touching(self, row: int, kind: ArcKind) -> list[float]:
-        """Times at which a row touches a limit, s."""
+    def touch_times(self, row: int, kind: ArcKind) -> list[float]:
         return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
 
     def is_at_limit(self, row: int, times: Array) -> Mask:
         """Whether a row is held at a limit, or touches it, at some times (n,)."""
-        pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.pieces - 1)
-        before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.pieces - 1)
+        pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_pieces - 1)
+        before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_pieces - 1)
         held = np.array([kinds[row].at_limit for kinds in self.kinds])
         touched = [
             t
@@ -296,7 +293,7 @@ class PhaseStructure:
     def without_piece(self, piece: int) -> PhaseStructure:
         """Return the structure after a piece has vanished; switches that cancel vanish with it."""
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
-        inner = 0 < piece < self.pieces - 1
+        inner = 0 < piece < self.n_pieces - 1
         times = [*self.times[:piece], *([middle] if inner else []), *self.times[piece + 2 :]]
         joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
         if not inner:  # what it touched with its free end is touched by no piece that is left
@@ -304,9 +301,9 @@ class PhaseStructure:
         touches = [*self.touches[:piece], joined, *self.touches[piece + 2 :]]
         if piece == 0:
             times = [self.times[0], *self.times[2:]]
-        elif piece == self.pieces - 1:
+        elif piece == self.n_pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
-        return self._merge(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+        return self._merge_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
     def collapse_piece(self, piece: int) -> PhaseStructure:
         """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
@@ -314,12 +311,12 @@ class PhaseStructure:
         That needs a limit of second order, or one of a path constraint at an end of the phase.
         """
         kinds, left = self.kinds[piece], self.without_piece(piece)
-        inner = 0 < piece < self.pieces - 1
+        inner = 0 < piece < self.n_pieces - 1
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
         time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
         paths = range(self._n_free, self._n_free + self.n_paths)
         for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
-            beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.pieces]
+            beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.n_pieces]
             may_touch = order > 1 if inner else order > 0 and i in paths
             if may_touch and kind.at_limit and not any(k.at_limit for k in beside):
                 left = left.with_touch(i, time, kind)
@@ -331,7 +328,7 @@ class PhaseStructure:
         ``None`` where there is nothing to swap: at the phase's ends, when one control switches at both ends, or where
         nothing would be left to hold a state constraint.
         """
-        if not 0 < piece < self.pieces - 1:
+        if not 0 < piece < self.n_pieces - 1:
             return None
         rows = list(zip(*self.kinds[piece - 1 : piece + 2], strict=True))
         if any(before is not here and here is not after for before, here, after in rows):
@@ -353,12 +350,12 @@ class PhaseStructure:
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.pieces - 1)
+        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
         kinds = [list(self.kinds[k]) for k in pieces]
         for piece, middle in zip(kinds, middles, strict=True):
             if start < middle < end:
                 piece[row] = kind
-        return self._merge(times, tuple(tuple(piece) for piece in kinds), touches)
+        return self._merge_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
 
     def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a row at a limit for an instant."""
@@ -366,14 +363,14 @@ class PhaseStructure:
         touches = self._collect_touches(times)
         touches[times.index(time)] += ((row, kind),)
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.pieces - 1)
-        return self._merge(times, tuple(self.kinds[k] for k in pieces), touches)
+        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
+        return self._merge_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
 
     def without_touch(self, boundary: int, row: int) -> PhaseStructure:
         """Return the structure in which a row does not touch its limit at a boundary."""
         touches = list(self.touches)
         touches[boundary] = tuple(touch for touch in touches[boundary] if touch[0] != row)
-        return self._merge(list(self.times), self.kinds, touches)
+        return self._merge_pieces(list(self.times), self.kinds, touches)
 
     def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
         """What is touched at each of some times, those of the structure among them."""
@@ -391,7 +388,7 @@ class PhaseStructure:
             Of all rows.
         """
         found = []
-        determined = [self.find_determined_controls(k) for k in range(self.pieces)]
+        determined = [self.find_determined_controls(k) for k in range(self.n_pieces)]
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
             if i < self._n_free:
@@ -399,7 +396,7 @@ class PhaseStructure:
                     ArcKind.CONSTRAINED if i in d and not k.at_limit else k
                     for k, d in zip(row, determined, strict=True)
                 ]
-            starts = [0, *[k for k in range(1, self.pieces) if row[k] != row[k - 1]], self.pieces]
+            starts = [0, *[k for k in range(1, self.n_pieces) if row[k] != row[k - 1]], self.n_pieces]
             for first, last in itertools.pairwise(starts):
                 kind = row[first]
                 if i < self._n_free or kind is not ArcKind.INTERIOR:
@@ -408,11 +405,13 @@ class PhaseStructure:
                 found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
         return tuple(found)
 
-    def merged(self) -> PhaseStructure:
+    def merge_pieces(self) -> PhaseStructure:
         """Return the structure with equal neighbouring pieces joined."""
-        return self._merge(list(self.times), self.kinds, list(self.touches))
+        return self._merge_pieces(list(self.times), self.kinds, list(self.touches))
 
-    def _merge(self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]) -> PhaseStructure:
+    def _merge_pieces(
+        self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]
+    ) -> PhaseStructure:
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
         return replace(
             self,
@@ -422,12 +421,12 @@ class PhaseStructure:
         )
 
 
-def limit_signs(kinds: KindArray) -> Indices:
+def arc_limit_signs(kinds: KindArray) -> Indices:
     """Return -1 where a lower limit is held, +1 where an upper one is, 0 elsewhere; same shape."""
     return np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
 
 
-def choose_kind(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
+def select_kind(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
     """Return ``kind`` where the condition holds and ``otherwise`` elsewhere, as an object array."""
     chosen = np.where(condition, cast(Any, kind), cast(Any, otherwise))
     return np.asarray(chosen, dtype=object)

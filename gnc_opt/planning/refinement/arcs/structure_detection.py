@@ -21,7 +21,7 @@ from gnc_opt.planning.refinement.arcs.control_curvature import (
     regular_controls,
 )
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose_kind
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
@@ -66,7 +66,7 @@ def detect_phase_structure(
         for i in range(leg.controls.size)
     ]
     mixed = _find_mixed_constraints(samples, regular)
-    mixed_holders, leans = _mixed_holders(samples, mixed)
+    mixed_holders, leans = _mixed_controls(samples, mixed)
     paths = _label_path_constraints(samples, mixed)
     for i in limits.rows:
         if affine[i]:
@@ -79,7 +79,7 @@ def detect_phase_structure(
     first, last = leg.breaks[0], leg.breaks[-1]
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-    kinds = np.stack([_look_up_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)])
+    kinds = np.stack([_interpolate_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)])
     return PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in kinds.T),
@@ -96,14 +96,14 @@ def detect_phase_structure(
         ),
         slopes=(*(0,) * leg.controls.size, *limits.slope_signs, *(0,) * leg.states.size),
         leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
-    ).merged()
+    ).merge_pieces()
 
 
 def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
     """Return dH/du of every control at some times (s), (m, n_times)."""
     leg = samples.leg
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros(0)
-    return samples.functions.control_gradient(times, leg.x(times), leg.flown(times), leg.lam(times), mu)
+    return samples.functions.control_gradient(times, leg.x(times), leg.applied(times), leg.lam(times), mu)
 
 
 def _label_linear_control(
@@ -111,7 +111,7 @@ def _label_linear_control(
 ) -> KindArray:
     """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
     gradient = _compute_hamiltonian_gain(samples, samples.control_gradient, i)
-    labels = choose_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
+    labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
     labels[_mask_intervals(samples, held)] = ArcKind.SINGULAR
@@ -121,7 +121,6 @@ def _label_linear_control(
 
 
 def _mask_intervals(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
-    """Which samples lie within some times."""
     found = np.zeros(samples.times.size, dtype=bool)
     for start, end in spans:
         found |= (samples.times >= start) & (samples.times <= end)
@@ -146,9 +145,9 @@ def _apply_path_limits(
     singular = np.isin(samples.segments, free)
     singular |= _mask_intervals(samples, determined)
     own, held = limits.label_control(i, samples.switching[i] < 0)
-    labels[:] = choose_kind(singular, ArcKind.SINGULAR, own)
+    labels[:] = select_kind(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
-        paths[row] = choose_kind(singular, ArcKind.INTERIOR, kinds)
+        paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)
 
 
 def _compute_hamiltonian_gain(samples: PhaseSamples, gradient: Array, i: int) -> Array:
@@ -183,7 +182,7 @@ def _leaves_state_bound(samples: PhaseSamples, i: int, first: int, last: int) ->
     left = (np.min(share[:, [0, -1]], axis=1) < CONTROL_AT_BOUND_SHARE) & (
         np.max(share, axis=1) > STATE_LEFT_BOUND_RATIO * CONTROL_AT_BOUND_SHARE
     )
-    return bool(np.any(left)) and bool(np.any(left & np.any(_direct_effects(samples, i)[:, ends], axis=1)))
+    return bool(np.any(left)) and bool(np.any(left & np.any(_driven_states(samples, i)[:, ends], axis=1)))
 
 
 def _absorb_short_pieces(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
@@ -226,15 +225,15 @@ def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) 
     """LOWER, UPPER or INTERIOR at each sample; from bound to bound within so many segments is a jump."""
     at_lower, at_upper = samples.leg.control_bounds.near(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
-    labels = _label_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
+    labels = _label_limit_arcs(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
     for first, last in itertools.pairwise(edges):
         ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
-            high = samples.u[i, first:last] > samples.leg.control_bounds.middle[i]
-            labels[first:last] = choose_kind(high, ArcKind.UPPER, ArcKind.LOWER)
+            high = samples.u[i, first:last] > samples.leg.control_bounds.midpoint[i]
+            labels[first:last] = select_kind(high, ArcKind.UPPER, ArcKind.LOWER)
     return labels
 
 
@@ -251,7 +250,9 @@ def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
     return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
 
 
-def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+def _mixed_controls(
+    samples: PhaseSamples, mixed: Mask
+) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
     """The controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
     if not np.any(mixed):
         return [()] * mixed.size, [()] * mixed.size
@@ -281,7 +282,7 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArra
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
     at_lower, at_upper = samples.leg.path_bounds.near(values, SMALL * np.max(np.abs(values), axis=1))
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
-    return list(_label_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
+    return list(_label_limit_arcs(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
 def _label_states(
@@ -294,7 +295,7 @@ def _label_states(
     arc reaches an end of the phase at which another value is given.
     """
     first = len(samples.leg.path_labels)
-    leg, rows, commanded = samples.leg, [], _singular_effects(samples, controls)
+    leg, rows, commanded = samples.leg, [], _singular_driven_states(samples, controls)
     ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
@@ -306,7 +307,7 @@ def _label_states(
         for kind, _, distance in limits:
             for k in range(leg.mesh.segments):
                 here = samples.segments == k
-                if np.all(distance[here] < margin) and _select_middle_value(commanded[i, here]):
+                if np.all(distance[here] < margin) and commanded[i, here][here.sum() // 2]:
                     labels[here] = kind
         for kind, limit, _ in limits if np.any(labels != ArcKind.INTERIOR) else ():
             off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
@@ -318,15 +319,15 @@ def _label_states(
     return rows
 
 
-def _singular_effects(samples: PhaseSamples, controls: KindArray) -> Mask:
+def _singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Where a singular control moves a state at once, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        found |= _direct_effects(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
+        found |= _driven_states(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
     return found
 
 
-def _direct_effects(samples: PhaseSamples, channel: int) -> Mask:
+def _driven_states(samples: PhaseSamples, channel: int) -> Mask:
     """Where the rate of a state depends on a control, (n_states, n_samples)."""
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
@@ -334,16 +335,11 @@ def _direct_effects(samples: PhaseSamples, channel: int) -> Mask:
     return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 
 
-def _select_middle_value(values: Mask) -> bool:
-    return bool(values[values.size // 2])
-
-
-def _label_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
-    return choose_kind(at_lower, ArcKind.LOWER, choose_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
+def _label_limit_arcs(at_lower: Mask, at_upper: Mask) -> KindArray:
+    return select_kind(at_lower, ArcKind.LOWER, select_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
 
 
 def _find_label_changes(samples: PhaseSamples, labels: KindArray) -> list[float]:
-    """Times between samples of different labels."""
     jumps = np.flatnonzero(labels[1:] != labels[:-1])
     return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]
 
@@ -376,7 +372,6 @@ def find_roots(function: Callable[..., Array], left: Array, right: Array, *argum
     return np.where(found.success, found.x, 0.5 * (left + right))
 
 
-def _look_up_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
-    """Labels of a channel at times that lie between its changes."""
+def _interpolate_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
     starts = np.concatenate([[0], np.flatnonzero(labels[1:] != labels[:-1]) + 1])
     return np.asarray(labels[starts][np.searchsorted(changes, times)])

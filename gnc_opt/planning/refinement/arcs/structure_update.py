@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.arcs.arc_refinement import (
 )
 from gnc_opt.planning.refinement.arcs.contacts import (
     add_missing_contact,
-    find_wrong_touch,
+    find_pulling_touch,
     replace_saturated_controls,
 )
 from gnc_opt.planning.refinement.arcs.control_curvature import (
@@ -29,7 +29,7 @@ from gnc_opt.planning.refinement.arcs.control_curvature import (
     nonconvex_controls,
 )
 from gnc_opt.planning.refinement.arcs.junctions import move_kinks
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose_kind, limit_signs
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, arc_limit_signs, select_kind
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
@@ -39,7 +39,7 @@ KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits besi
 SMOOTHED = "singular controls of higher degree"
 
 
-def improve_plans(
+def correct_plans(
     solution: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]], tol: float
 ) -> tuple[dict[str, Plan], str]:
     """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
@@ -73,9 +73,9 @@ def improve_plans(
 
 def _move_kinks_and_refine(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
     """Move kinks and raise resolutions where the solution asks for it."""
-    moved, raised = move_kinks(constraints, plan), refine_inaccurate_pieces(constraints.samples, plan, tol)
+    moved, raised = (move_kinks(constraints, plan), refine_inaccurate_pieces(constraints.samples, plan, tol))
     if moved is not None:
-        emptied = np.flatnonzero(moved.lengths < GONE * (moved.times[-1] - moved.times[0]))
+        emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
             left = plan.structure.collapse_piece(int(emptied[0]))
             return plan.replace_structure(left), f"piece {emptied[0] + 1} dropped"
@@ -96,9 +96,9 @@ def remove_vanished_piece(
     samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
-    structure, lengths = plan.structure, plan.structure.lengths
+    structure, lengths = plan.structure, plan.structure.piece_lengths
     shortest = int(np.argmin(lengths))
-    if structure.pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
+    if structure.n_pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
     other = structure.swap_switches(shortest)
     left.add((samples.leg.name, structure.with_times(())))
@@ -109,7 +109,6 @@ def remove_vanished_piece(
 
 
 def _lengthen_piece(structure: PhaseStructure, piece: int) -> PhaseStructure:
-    """Give a swapped piece some length to start from."""
     times = np.asarray(structure.times)
     room = SMALL * (times[-1] - times[0])
     middle = 0.5 * (times[piece] + times[piece + 1])
@@ -127,7 +126,7 @@ def _add_missing_arc(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
     pieces = plan.segment_pieces[samples.segments]
-    kinds = plan.structure.matrix()[:, pieces]
+    kinds = plan.structure.kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
         _mask_own_switches(violation[i], kinds[i])
@@ -166,7 +165,7 @@ def _compute_structure_violations(
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
     below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
     kinds = kinds[: pull.shape[0]]
-    signs = limit_signs(kinds)
+    signs = arc_limit_signs(kinds)
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
     linear = linear_path_limits(samples).linear_paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
@@ -175,10 +174,10 @@ def _compute_structure_violations(
     checked = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
-    opposite = choose_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
-    crossed = choose_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return violation, choose_kind(
-        checked, choose_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed
+    opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    crossed = select_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
+    return violation, select_kind(
+        checked, select_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed
     )
 
 
@@ -192,8 +191,8 @@ def _add_saturated_arc(
     are not tried again.
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
-    singular = plan.structure.controls == ArcKind.SINGULAR
-    released = plan.structure.mask_beside_exchanges()[: len(singular)]
+    singular = plan.structure.control_kinds == ArcKind.SINGULAR
+    released = plan.structure.mask_near_exchanges()[: len(singular)]
     singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SMALL * samples.control_scale)
@@ -204,9 +203,9 @@ def _add_saturated_arc(
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        here = _find_surrounding_run(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
+        here = _find_run_around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
         violation[i, here] = np.abs(gain[i, here])
-    asked = choose_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
     structure, action = _add_most_severe_arc(samples, plan.structure, violation, asked)
     if structure is None or (samples.leg.name, structure.with_times(())) in left:
         return None, ""
@@ -219,8 +218,7 @@ def _replace_saturated_controls(samples: PhaseSamples, plan: Plan) -> tuple[Phas
     return replace_saturated_controls(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
-def _find_surrounding_run(holds: Mask, j: int) -> slice:
-    """The run of samples around the j-th in which something holds."""
+def _find_run_around(holds: Mask, j: int) -> slice:
     fails = np.flatnonzero(~holds)
     before, after = fails[fails < j], fails[fails > j]
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
@@ -272,7 +270,7 @@ def _correct_contacts(
     A touch may pull because another is missing next to it.
     """
     added, action = add_missing_contact(constraints, structure)
-    wrong = find_wrong_touch(constraints, structure)
+    wrong = find_pulling_touch(constraints, structure)
     if added is not None or wrong is None:
         return added, action
     time = constraints.samples.describe_times(structure.times[wrong[0]])

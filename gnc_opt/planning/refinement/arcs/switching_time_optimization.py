@@ -20,20 +20,20 @@ from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, count_uniform_points
 from gnc_opt.planning.refinement.arcs.piece_resolution import set_resolutions
-from gnc_opt.planning.refinement.arcs.split_switches import find_shared_boundaries, solve_with_split_switches
+from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import (
     KINKS_MOVED,
     RAISED,
     SMOOTHED,
-    improve_plans,
+    correct_plans,
     remove_vanished_piece,
 )
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iterations import IterationLimits, record_iteration, show_pass
+from gnc_opt.planning.refinement.iterations import IterationLimits, record_iteration, show_progress
 from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton import solve_times
+from gnc_opt.planning.refinement.switching.newton import optimise_times
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -53,7 +53,7 @@ ARC_SOLVE_TOLERANCE, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
 Segments: TypeAlias = Literal["few", "kept"]
 
 
-def optimise_switches(
+def optimise_switching_times(
     solution: Solution,
     *,
     tol: float = EQUAL,
@@ -93,19 +93,21 @@ def optimise_switches(
     found = structures or detect_structures(solution)
     plans = {name: _build_initial_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
     tries: list[_Try] = []
-    with show_pass(solution.problem_name, tol, progress) as show:
+    with show_progress(solution.problem_name, tol, progress) as show:
         try:
             loop = _StructureLoop(problem, tol, limits or IterationLimits(), chosen, show, tries)
             guess, settled, flown = (
-                _newton_start(solution, plans, loop.aim) if segments == "few" else (solution, plans, None)
+                _start_from_newton(solution, plans, loop.target_error)
+                if segments == "few"
+                else (solution, plans, None)
             )
-            status = loop.run(guess, settled, flown)
+            status = loop.iterate_structures(guess, settled, flown)
             if status is RefinementStatus.FAILED and guess is not solution:
-                status = loop.run(solution, plans)
+                status = loop.iterate_structures(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _select_best_iterate(tries, status, tol)
-    records = [t.record for t in tries] or [_record(solution, begin, "not begun")]
+    records = [t.record for t in tries] or [_record_try(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
     if best is None:
@@ -126,7 +128,7 @@ def _determine_unique_costates(
     solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
 ) -> Solution:
     """Return the solution with costates that make every switching function vanish where switches share a time."""
-    if not any(find_shared_boundaries(plan.structure) for plan in plans.values()) or verify(solution).ok:
+    if not any(simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
         return solution
     apart = solve_with_split_switches(solution, plans, options, deadline)
     if apart is None or verify(apart).ok:
@@ -160,7 +162,7 @@ def _select_best_iterate(tries: list[_Try], status: RefinementStatus, tol: float
     )
 
 
-def _newton_start(
+def _start_from_newton(
     solution: Solution, plans: dict[str, Plan], aim: float
 ) -> tuple[Solution, dict[str, Plan], Solution | None]:
     """Go to the optimum, where Newton's method on switch times finds it, with a mesh fine enough for that.
@@ -170,7 +172,7 @@ def _newton_start(
     if len(plans) > 1:
         return solution, plans, None  # The flow of one phase says nothing about the others.
     ((name, plan),) = plans.items()
-    found = solve_times(solution, plan.structure)
+    found = optimise_times(solution, plan.structure)
     if found is None:
         return solution, plans, None
     structure, flight = found
@@ -190,7 +192,7 @@ class _StructureLoop:
     show: Callable[[RefinementIteration], None]
     tries: list[_Try]
 
-    def run(
+    def iterate_structures(
         self, solution: Solution, plans: dict[str, Plan], flown: Solution | None = None
     ) -> RefinementStatus:
         """Solve, except in the first pass if its solution is integrated, and update until nothing changes.
@@ -213,7 +215,9 @@ class _StructureLoop:
             found = flown or _solve_program(self.problem, plans, solution, self.options, within)
             flown = None
             if not found.status.solved:
-                self._append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
+                self._append_try(
+                    _Try(found, plans, _record_try(found, begin, f"not solved ({found.status.value})"))
+                )
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
                 vain += 1
@@ -224,9 +228,9 @@ class _StructureLoop:
                 continue
             solution, vain = found, 0
             current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
-            plans, action = improve_plans(solution, current, left, self.aim)
-            record = _record(solution, begin, action or "structure unchanged")
-            self._append(_Try(solution, current, record))
+            plans, action = correct_plans(solution, current, left, self.target_error)
+            record = _record_try(solution, begin, action or "structure unchanged")
+            self._append_try(_Try(solution, current, record))
             if len(self.iteration_records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
             if not action:
@@ -238,16 +242,15 @@ class _StructureLoop:
         return RefinementStatus.ITERATION_LIMIT
 
     @property
-    def aim(self) -> float:
+    def target_error(self) -> float:
         """Error that meshes are refined to: it costs little more, where a structure is known."""
         return min(self.tol, EQUAL)  # that costs a solve of a few iterations, if any
 
     @property
     def iteration_records(self) -> list[RefinementIteration]:
-        """Of all tries."""
         return [t.record for t in self.tries]
 
-    def _append(self, tried: _Try) -> None:
+    def _append_try(self, tried: _Try) -> None:
         self.tries.append(tried)
         self.show(tried.record)
 
@@ -260,7 +263,7 @@ def _propose_alternative_plans(
     Without limits next to them arcs may have moved to where these have no value; else a piece that vanished on the
     way is in the way.
     """
-    if any(plan.may_leave_limits for plan in plans.values()):
+    if any(plan.may_leave_constraints for plan in plans.values()):
         return {name: replace(plan, firm=True) for name, plan in plans.items()}
     for name, s in failed.samples().items():
         current = _update_plan_times(plans[name], failed, name)
@@ -308,13 +311,12 @@ def _solve_program(
 
 
 def _update_plan_times(plan: Plan, solution: Solution, name: str) -> Plan:
-    """Return the plan with the switch times of the solution."""
     leg = solution.phases[name]
-    times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
+    times = tuple(float(t) for t in leg.breaks[list(plan.piece_breaks)])
     return replace(plan, structure=plan.structure.with_times(times))
 
 
-def _record(solution: Solution, begin: float, action: str) -> RefinementIteration:
+def _record_try(solution: Solution, begin: float, action: str) -> RefinementIteration:
     return record_iteration(solution, estimate_errors(solution), begin, action)
 
 

@@ -63,22 +63,19 @@ def _find_switches(error: PhaseError, k: int) -> list[Kink]:
         unit = samples.control_scale[i] / samples.hamiltonian_scale
         roots: list[float] = []
         for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
-            if np.isfinite(level) and _reaches_level(
-                samples.u_polynomial[i, inside], level, samples.control_scale[i]
+            if (
+                np.isfinite(level)
+                and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
             ):
                 roots += _zero_crossings(_control_gradient(error, i, level, times) * unit, times)
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
 
-def _reaches_level(values: Array, level: float, scale: float) -> bool:
-    return bool(np.min(np.abs(values - level)) < 0.1 * scale)
-
-
 def _control_gradient(error: PhaseError, i: int, level: float, times: Array) -> Array:
     """Return d(H + mu.c)/du_i at times with control i at a level."""
     leg, functions = error.samples.leg, error.samples.functions
-    u = leg.flown.evaluate_clipped(times)
+    u = leg.applied.evaluate_clipped(times)
     u[i] = level
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
     return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
@@ -125,22 +122,24 @@ def _bracket_onset(times: Array, pull: Array, j: int, duration: float) -> tuple[
     return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
 
-def limit_activity(error: PhaseError) -> Array:
+def limit_multipliers(error: PhaseError) -> Array:
     """Return the pull of active bounds and paths at the points, (rows, N), in shares of H."""
     leg, yardstick = error.samples.leg, error.yardstick
     x, u = get_states_at_points(leg), np.hstack(leg.u.values)
     worth = error.samples.hamiltonian_scale
     rows = [
-        _active_pull(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
-        _active_pull(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
+        _active_multipliers(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
+        _active_multipliers(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
     ]
     if leg.path_labels:
         values = yardstick.functions.paths(leg.point_times, x, u)
-        rows.append(_active_pull(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
+        rows.append(_active_multipliers(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
     return np.concatenate(rows)
 
 
-def _active_pull(values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float) -> Array:
+def _active_multipliers(
+    values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float
+) -> Array:
     gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
     pull = multipliers * scale[:, None] / worth
     limits = (bounds.lower < bounds.upper)[:, None]

@@ -19,7 +19,12 @@ from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import final_barrier_parameter
 from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
-from gnc_opt.planning.refinement.iterations import IterationLimits, is_stagnating, record_iteration, show_pass
+from gnc_opt.planning.refinement.iterations import (
+    IterationLimits,
+    is_stagnating,
+    record_iteration,
+    show_progress,
+)
 from gnc_opt.planning.refinement.mesh.remesh import Past, Remesh, index_segments
 from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -66,7 +71,6 @@ class _MeshSolution:
 
     @property
     def total_error(self) -> float:
-        """Sum of the errors of all segments."""
         return float(sum(np.sum(np.minimum(e.largest_errors, 1e6)) for e in self.errors.values()))
 
 
@@ -112,9 +116,9 @@ def refine_mesh(
         )
     limits = limits or IterationLimits(DEFAULT_ITERATIONS)
     refinement = _Refinement(solution, tol, limits, options)
-    with show_pass(solution.problem_name, tol, progress) as show:
+    with show_progress(solution.problem_name, tol, progress) as show:
         try:
-            status = refinement.run(show)
+            status = refinement.refine_until_converged(show)
         except KeyboardInterrupt:
             status = refinement.classify_failed_solve(Status.INTERRUPTED)
     return refinement.build_result(status)
@@ -142,8 +146,7 @@ class _Refinement:
         self._state = self._evaluate_solution(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
-    def run(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
-        """Refine until one of the endings."""
+    def refine_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
         show(self._records[-1])
         for _ in range(self._limits.passes):
             if time.perf_counter() > self._limits.deadline:
@@ -184,8 +187,8 @@ class _Refinement:
         )
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
         plan = self._refine_meshes(stage)
-        limited = self._exceed_point_limit(plan[0])
-        while self._exceed_point_limit(plan[0]):
+        limited = self._exceeds_point_limit(plan[0])
+        while self._exceeds_point_limit(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
@@ -201,7 +204,7 @@ class _Refinement:
             total = total + actions
         return meshes, total
 
-    def _exceed_point_limit(self, meshes: dict[str, Mesh]) -> bool:
+    def _exceeds_point_limit(self, meshes: dict[str, Mesh]) -> bool:
         return max(mesh.size for mesh in meshes.values()) > self._limits.points
 
     def build_result(self, status: RefinementStatus) -> tuple[Solution, History]:

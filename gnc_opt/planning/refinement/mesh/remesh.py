@@ -17,7 +17,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.refinement.mesh.kinks import Kink, find_kinks, kink_boundaries, limit_activity
+from gnc_opt.planning.refinement.mesh.kinks import Kink, find_kinks, kink_boundaries, limit_multipliers
 from gnc_opt.planning.refinement.mesh.smoothness import error_density, error_quantiles, legendre_decay_rates
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -90,12 +90,11 @@ class Remesh:
         return _build_mesh(pieces), Actions(self.raised, self.split)
 
     def _refine_segment(self, k: int, own: Piece, rate: float) -> list[Piece]:
-        """Return what becomes of an inaccurate segment."""
         narrow = (own.end - own.start) < SAME_TIME * self._leg.duration
         if narrow:
             return [own]
         if self._active is None:
-            self._active = limit_activity(self.error)
+            self._active = limit_multipliers(self.error)
         kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
         if kinks:
             cuts = kink_boundaries(self._leg, k, kinks)

@@ -34,11 +34,13 @@ def legendre_decay_rates(error: PhaseError) -> Array:
         ]
     )
     offsets = leg.mesh.offsets
-    rates = [_decay(signals[:, offsets[k] : offsets[k + 1]], rule.points) for k, rule in enumerate(leg.rules)]
+    rates = [
+        _decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points) for k, rule in enumerate(leg.rules)
+    ]
     return np.array(rates)
 
 
-def _decay(values: Array, tau: Array) -> float:
+def _decay_rate(values: Array, tau: Array) -> float:
     n = tau.size
     if n < 3 or not np.all(np.isfinite(values)):
         return DECAY_RATE_MIN
@@ -63,7 +65,7 @@ def error_density(error: PhaseError) -> Array:
     leg, points = error.samples.leg, error.samples.leg.point_times
     if leg.integral_labels:
         known = functions.integrands(points, get_states_at_points(leg), np.hstack(leg.u.values))
-        interpolant = error.samples.sample(interpolate_points(leg.breaks, leg.rules, known))
+        interpolant = error.samples.sample_signal(interpolate_points(leg.breaks, leg.rules, known))
         gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
         density = density + np.max(gap, axis=0)
     costates = np.max(error.errors.costates, axis=0) >= error.largest_errors

@@ -15,7 +15,7 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.switching.newton_step import final_gradient
+from gnc_opt.planning.refinement.switching.newton_step import final_cost_gradient
 from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchedFlow
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import find_worst_bound_violation, worst_path_violation
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
-from gnc_opt.planning.verification.recomputed_solution import evaluate_ends
+from gnc_opt.planning.verification.recomputed_solution import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT
 
 
@@ -55,14 +55,17 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> S
         left + 0.5 * (right - left) * (1 + p[:-1])
         for left, right, p in zip(breaks[:-1], breaks[1:], places, strict=True)
     ]
-    bounds, upper = leg.control_bounds, plan.structure.controls[:, plan.segment_pieces] == ArcKind.UPPER
+    bounds, upper = (
+        leg.control_bounds,
+        plan.structure.control_kinds[:, plan.segment_pieces] == ArcKind.UPPER,
+    )
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     times = np.concatenate([*within, breaks[-1:]])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.times))))  # as fine as the flight
     flow = integrate_bang_bang(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
-    worth = final_gradient(problem, s, flow, flight.step.multipliers)
-    x, lam = flow.states[:n, ::parts], flow.adjoints(worth)[:n, ::parts]
+    worth = final_cost_gradient(problem, s, flow, flight.step.multipliers)
+    x, lam = flow.states[:n, ::parts], flow.integrate_adjoint(worth)[:n, ::parts]
     at = np.concatenate(
         [f + np.searchsorted(p, r.points) for f, p, r in zip(first, places, rules, strict=False)]
     )
@@ -86,7 +89,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> S
         state_multipliers=np.zeros((n, mesh.size)),
         state_impulses=np.zeros((n, mesh.segments + 1)),
         duration_multiplier=0.0,
-        integrals=flow.final[n : n + leg.integrals.size],
+        integrals=flow.final_state[n : n + leg.integrals.size],
     )  # fmt: skip
     nu = flight.step.multipliers[int(np.sum(leg.final_bounds.fixed)) :]
     flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
@@ -131,10 +134,10 @@ def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
 def complete_multipliers(flown: Solution) -> Solution:
     """Return the flight with its cost, and the multipliers of limits that follow from its costates."""
     (leg,) = flown.phases.values()
-    ends, functions = evaluate_ends(flown), flown.functions(leg.name)
+    ends, functions = boundary_gradients(flown), flown.functions(leg.name)
     at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
     x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
-    u = np.stack([leg.flown(at[0]), leg.flown(at[1], "left")], axis=1)
+    u = np.stack([leg.applied(at[0]), leg.applied(at[1], "left")], axis=1)
     worth = functions.hamiltonian(at, x, u, lam) - np.array(
         [ends.initial_time[leg.name], -ends.final_time[leg.name]]
     )
@@ -143,7 +146,9 @@ def complete_multipliers(flown: Solution) -> Solution:
     impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
     impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]
     times, nothing = leg.point_times, np.zeros((len(leg.path_labels), leg.point_times.size))
-    gradient = functions.control_gradient(times, leg.x(times), leg.flown(times), leg.point_costates, nothing)
+    gradient = functions.control_gradient(
+        times, leg.x(times), leg.applied(times), leg.point_costates, nothing
+    )
     told: PhaseSolution = replace(
         leg,
         time_multipliers=np.where(fixed, worth * np.array([1.0, -1.0]), 0.0),

@@ -23,7 +23,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose_kind
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, select_kind
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, newton_step, simplified_newton_step
 from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchedFlow
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -64,7 +64,9 @@ STEP_MIN_SHARE = 0.2
 """Of a step that must be left after `ARC_MAX_SHRINK_SHARE`; if less is, the arc that stands in the way has vanished."""
 
 
-def solve_times(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, SwitchedFlow] | None:
+def optimise_times(
+    solution: Solution, structure: PhaseStructure
+) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Find optimal switch times; drop and add arcs as needed.
 
     The flight is that of a grid whose error is known; the structure is where the step that this leaves leads to.
@@ -82,19 +84,19 @@ def solve_times(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStr
         None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
-    if not _is_applicable(problem, s, structure):
+    if not _is_newton_applicable(problem, s, structure):
         return None
     switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS
-    flight = _find_optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
-    while flight is not None and flight.error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
+    flight = _iterate_to_optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
+    while flight is not None and flight.integration_error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
         steps *= 2
         flight = _apply_known_step(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
-    if flight is None or _limit_step(flight.switches, flight.step)[0] < 1:
+    if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
         return None
     return _build_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
 
 
-def solve_flow(
+def optimise_flow(
     solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Find the least cost to some accuracy, without any collocated problem.
@@ -120,21 +122,21 @@ def solve_flow(
         Limits between the ends are not looked at. None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
-    if not _is_applicable(problem, s, structure):
+    if not _is_newton_applicable(problem, s, structure):
         return None
     switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
     flight = None if known is None else _apply_known_step(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.missing_arc is not None:
-        flight = _find_optimum(problem, s, switches, accuracy, steps)
-    while flight is not None and flight.error >= accuracy and steps < FLOW_MAX_STEPS:
+        flight = _iterate_to_optimum(problem, s, switches, accuracy, steps)
+    while flight is not None and flight.integration_error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
         flight = _apply_known_step(problem, s, flight.switches, flight.step, accuracy, steps)
-    if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
+    if flight is None or flight.integration_error >= accuracy or flight.missing_arc is not None:
         return None
     return _build_structure(structure, s, flight.switches), flight
 
 
-def _find_optimum(
+def _iterate_to_optimum(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchedFlow | None:
     """Return the flight whose switches have converged with signs that agree.
@@ -146,7 +148,7 @@ def _find_optimum(
         step = newton_step(problem, s, switches, steps)
         if step is None:
             break
-        share, emptied = _limit_step(switches, step)
+        share, emptied = _limit_newton_step(switches, step)
         if emptied and share < STEP_MIN_SHARE:
             switches = _remove_arc(switches, emptied)
         elif share < 1 or step.relative_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
@@ -179,15 +181,15 @@ def _iterate_newton_steps(
     """
     before = math.inf  # length of the step before, if that had these matrices
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
-        if step is None or _limit_step(switches, step)[0] < 1:
+        if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
         length, away = step.relative_size(switches), _convergence_measure(step, switches, accuracy)
         if away < NOTABLE:
-            return SwitchedFlow.integrate(problem, s, switches, step)
+            return SwitchedFlow.integrate_phase(problem, s, switches, step)
         switches = _shift_switches(switches, step.change)
         shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
         if away * shrinks < NOTABLE:
-            flight = SwitchedFlow.integrate(problem, s, switches, step)
+            flight = SwitchedFlow.integrate_phase(problem, s, switches, step)
             if (
                 flight is None
                 or _convergence_measure(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
@@ -205,7 +207,7 @@ def _convergence_measure(step: SwitchStep, switches: Switches, accuracy: float) 
     return max(step.gain / accuracy, step.relative_size(switches) / math.sqrt(accuracy))
 
 
-def _is_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
+def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Whether everything is decided by switch times and end times, and all conditions are equalities."""
     leg = s.leg
     times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
@@ -221,8 +223,8 @@ def _is_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure)
     return (
         len(problem.phases) == 1
         and s.functions.q.size == 0
-        and all(kind.at_limit for row in structure.controls for kind in row)
-        and not any(kind.at_limit for row in (*structure.paths, *structure.states) for kind in row)
+        and all(kind.at_limit for row in structure.control_kinds for kind in row)
+        and not any(kind.at_limit for row in (*structure.path_kinds, *structure.state_kinds) for kind in row)
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.fixed))
         and bool(np.all(problem.constraint_interval().fixed))
@@ -236,18 +238,17 @@ def _is_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure)
 def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     """One switch for every control that changes between two pieces."""
     bounds = s.leg.control_bounds
-    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.row_changes(k)]
-    first = np.where(structure.controls[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
+    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.rows_changing_at(k)]
+    first = np.where(structure.control_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
     times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
     ends = np.array([structure.times[0], structure.times[-1]])
     return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())
 
 
 def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
-    """The switches as pieces."""
-    pieces = switches.build_pieces(switches.order)
+    pieces = switches.piecewise_control(switches.time_order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
-    kinds = choose_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
+    kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
     columns = np.vstack([kinds, others]).T
     times, kept = [], []
@@ -255,10 +256,10 @@ def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -
         if length > 0:
             times.append(float(t))
             kept.append(tuple(column))
-    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merged()
+    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merge_pieces()
 
 
-def _list_arc_ends(switches: Switches) -> list[tuple[int, int]]:
+def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
     """Unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
     found: list[tuple[int, int]] = []
     for i in range(switches.first.size):
@@ -269,12 +270,12 @@ def _list_arc_ends(switches: Switches) -> list[tuple[int, int]]:
     return found
 
 
-def _limit_step(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
+def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
     """The share of a step that leaves every arc some length, and the arc that limits it."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
     longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
     share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
-    for begin, end in _list_arc_ends(switches):
+    for begin, end in _list_arc_switches(switches):
         shrinks = step.change[begin] - step.change[end]
         room = ARC_MAX_SHRINK_SHARE * (times[end] - times[begin])
         if shrinks > 0 and room < share * shrinks:
@@ -296,7 +297,6 @@ def _equal_switches(switches: Switches, others: Switches) -> bool:
 
 
 def _remove_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
-    """Drop the switches at the ends of an arc that has vanished."""
     begin, end = arc
     first = switches.first.copy()
     gone = [k - 1 for k in (begin, end) if 0 < k <= switches.times.size]

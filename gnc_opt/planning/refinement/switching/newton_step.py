@@ -16,8 +16,8 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.switches import Switches
-from gnc_opt.planning.optimality.switching_problem import end_derivatives
-from gnc_opt.planning.problem.functions import build_end_value_function
+from gnc_opt.planning.optimality.switching_problem import boundary_function_derivatives
+from gnc_opt.planning.problem.functions import build_endpoint_values
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
@@ -77,19 +77,21 @@ def newton_step(
     ends = _EndConditions.from_flow(problem, s, flow)
     if not np.isfinite(flow.final_sensitivity).all():
         return None
-    size, free = ends.size, ends.free
+    size, free = ends.n_states, ends.free
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_sensitivity[:size]])
     slope, jacobian, _ = ends.compute_derivatives(np.zeros(ends.constraints.size))
     rows = np.vstack([flow.final_sensitivity[ends.given], jacobian @ changes])[:, free]
-    if not are_independent(rows):
+    if not are_rows_independent(rows):
         return None  # Their multipliers would run away in the collocated problem.
     gradient = (slope @ changes)[free]
     multipliers = np.asarray(np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0])
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
-    hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
+    hessian = (flow.final_state_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
     gain = ends.normalise_cost_change(float(gradient @ change))
-    return SwitchStep(ends.expand(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
+    return SwitchStep(
+        ends.expand_variables(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps
+    )
 
 
 def simplified_newton_step(
@@ -112,18 +114,19 @@ def simplified_newton_step(
         Every step of the grid is divided into so many.
     """
     ends = _EndConditions.from_flow(problem, s, _integrate_flow(problem, s, switches, steps, refinement))
-    if not np.isfinite(ends.flow.final).all():
+    if not np.isfinite(ends.flow.final_state).all():
         return None
     adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
     gradient = (
-        ends.flow.gradient(adjoint) + slope[: ends.size] @ ends.flow.initial_sensitivity[: ends.size]
+        ends.flow.final_state_gradient(adjoint)
+        + slope[: ends.n_states] @ ends.flow.initial_sensitivity[: ends.n_states]
     )[ends.free]
     change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.misses)
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = ends.normalise_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
     return SwitchStep(
-        ends.expand(change),
+        ends.expand_variables(change),
         ends.flow,
         adjoint,
         multipliers,
@@ -135,7 +138,7 @@ def simplified_newton_step(
     )
 
 
-def final_gradient(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
+def final_cost_gradient(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
     """Return the derivative of the cost with respect to the final values of a flow, with the multipliers of a step."""
     return _EndConditions.from_flow(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
 
@@ -144,7 +147,9 @@ def _integrate_flow(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
-    return integrate_bang_bang(problem, s, switches.build_pieces(switches.order), nothing, refinement, steps)
+    return integrate_bang_bang(
+        problem, s, switches.piecewise_control(switches.time_order), nothing, refinement, steps
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,21 +171,21 @@ class _EndConditions:
         given, limits = np.flatnonzero(leg.final_bounds.fixed), problem.constraint_interval()
         free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
         free[[0, -1]] = ~np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
-        cost, constraints = _evaluate_end_values(s, problem, flow)
+        cost, constraints = _evaluate_end_conditions(s, problem, flow)
         misses = np.concatenate(
-            [flow.final[given] - leg.final_bounds.lower[given], constraints - limits.lower]
+            [flow.final_state[given] - leg.final_bounds.lower[given], constraints - limits.lower]
         )
         return cls(problem, s, flow, given, free, misses, constraints, cost)
 
     @property
-    def size(self) -> int:
+    def n_states(self) -> int:
         """States, integrals and time."""
         return self.s.leg.states.size + self.s.leg.integrals.size + 1
 
     def compute_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Derivatives of cost and constraints with respect to both ends: gradient of their sum, Jacobian, Hessian."""
-        functions = self.problem.reuse("end derivatives", lambda: end_derivatives(self.problem))
-        both = self.flow.initial[: self.size], self.flow.final[: self.size]
+        functions = self.problem.cache("end derivatives", lambda: boundary_function_derivatives(self.problem))
+        both = self.flow.initial[: self.n_states], self.flow.final_state[: self.n_states]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
@@ -188,8 +193,8 @@ class _EndConditions:
         """Cost gradient (final values); the Lagrangian's gradient and Hessian with respect to both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
         slope, _, curvature = self.compute_derivatives(nu)
-        adjoint = np.zeros(self.flow.final.size)
-        adjoint[: self.size] = slope[self.size :]
+        adjoint = np.zeros(self.flow.final_state.size)
+        adjoint[: self.n_states] = slope[self.n_states :]
         adjoint[self.given] += on_states
         return adjoint, slope, curvature
 
@@ -197,14 +202,14 @@ class _EndConditions:
         """A change of the cost, relative to its size."""
         return abs(gain) / max(abs(self.cost), TINY)
 
-    def expand(self, change: Array) -> Array:
+    def expand_variables(self, change: Array) -> Array:
         """A change of what is free as one of start, switches and end."""
         spread = np.zeros(self.free.size)
         spread[self.free] = change
         return spread
 
 
-def are_independent(rows: Array) -> bool:
+def are_rows_independent(rows: Array) -> bool:
     """Whether gradients of conditions are linearly independent, in whatever units the conditions are."""
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     return bool(np.all(sizes > 0) and np.linalg.matrix_rank(rows / sizes, RANK) == rows.shape[0])
@@ -222,12 +227,11 @@ def minimise_quadratic_model(hessian: Array, gradient: Array, rows: Array, misse
     return np.asarray(back - null @ (directions @ (slopes / np.maximum(np.abs(curvatures), least))))
 
 
-def _evaluate_end_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
-    """Cost and boundary constraints at the ends of the flow."""
+def _evaluate_end_conditions(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
     n, n_integrals = s.leg.states.size, s.leg.integrals.size
-    start, final, clock = flow.initial[:n], flow.final[:n], n + n_integrals
+    start, final, clock = flow.initial[:n], flow.final_state[:n], n + n_integrals
     nothing = np.zeros(problem.constraint_interval().lower.size)
-    times = (flow.initial[[clock]], flow.final[[clock]])
-    arguments = (start, final, *times, flow.final[n:clock], s.functions.p, s.functions.q, nothing)
-    *constraints, cost = evaluate_columns(build_end_value_function(problem), 1, *arguments)[:, 0]
+    times = (flow.initial[[clock]], flow.final_state[[clock]])
+    arguments = (start, final, *times, flow.final_state[n:clock], s.functions.p, s.functions.q, nothing)
+    *constraints, cost = evaluate_columns(build_endpoint_values(problem), 1, *arguments)[:, 0]
     return float(cost), np.array(constraints)

@@ -35,7 +35,7 @@ class SwitchedFlow:
     step: SwitchStep
 
     @classmethod
-    def integrate(
+    def integrate_phase(
         cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
     ) -> SwitchedFlow | None:
         """Fly a phase; None where that is no number.
@@ -53,12 +53,11 @@ class SwitchedFlow:
         return None if step is None else cls(s, switches, step)
 
     @property
-    def flow(self) -> BangBangFlow:
-        """On the finer grid."""
+    def fine_flow(self) -> BangBangFlow:
         return self.step.flow
 
     @property
-    def error(self) -> float:
+    def integration_error(self) -> float:
         """What the coarser grid, and switches that are not quite at rest, have changed of the cost, relatively."""
         return self.step.gain
 
@@ -66,24 +65,24 @@ class SwitchedFlow:
     def times(self) -> Array:
         """Of the grid (n_steps + 1,)."""
         leg = self.s.leg
-        return np.asarray(self.flow.states[leg.states.size + leg.integrals.size])
+        return np.asarray(self.fine_flow.states[leg.states.size + leg.integrals.size])
 
     @property
     def x(self) -> Array:
         """States (n_states, n_steps + 1)."""
-        return self.flow.states[: self.s.leg.states.size]
+        return self.fine_flow.states[: self.s.leg.states.size]
 
     @cached_property
     def lam(self) -> Array:
         """Costates (n_states, n_steps + 1)."""
-        return self.flow.adjoints(self.step.adjoint)[: self.s.leg.states.size]
+        return self.fine_flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
         """Return the flight as a solution, with costates and multipliers; its objective is the known one's."""
         s, leg, n = self.s, self.s.leg, self.s.leg.states.size
         first = STEP_PARTS * np.flatnonzero(np.diff(self.times[::STEP_PARTS]) > 0)
         at = first[:, None] + np.arange(STEP_PARTS + 1)
-        breaks, controls = np.append(self.times[first], self.times[-1]), self.flow.controls[:, first]
+        breaks, controls = np.append(self.times[first], self.times[-1]), self.fine_flow.controls[:, first]
         held, flat = np.repeat(controls, STEP_PARTS + 1, axis=1), at.ravel()
         x, lam, nothing = self.x[:, flat], self.lam[:, flat], np.zeros((len(leg.path_labels), flat.size))
         rates = s.functions.rates(self.times[flat], x, held)
@@ -105,7 +104,7 @@ class SwitchedFlow:
             state_multipliers=np.zeros((n, first.size)),
             control_multipliers=np.zeros(controls.shape),
             state_impulses=np.zeros((n, first.size + 1)),
-            integrals=self.flow.final[n : n + leg.integrals.size],
+            integrals=self.fine_flow.final_state[n : n + leg.integrals.size],
         )
         nu = self.step.multipliers[int(np.sum(leg.final_bounds.fixed)) :]
         return replace(known, phases={leg.name: grown}, constraint_multipliers=nu)
@@ -114,7 +113,7 @@ class SwitchedFlow:
     def missing_arc(self) -> tuple[int, float, float] | None:
         """The control, start and end of the arc of the most severe wrong sign; None if all signs agree."""
         s, times = self.s, self.times
-        controls = np.column_stack([self.flow.controls, self.flow.controls[:, -1]])
+        controls = np.column_stack([self.fine_flow.controls, self.fine_flow.controls[:, -1]])
         values = s.functions.switching(times, self.x, controls, self.lam)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)

@@ -12,10 +12,10 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.switching.collocated_trajectory import complete_multipliers, satisfies_limits
-from gnc_opt.planning.refinement.switching.newton import GRID_SHARE_OF_ACCURACY, solve_flow
+from gnc_opt.planning.refinement.switching.newton import GRID_SHARE_OF_ACCURACY, optimise_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.remaining_trajectory import remaining_solution
+from gnc_opt.planning.solution.remaining_trajectory import truncate_solution_before
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed_solution import recompute_from_problem
 from gnc_opt.tolerances import EQUAL
@@ -40,21 +40,23 @@ class KnownSwitches:
 
     def with_newton_step(self) -> KnownSwitches | None:
         """Return the same with its step; None if switch times do not decide everything."""
-        found = solve_flow(self.solution, self.structure, EQUAL)
+        found = optimise_flow(self.solution, self.structure, EQUAL)
         if found is None:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the structure that was settled on
-        structure, flight = solve_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
+        structure, flight = (
+            optimise_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
+        )
         return replace(self, structure=structure, step=flight.step)
 
     def solve_variation(self, problem: Problem) -> Solution | None:
         """Fly a variation with its own switch times; None where that fails."""
         start = truncate_solution(self.solution, problem)
         (leg,) = start.phases.values()
-        left = self.structure.cut_before(leg.initial_time)
-        step = self.step if left.pieces == self.structure.pieces else None
+        left = self.structure.truncate_before(leg.initial_time)
+        step = self.step if left.n_pieces == self.structure.n_pieces else None
         begun = _shift_start(recompute_from_problem(replace(start, problem=problem.frozen())))
-        found = None if begun is None else solve_flow(begun, left, EQUAL, step)
+        found = None if begun is None else optimise_flow(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
         structure, flight = found
@@ -74,7 +76,7 @@ def truncate_solution(known: Solution, problem: Problem) -> Solution:
     begins = problem.phases[name].numbers.initial_time
     if begins is None or not begins.fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
         return known
-    return remaining_solution(known, float(begins.lower[0]))
+    return truncate_solution_before(known, float(begins.lower[0]))
 
 
 def _shift_start(known: Solution) -> Solution | None:
