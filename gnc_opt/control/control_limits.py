@@ -91,11 +91,11 @@ def authority_margin_fact(
         raise DesignError(
             f"{'the reference' if gain is None else 'the switching gain'} is beyond the authority: control '{label}' "
             f"needs {besides}{u[row, column]:.6g} {where}, but its limits are {limits[0][row]:.6g} and "
-            f"{limits[1][row]:.6g}; {'' if gain is None else 'lower the gain, or '}plan with more reserve."
+            f"{limits[1][row]:.6g}; {'' if gain is None else 'lower the gain, or '}plan with a larger margin."
         )
     shares = 2 * left.min(axis=1) / (limits[1] - limits[0])
-    beside = "feedforward" if gain is None else "feedforward and gain"
-    remark = f"share of half the range beside the {beside}; least of '{label}' {where}"
+    used = "feedforward" if gain is None else "feedforward and gain"
+    remark = f"share of half the range that the {used} leaves; least of '{label}' {where}"
     return [ReportEntry("control authority margin", shares, "", remark)]
 
 

@@ -92,7 +92,7 @@ def with_dropout_handling(
     if flight is not None:
         flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
     words = "the feedforward" if given is None else f"the command {given}"
-    remark = f"lost samples bridged with the last good one; then {words} and the alarm '{INVALID}'"
+    remark = f"missing samples replaced by the last good one; then {words} and the alarm '{INVALID}'"
     report = inner.explanation
     return replace(
         inner,

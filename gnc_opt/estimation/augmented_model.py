@@ -251,7 +251,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel
 
 def _replace_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
-    remedy = f"return {space.errors} components made of a sample and what it should be, lambda y, y_hat: ..."
+    remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"
     if not ca.symvar(call_user_function(function, (x, ref), space.errors, what, remedy)):
         raise ArgumentError(f"{what} is the same whatever its arguments: {remedy}.")

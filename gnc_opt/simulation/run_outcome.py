@@ -20,8 +20,8 @@ _ZENO = (
 )
 
 _UNKEPT = (
-    "the reset of '{}' leaves it at rest on zero, and the plant pulls it through (let it change a mode, too: a state "
-    "with the rate 0, by which the equations choose what holds it there)"
+    "the reset of '{}' leaves it at zero with zero rate, and the dynamics move it through zero (let the reset also "
+    "change a mode: a state with the rate 0 that switches to equations of contact)"
 )
 
 

@@ -176,4 +176,4 @@ def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: i
     remedy = (
         f"take a state and an error, of {count} component{'s' * (count > 1)} as given, and return a state"
     )
-    call_user_function(retraction, arguments, size, f"the retraction beside {what}", remedy)
+    call_user_function(retraction, arguments, size, f"the retraction given with {what}", remedy)

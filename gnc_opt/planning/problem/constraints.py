@@ -51,7 +51,7 @@ def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: 
     value = as_expression(expression, what, None, ProblemError)
     if any(row.op() in _COMPARISONS for row in ca.vertsplit(value)):
         if not (lower is equals is upper is None):
-            raise ProblemError(f"{what} is a comparison and has a limit beside it: give one or the other.")
+            raise ProblemError(f"{what} is a comparison and has another limit: give one or the other.")
         return _read_comparisons(name, value, what)
     if equals is not None and (lower is not None or upper is not None):
         raise ProblemError(f"{what} has both equals and lower/upper: give one or the other.")

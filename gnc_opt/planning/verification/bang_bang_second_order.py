@@ -49,8 +49,8 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
     meaning = (
         "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
         "with its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next "
-        "to a touching zero could vanish or grow. A slope of the wrong sign fails where the switching function beside "
-        f"it has the wrong sign by more than {NEGLIGIBLE:.0e} of H; what is less is zero within the errors of costates."
+        "to a touching zero could vanish or grow. A slope of the wrong sign fails where the switching function next "
+        f"to it has the wrong sign by more than {NEGLIGIBLE:.0e} of H; less is zero within the errors of costates."
     )
     worst = min(filter(None, map(_find_worst_crossing, samples)), default=None)
     touched = next(filter(None, map(_find_zero_without_crossing, samples)), "")

@@ -134,7 +134,7 @@ def check_minimum_principle(
     if searched:
         meaning += (
             f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
-            f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
+            f"for among {POINTS} controls per phase, and a narrower minimum of H is not excluded."
         )
     found = judge_violation("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found

@@ -203,7 +203,7 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
     how = "curves downwards" if least < -AT_LIMIT * flown else "does not curve"
     label = s.leg.controls.labels[channels[0]]
     return (
-        f"phase {s.leg.name}, {label}: the end depends on what it moves at once, and {how} in that",
+        f"phase {s.leg.name}, {label}: an impulse of the control moves the end, and the cost {how} along it",
         least / max(flown, s.cost_magnitude),
     )
 

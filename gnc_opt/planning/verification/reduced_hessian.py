@@ -161,7 +161,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     """No variation that keeps the active limits lowers the cost to second order."""
     name = "second order"
     meaning = (
-        "Along every variation of controls, times and parameters that keeps what is active, the cost must curve "
+        "Along every variation of controls, times and parameters that keeps the active limits, the cost must curve "
         "upwards (value: least curvature of the Lagrangian on the solution's mesh with the sign reversed, in shares "
         "of its middle row); where it curves downwards, a cheaper trajectory is nearby."
     )

@@ -207,7 +207,7 @@ def _mark_interpolation_errors_inconclusive(
     coarse = verify(_build_solution(problem, thinned, q), tol=tol)
     if any(coarse[c.name].value < INTERPOLATION_GROWTH * c.value for c in failed):
         return verdict
-    where = "the samples are too coarse to tell: give denser ones"
+    where = "the samples are too coarse: give denser ones"
     return replace(
         verdict,
         conditions=tuple(

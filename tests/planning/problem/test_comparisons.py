@@ -51,7 +51,7 @@ def test_ends_can_be_compared() -> None:
 @pytest.mark.parametrize(
     ("mistake", "message"),
     [
-        (lambda x, a: {"expression": a <= 1, "upper": 3.0}, "is a comparison and has a limit beside it"),
+        (lambda x, a: {"expression": a <= 1, "upper": 3.0}, "is a comparison and has another limit"),
         (lambda x, a: {"expression": a != 1}, "no inequality and no equation"),
         (lambda x, a: {"expression": [a <= 1, x[0]]}, "no inequality and no equation"),
         (lambda x, a: {"expression": a}, "or write it as a <= b"),

@@ -856,7 +856,7 @@ def test_what_the_end_feels_of_a_last_moment(cost: Any, result: go.ConditionResu
     assert verdict[NAME_GOH].result is result, verdict[NAME_GOH]
     assert verdict.ok is (result is not go.ConditionResult.FAIL)
     if result is go.ConditionResult.INCONCLUSIVE:
-        assert "the end depends on what it moves at once" in verdict[NAME_GOH].where
+        assert "an impulse of the control moves the end" in verdict[NAME_GOH].where
 
 
 def test_a_segment_is_singular_as_a_whole_or_partly() -> None:

@@ -35,7 +35,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
 from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL
 
-KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
+KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits next to touches released"
 SMOOTHED = "singular controls of higher degree"
 
 
