@@ -93,7 +93,7 @@ def path_gradients(
     return by_state, by_time[0], by_parameter
 
 
-def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array, Array]:
+def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """Return the jumps at inner segment boundaries with the parts that active constraints explain.
 
     Adjacent multiplier density may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`.
@@ -102,15 +102,13 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array, Array]:
     -------
     unexplained : array (n_states, K - 1)
         Unexplained part of the costate jumps.
-    hamiltonian : array (K - 1,)
-        Increase of H by the explained jumps.
     atoms : array (n_paths, K - 1)
         Multipliers of the path constraints that explain them, >= 0 at upper limits.
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = StateConstraintSides.evaluate_at(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
-    rest, rises, every = jumps.copy(), np.zeros(breaks.size), np.zeros(pushers.active.shape)
+    rest, every = jumps.copy(), np.zeros(pushers.active.shape)
     scale, spare = s.state_scale, _nearby_impulses(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
@@ -120,11 +118,10 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array, Array]:
         )
         every[pushers.active[:, k], k] = sizes + least
         rest[:, k] -= directions @ (sizes + least)
-        rises[k] = pushers.drifts[pushers.active[:, k], k] @ (sizes + least)
     upper, lower = np.split(every, 2)
     atoms = np.zeros((len(s.leg.path_labels), breaks.size))
     atoms[s.pure_paths] = (upper - lower)[s.leg.states.size :]
-    return rest, rises, atoms
+    return rest, atoms
 
 
 @dataclass(frozen=True)

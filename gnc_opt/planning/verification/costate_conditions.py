@@ -306,7 +306,7 @@ def _parameter_gradients_of_impulses(s: PhaseSamples, ends: EndGradients) -> Arr
     """What pushes of no duration do to parameters, where path constraints are touched or met at an end (q, n_atoms)."""
     leg = s.leg
     pushes = [explain_transversality(s, at, ends).multipliers for at in (0, -1)]
-    atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[2], pushes[1]])
+    atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])
     times = leg.breaks[[0, *range(1, leg.mesh.segments), -1]]
     x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (leg.x, leg.applied))
     none = np.zeros_like(x)

@@ -164,15 +164,11 @@ def _worst_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> 
         return NOTHING
     shares = _distances_to_path_limits(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
     i = int(np.argmax(shares))
-    most = float(shares[i])
     excess = limits.compute_excess(at.times, at.x, at.u)
-    beyond = np.flatnonzero(np.any(excess > 0, axis=0))
-    for k in range(limits.rows.size) if beyond.size else ():
-        here = limits.select_limits(np.full(beyond.size, k))
-        beside = _distances_to_path_limits(
-            s, scales, here, excess[k, beyond], (at.times[beyond], at.x[:, beyond], at.u[:, beyond])
-        )
-        most = max(most, float(np.max(beside)))
+    rows, k = np.nonzero(excess > 0)
+    here = at.times[k], at.x[:, k], at.u[:, k]
+    beside = _distances_to_path_limits(s, scales, limits.select_limits(rows), excess[rows, k], here)
+    most = max(float(shares[i]), float(np.max(beside, initial=0.0)))
     what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
     return Worst(most, s.describe_time(found.times[i], what))
 

@@ -82,6 +82,7 @@ _AFTER_OTHERS = "not evaluated, as other conditions fail"
 _NO_COSTATES = (
     "The solution has no costates (none finite and non-zero): the minimum principle cannot be checked."
 )
+_INCOMPLETE = "It holds as far as can be seen, but a number is missing."
 _CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is unknown."
 
 
@@ -189,7 +190,9 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
         if rough is not None:
             checked = [mark_theorem_inapplicable(c, rough) for c in checked]
     if missing.value:
-        checked = [_mark_incomplete(c, missing.where) for c in checked]
+        checked = [
+            _mark_inconclusive(c, missing.where, _INCOMPLETE) if c.result is _PASS else c for c in checked
+        ]
     if not with_costates:
         checked = [_mark_inconclusive(c, "everywhere", _NO_COSTATES) for c in checked]
     conditions = (*trajectory, *checked[: len(first)], kinks, *checked[len(first) :])
@@ -341,13 +344,6 @@ def _inconclusive_condition(name: str, where: str, meaning: str) -> Condition:
 def _mark_inconclusive(condition: Condition, where: str, meaning: str) -> Condition:
     found = replace(condition, result=_INCONCLUSIVE, value=float("nan"), where=where, meaning=meaning)
     return replace(found, loss=None, unit="")
-
-
-def _mark_incomplete(condition: Condition, where: str) -> Condition:
-    """A condition does not pass if numbers are missing."""
-    if condition.result is not ConditionResult.PASS:
-        return condition
-    return _mark_inconclusive(condition, where, "It holds as far as can be seen, but a number is missing.")
 
 
 def _mark_zero_duration_phase(condition: Condition, phase: str) -> Condition:

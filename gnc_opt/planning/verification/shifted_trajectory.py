@@ -6,7 +6,7 @@ the trajectory is integrated with it. Along directions that keep the end conditi
 controls :math:`\delta u \sim q^2 B^T \Phi(t_f, t)^T e_i`, free starts, times and parameters, the Lagrangian
 
 .. math:: J + \nu^T \psi + (\lambda - \Phi_x)^T \Delta x_f + \int \mu^T c + z^T x\,dt
-          + \sum_k [\lambda]_k^T \Delta x(t_k)
+          + \sum_k \eta_k \max_t g_k(t, x)
 
 must not fall at second order, by its values at two steps. Shifts are measured by :math:`1/\sqrt{L_{kk}}`.
 """
@@ -14,7 +14,7 @@ must not fall at second order, by its values at two steps. Shifts are measured b
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,24 +25,31 @@ from gnc_opt.model.function_evaluation import evaluate_columns
 from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, final_state_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
-from gnc_opt.planning.problem.functions import EndGradients, build_endpoint_values
+from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions, build_endpoint_values
 from gnc_opt.planning.problem.interval import Interval, stack_intervals
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.summary import time_unit
+from gnc_opt.planning.verification.shifted_limits import (
+    find_acting_limits,
+    find_active_limits,
+    find_costate_jumps,
+    find_held_controls,
+    touch_terms,
+)
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
 SHIFT_STEP_SHARE = 0.02
 """Larger one of the two steps, in shares of the shorter arc beside a jump."""
 
+SLOPE_STEP, LARGEST_MOVE = 0.01, 0.1
+"""Share of the larger step by which slopes are measured; by what share of their reach a step moves the ends at most."""
+
 SECOND_ORDER = (0.1, 0.6)
 """Ratios of the gains at both steps, one the half of the other, that are those of second order."""
-
-ACTIVE_LIMIT_TIMES = 24
-"""Times of a phase, at most, at which limits that act along arcs are kept."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,9 @@ class Jump:
     phase: str
     time: float
     channel: int
-    shorter_arc: float
+    before: float
+    after: float
+    shorter_arc: float = np.inf
     beyond: str = ""
 
 
@@ -69,7 +78,8 @@ class ShiftedTrajectory:
     @cached_property
     def control_variations(self) -> list[tuple[str, Array, Array]]:
         """Control variations: phase, times, (m, n_times)."""
-        return [variation for s in self.samples for variation in _interior_variations(s, self.scales)]
+        problem = self.solution.need_problem("verify")
+        return [shape for s in self.samples for shape in _interior_variations(problem, s, self.scales)]
 
     @cached_property
     def parameter_variations(self) -> list[tuple[str, str, Array]]:
@@ -79,24 +89,27 @@ class ShiftedTrajectory:
     def find_second_order_decrease(self) -> Worst | None:
         """Return the direction in which the Lagrangian falls most, if it does so at second order."""
         n, m = len(self.jumps), len(self.control_variations) + len(self.parameter_variations)
-        unit = np.eye(n + m)
-        values, misses = self.integrate_variations(np.hstack([unit, -unit]))
+        small = SLOPE_STEP * np.eye(n + m)
+        values, misses = self.integrate_variations(np.hstack([small, -small]))
         if not np.all(np.isfinite(values)):
             return None
-        slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :])
-        basis = _directions_keeping_end_conditions(slopes[:, :n], slopes[:, n:])
+        slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :]) / SLOPE_STEP
+        # Unstable dynamics leave the range of second order by less than whole steps.
+        steps = 1 / np.maximum(1, np.max(np.abs(slopes), axis=0, initial=0.0) / LARGEST_MOVE)
+        slopes *= steps
+        basis = steps[:, None] * _directions_keeping_end_conditions(slopes[:, :n], slopes[:, n:])
         if not np.any(basis[:n]):
             return None
         pairs = itertools.combinations(basis.T, 2)
         moves = np.array([*basis.T, *(a + b for a, b in pairs)]).T
         values, _ = self.integrate_variations(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
-        return self._second_order_decrease(*_sample_directions(basis, half))
+        return self._second_order_decrease(*_sample_directions(basis, half), steps)
 
-    def _second_order_decrease(self, directions: Array, terms: Array) -> Worst | None:
-        """Return the largest fall along directions (n_unknowns, n), if it is of second order at two steps."""
+    def _second_order_decrease(self, directions: Array, terms: Array, steps: Array) -> Worst | None:
+        """Return the largest fall along directions (n_unknowns, n), of steps at most, if it is of second order."""
         n = len(self.jumps)
-        largest = np.max(np.abs(directions), axis=0)
+        largest = np.max(np.abs(directions) / steps[:, None], axis=0)
         directions = directions / np.maximum(largest, TINY)
         terms = terms / np.maximum(largest, TINY) ** 2
         count = directions.shape[1]
@@ -125,7 +138,6 @@ class ShiftedTrajectory:
         count = amounts.shape[1] + 1
         # The last column is the trajectory itself, by the same steps.
         amounts = np.hstack([amounts, np.zeros((amounts.shape[0], 1))])
-        arguments: list[Array] = []
         lagrangian, rows = np.zeros(count), []
         finals: dict[str, Array] = {}
         found: dict[str, list[Array]] = {}
@@ -144,7 +156,7 @@ class ShiftedTrajectory:
             rows += active_rows
             finals[name] = x
             lagrangian += extra
-            found[name] = [begin, x, *shifted.times[:, None], integrals, shifted.samples.functions.p]
+            found[name] = [begin, x, *shifted.times[:, None], integrals, shifted.functions.p]
             gap = s.lam[:, -1] - self.ends.final_state[name]
             moved = x - x[:, -1:]
             lagrangian += gap @ moved
@@ -153,15 +165,15 @@ class ShiftedTrajectory:
             at_limit = box.near(leg.x(leg.breaks[-1], "left"), AT_LIMIT * radius)
             held = box.fixed | at_limit[0] | at_limit[1]
             rows.append(moved[held] / np.where(radius[held] > 0, radius[held], 1.0)[:, None])
-        for name in self.solution.phases:
-            arguments += found[name]
+        arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
         values = evaluate_columns(build_endpoint_values(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         moved, reach = psi - psi[:, -1:], self.scales.constraints[0]
-        size = np.where(reach > 0, reach, np.max(np.abs(moved), axis=1))  # no reach: links of times
+        unreached = np.max(np.abs(moved), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
+        size = np.where(reach > 0, reach, unreached)  # no reach: links of times
         box = problem.constraint_interval()
         at = box.near(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
         active = (at[0] | at[1] | box.fixed) & (size > 0)
@@ -179,29 +191,17 @@ class ShiftedTrajectory:
 
     def _shift_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
         """Return a phase with amounts (n_unknowns, n_columns) and free parameters (n, n_columns)."""
-        name = s.leg.name
-        jumps, steps = [], []
-        for jump, shifts in zip(self.jumps, amounts, strict=False):
-            if name in (jump.phase, jump.beyond):
-                step = SHIFT_STEP_SHARE * jump.shorter_arc
-                before, after = self._control_at_jump(jump, "left"), self._control_at_jump(jump, "right")
-                jumps.append((jump.channel, jump.time, before, after, jump.time + step * shifts))
-                steps.append(step)
+        name, problem = s.leg.name, self.solution.need_problem("verify")
+        jumps = [
+            (jump, jump.time + SHIFT_STEP_SHARE * jump.shorter_arc * shifts)
+            for jump, shifts in zip(self.jumps, amounts, strict=False)
+            if name in (jump.phase, jump.beyond)
+        ]
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
-        if q.size:
-            problem = self.solution.need_problem("verify")
-            functions = phase_functions_at(problem, name, q, s.functions.weights)
-            s = replace(s, functions=functions)
+        functions = phase_functions_at(problem, name, q, s.functions.weights) if q.size else s.functions
         times = s.leg.breaks[[0, -1], None] + self._sum_variations("times", name, amounts, 2)
-        return _ShiftedPhase.from_samples(s, jumps, steps, variations, times)
-
-    def _control_at_jump(self, jump: Jump, side: Any) -> float:
-        leg = self.solution.phases[jump.phase]
-        if side == "right" and jump.beyond:
-            other = self.solution.phases[jump.beyond]
-            return float(other.applied(other.breaks[0])[jump.channel])
-        return float(leg.applied(jump.time, side)[jump.channel])
+        return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,49 +210,38 @@ class _ShiftedPhase:
 
     Attributes
     ----------
-    jumps : list of (channel, time, before, after, array (n_columns,))
-        Jumps of the controls: values before and after them, and their shifted times.
+    jumps : list of (Jump, array (n_columns,))
+        With their shifted times.
     variations : list of (times, array (m, n_times), array (n_columns,))
         Control variations and their amounts.
-    edges : array (n_edges,)
-        Cells of the mesh outside of windows around the jumps, within which columns have times of their own.
-    nodes : array (n_nodes, n_columns)
-        Ends of the integration steps.
     times : array (2, n_columns)
         At which the phase starts and ends.
     """
 
+    problem: Problem
     samples: PhaseSamples
-    jumps: list[tuple[int, float, float, float, Array]]
+    functions: PhaseFunctions
+    jumps: list[tuple[Jump, Array]]
     variations: list[tuple[Array, Array, Array]]
-    edges: Array
-    nodes: Array
     times: Array
 
-    @classmethod
-    def from_samples(
-        cls,
-        s: PhaseSamples,
-        jumps: list[tuple[int, float, float, float, Array]],
-        steps: list[float],
-        variations: list[tuple[Array, Array, Array]],
-        times: Array,
-    ) -> _ShiftedPhase:
-        """Return a phase in which shifts are at most ``steps`` (s), from and to ``times`` (2, n_columns)."""
-        cells, count = compute_cell_edges(s.leg.breaks), times.shape[1]
-        windows = [(np.min(own), np.max(own)) for own in times] + [
-            (jump[1] - (1 + SMALL) * h, jump[1] + (1 + SMALL) * h)
-            for jump, h in zip(jumps, steps, strict=True)
-        ]
-        inside = np.zeros(cells.size, dtype=bool)
-        for first, last in windows:
-            inside |= (cells > first) & (cells < last)
-        edges = np.unique(
-            np.concatenate([cells[~inside], *[np.clip(w, cells[0], cells[-1]) for w in windows]])
-        )
-        own = [row for _, time, _, _, shifted in jumps for row in (shifted, np.full(count, time))]
-        nodes = np.vstack([np.repeat(edges[:, None], count, axis=1), *own, times])
-        return cls(s, jumps, variations, edges, np.sort(np.clip(nodes, *times), axis=0), times)
+    @cached_property
+    def edges(self) -> Array:
+        """Cells of the mesh outside of windows around the jumps, within which columns have times of their own."""
+        cells = compute_cell_edges(self.samples.leg.breaks)
+        windows = [(np.min(own), np.max(own)) for own in self.times]
+        for jump, _ in self.jumps:
+            step = (1 + SMALL) * SHIFT_STEP_SHARE * jump.shorter_arc
+            windows.append((jump.time - step, jump.time + step))
+        inside = np.any([(cells > first) & (cells < last) for first, last in windows], axis=0)
+        return np.unique([*cells[~inside], *np.clip(windows, cells[0], cells[-1]).ravel()])
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Ends of the integration steps (n_nodes, n_columns)."""
+        fixed = [*self.edges, *(jump.time for jump, _ in self.jumps), *find_costate_jumps(self.samples)]
+        own = [np.full(self.times.shape[1], time) for time in fixed] + [shifted for _, shifted in self.jumps]
+        return np.sort(np.clip([*own, *self.times], *self.times), axis=0)
 
     @cached_property
     def common_steps(self) -> Array:
@@ -279,9 +268,9 @@ class _ShiftedPhase:
                 u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
             else:
                 u = _applied_controls(self.samples.leg, t, middle)
-            for channel, time, before, after, shifted in self.jumps:
-                u[channel, (middle > time) & (middle < shifted)] = before
-                u[channel, (middle < time) & (middle > shifted)] = after
+            for jump, shifted in self.jumps:
+                u[jump.channel, (middle > jump.time) & (middle < shifted)] = jump.before
+                u[jump.channel, (middle < jump.time) & (middle > shifted)] = jump.after
             for times, shape, amounts in self.variations:
                 u = u + amounts * np.stack([np.interp(t, times, row) for row in shape])
             found.append(u)
@@ -293,16 +282,13 @@ class _ShiftedPhase:
 
     def extended_rates(self, t: Array, y: Array, u: Array) -> Array:
         """Return the rates of states, integrals and the terms of active limits in the Lagrangian."""
-        leg, functions = self.samples.leg, self.samples.functions
+        leg, functions = self.samples.leg, self.functions
         states = y[: leg.states.size]
-        parts = [functions.rates(t, states, u)]
-        if leg.integrals.size:
-            parts.append(functions.integrands(t, states, u))
+        parts = [functions.rates(t, states, u), functions.integrands(t, states, u)]
         terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
         if self._has_active_limits:
-            if len(leg.path_labels):
-                terms = np.sum(leg.path_multiplier(t) * functions.paths(t, states, u), axis=0)
-            terms = terms + np.sum(leg.state_multiplier(t) * states, axis=0)
+            terms = np.sum(leg.path_multiplier(t) * functions.paths(t, states, u), axis=0)
+            terms += np.sum(leg.state_multiplier(t) * states, axis=0)
         return np.concatenate([*parts, terms[None]])
 
     def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
@@ -320,29 +306,22 @@ class _ShiftedPhase:
         """
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
-        limits, jumps = _active_limit_gradients(self.samples, self.edges), _costate_jumps(leg)
-        terms, misses = np.zeros(x.shape[1]), []
+        limits, jumps = find_active_limits(self.samples, self.edges), find_costate_jumps(self.samples)
+        states = {time: np.repeat(x[:, -1:], x.shape[1], axis=1) for time in {*limits, *jumps}}
         for k, (a, b) in enumerate(itertools.pairwise(self.nodes)):
             if np.array_equal(a, b):
                 continue
             y = runge_kutta_step(self.extended_rates, a, b, y, self.shifted_controls(k))
-            if np.any(b != b[0]):
-                continue
-            time, moved = float(b[0]), y[:n] - y[:n, -1:]
-            if time in jumps:
-                terms += jumps[time] @ moved
-                misses.append(jumps[time] @ moved / cost)
-            misses += [gradient @ moved for gradient in limits.get(time, [])]
-        return y[:n], y[n:-1], terms + y[-1], [row[None] for row in misses]
-
-
-def _costate_jumps(leg: PhaseSolution) -> dict[float, Array]:
-    """Return the jumps of the costates (n,) by their times."""
-    inner = leg.breaks[1:-1]
-    if not inner.size:
-        return {}
-    jumps = leg.lam(inner, "left") - leg.lam(inner, "right")
-    return {float(t): jump for t, jump in zip(inner, jumps.T, strict=True) if np.any(jump)}
+            for time in states.keys() & set(b.tolist()):
+                states[time][:, b == time] = y[:n, b == time]
+        touched = [
+            touch_terms(self.problem, self.samples, self.functions, t, jump, states[t])
+            for t, jump in jumps.items()
+        ]
+        misses = [term / cost for term in touched] + [
+            gradient @ (states[t] - states[t][:, -1:]) for t, rows in limits.items() for gradient in rows
+        ]
+        return y[:n], y[n:-1], y[-1] + np.sum(touched, axis=0), [row[None] for row in misses]
 
 
 def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
@@ -352,19 +331,16 @@ def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
     return np.array(leg.applied(np.clip(inside, leg.breaks[0], leg.breaks[-1])))
 
 
-def _interior_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
-    """Return variations of controls between their limits that move the end of a phase in each of its directions."""
+def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
+    """Return variations that move the end of a phase in each of its directions, of controls that nothing holds."""
     leg, own = s.leg, scales.phases[s.leg.name]
     times, response = final_state_response(s)
-    x, u = leg.x(times), leg.applied(times)
+    u = leg.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1, initial=0.0)
     lower, upper = leg.control_bounds.near(u, NOTABLE * most)
     inside = ~(lower | upper)
-    if leg.path_labels:
-        jacobian = s.functions.path_control_jacobian(times, x, u)
-        active = np.abs(leg.path_multiplier(times)) > 0
-        inside &= ~np.any((jacobian != 0) & active[:, None], axis=0)
+    inside &= ~find_held_controls(problem, s, times)
     if not np.any(inside):
         return []
     shapes = response * (deviation**2 * inside)
@@ -380,7 +356,7 @@ def _has_active_limits(s: PhaseSamples) -> bool:
     """Whether path constraints or state bounds have multipliers somewhere along a phase, or act at its ends."""
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
-    return bool(np.any(s.mu) or np.any(s.state_multiplier) or np.any(at_ends))
+    return bool(np.any(find_acting_limits(s, s.times)) or np.any(at_ends))
 
 
 def _parameter_variations(
@@ -411,34 +387,13 @@ def _steps_within_limits(
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
-    """Return gradients (n,) of the limits that act along arcs, at some edges of cells, by what they change the cost."""
-    leg, found = s.leg, {}
-    chosen = edges[1:-1]
-    if not chosen.size:
-        return {}
-    chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
-    states, paths = leg.state_multiplier(chosen), leg.path_multiplier(chosen)
-    x, u = leg.x(chosen), leg.applied(chosen)
-    by_state = (
-        s.functions.path_state_jacobian(chosen, x, u) if len(leg.path_labels) else np.zeros((0, *x.shape))
-    )
-    lasts = leg.breaks[-1] - leg.breaks[0]
-    for k, time in enumerate(chosen):
-        rows = [lasts * m * row for m, row in zip(states[:, k], np.eye(x.shape[0]), strict=True) if m]
-        rows += [lasts * m * row for m, row in zip(paths[:, k], by_state[:, :, k], strict=True) if m]
-        if rows:
-            found[float(time)] = [row / max(s.cost_scale, TINY) for row in rows]
-    return found
-
-
 def _directions_keeping_end_conditions(shifts: Array, others: Array) -> Array:
     """Return a basis (n_unknowns, d) of what keeps the end conditions, from their slopes: by jumps with what corrects
     them, then without jumps."""
     inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)
-    size = np.linalg.norm(shifts, axis=0)
-    least = max(NOTABLE * float(np.max(size, initial=0.0)), RANK)
-    free, alone = _null_space(shifts - others @ (inverse @ shifts), least), _null_space(others, RANK)
+    size = np.maximum(np.linalg.norm(shifts, axis=0), NEGLIGIBLE)
+    free = _null_space((shifts - others @ (inverse @ shifts)) / size, NOTABLE) / size[:, None] * np.min(size)
+    alone = _null_space(others, RANK)
     none = np.zeros((free.shape[0], alone.shape[1]))
     return np.block([[free, none], [-inverse @ shifts @ free, alone]])
 
@@ -468,8 +423,6 @@ def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
 
 def _null_space(rows: Array, least: float) -> Array:
     """Return an orthonormal basis (n, d) of the directions that change rows by less than a share."""
-    if not rows.shape[0]:
-        return np.eye(rows.shape[1])
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
     rank = int(np.sum(sizes > max(least, TINY)))
     return np.asarray(basis[rank:].T)

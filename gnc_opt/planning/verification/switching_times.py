@@ -7,19 +7,26 @@ phases and where switches coincide, the trajectory is integrated with shifted ju
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
+from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
 from gnc_opt.planning.verification.feasibility import combine_condition_results
+from gnc_opt.planning.verification.shifted_limits import (
+    find_acting_limits,
+    find_costate_jumps,
+    find_held_controls,
+)
 from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
@@ -36,9 +43,10 @@ def check_switching_times(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Condition:
     """No shift of switching times lowers the cost to second order."""
-    jumps = find_jumps(samples) if all(s.has_duration for s in samples) else []
+    problem = solution.need_problem("verify")
+    jumps = find_jumps(problem, samples) if all(s.has_duration for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
-    if jumps and _are_all_jumps_free_times(jumps, samples, scales):
+    if jumps and _are_all_jumps_free_times(jumps, samples):
         jumps, place = [], f"{place}: see second order"
     jumps = sorted(jumps, key=lambda jump: jump.time)
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
@@ -51,7 +59,7 @@ def check_switching_times(
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 
-def _are_all_jumps_free_times(jumps: list[Jump], samples: list[PhaseSamples], scales: Scales) -> bool:
+def _are_all_jumps_free_times(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
     """Whether the second order has every jump as an unknown of its own: bang-bang arcs, or boundaries of a movable mesh
     at which one control jumps and no limit of the states acts."""
     if any(jump.beyond for jump in jumps):
@@ -59,36 +67,22 @@ def _are_all_jumps_free_times(jumps: list[Jump], samples: list[PhaseSamples], sc
     if not explain_inapplicable_theorem(samples):
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
-    limited = any(_has_active_path_or_state_limit(s, scales) for s in samples)
+    limited = any(np.any(find_acting_limits(s, s.times)) or find_costate_jumps(s) for s in samples)
     movable = all(s.leg.mesh.movable for s in samples)
     return movable and not limited and len(set(times)) == len(times)
 
 
-def _has_active_path_or_state_limit(s: PhaseSamples, scales: Scales) -> bool:
-    """Whether a limit of states is reached inside the phase, or another path constraint acts for more than rounding."""
-    reach, pure = scales.phases[s.leg.name].along.radius, np.zeros(len(s.leg.path_labels), dtype=bool)
-    pure[s.pure_paths] = True
-    paths = s.functions.paths(s.times, s.x, s.u)
-    at_states = np.logical_or(*s.leg.state_bounds.near(s.x, AT_LIMIT * reach))
-    at_paths = np.logical_or(*s.leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[pure]
-    if np.any(at_states[:, 1:-1]) or np.any(at_paths[:, 1:-1]):
-        return True
-    pushes = np.max(np.abs(s.mu[~pure]), axis=1, initial=0.0) * s.path_scale[~pure]
-    return bool(np.max(pushes, initial=0.0) * s.span > AT_LIMIT * scales.cost)
-
-
-def find_jumps(samples: list[PhaseSamples]) -> list[Jump]:
+def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
     """Return the jumps of the applied controls inside phases and between phases that follow each other."""
     jumps = []
     order = sorted(samples, key=lambda s: s.leg.initial_time)
     for s in order:
-        leg, change = s.leg, np.ptp(s.u, axis=1)
+        leg, change = s.leg, np.maximum(np.ptp(s.u, axis=1), s.control_span)
         inner = leg.breaks[1:-1]
-        if inner.size:
-            size = np.abs(leg.applied(inner) - leg.applied(inner, "left"))
-            for i, k in np.argwhere(size > SMALL * np.maximum(change, TINY)[:, None]):
-                if not _is_constrained(s, int(i), float(inner[k])):
-                    jumps.append((s, float(inner[k]), int(i), ""))
+        before, after = leg.applied(inner, "left"), leg.applied(inner)
+        large = np.abs(after - before) > SMALL * np.maximum(change, TINY)[:, None]
+        for i, k in np.argwhere(large & ~_are_constrained(problem, s, inner)):
+            jumps.append(Jump(leg.name, float(inner[k]), int(i), before[i, k], after[i, k]))
     for s, following in itertools.pairwise(order):
         a, b = s.leg, following.leg
         if abs(a.final_time - b.initial_time) > SAME_TIME * s.span or a.controls.labels != b.controls.labels:
@@ -96,27 +90,20 @@ def find_jumps(samples: list[PhaseSamples]) -> list[Jump]:
         before, after = a.applied(a.breaks[-1], "left"), b.applied(b.breaks[0])
         change = np.maximum(np.ptp(s.u, axis=1), np.ptp(following.u, axis=1))
         size = np.abs(after - before)
-        for i in np.flatnonzero(size > SMALL * np.maximum(change, size)):
-            straight = not (
-                _is_constrained(s, int(i), a.breaks[-1]) or _is_constrained(following, int(i), b.breaks[0])
-            )
-            on_bounds = all(_is_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after))
-            if straight and on_bounds:
-                jumps.append((s, float(a.breaks[-1]), int(i), b.name))
+        held = _are_constrained(problem, s, a.breaks[-1:]) | _are_constrained(
+            problem, following, b.breaks[:1]
+        )
+        for i in np.flatnonzero((size > SMALL * np.maximum(change, size)) & ~held[:, 0]):
+            if all(_is_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
+                jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
-    return [
-        Jump(s.leg.name, t, i, _shorter_adjacent_arc(jumps, ends, s, t, i, beyond), beyond)
-        for s, t, i, beyond in jumps
-    ]
+    return [replace(jump, shorter_arc=_shorter_adjacent_arc(jump, jumps, ends)) for jump in jumps]
 
 
-def _shorter_adjacent_arc(
-    jumps: list[Any], ends: Any, s: PhaseSamples, time: float, channel: int, beyond: str
-) -> float:
-    first, last = ends[s.leg.name]
-    last = ends[beyond][1] if beyond else last
-    others = [t for _, t, i, _ in jumps if i == channel and t != time]
-    return float(min(abs(time - t) for t in [first, last, *others] if t != time))
+def _shorter_adjacent_arc(jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[float, float]]) -> float:
+    limits = ends[jump.phase][0], ends[jump.beyond or jump.phase][1]
+    times = [*limits, *(other.time for other in jumps if other.channel == jump.channel)]
+    return float(min(abs(jump.time - t) for t in times if t != jump.time))
 
 
 def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
@@ -125,16 +112,8 @@ def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)
 
 
-def _is_constrained(s: PhaseSamples, i: int, time: float) -> bool:
-    """Whether an active path constraint, or one of the states, determines a control next to a time."""
-    beside = int(np.argmin(np.abs(s.times - time)))
-    at = np.unique(np.clip([beside - 3, beside + 3], 0, s.times.size - 1))
-    u = s.u[:, at]
-    lower, upper = s.leg.control_bounds.near(u, AT_LIMIT * np.max(np.abs(s.u), axis=1, initial=0.0))
-    between = ~(lower | upper)[i]
-    if np.any(between & (np.any(s.state_multiplier[:, at] != 0, axis=0) | np.any(s.mu[:, at] != 0, axis=0))):
-        return True
-    if not s.leg.path_labels:
-        return False
-    jacobian = s.functions.path_control_jacobian(s.times[at], s.x[:, at], u)[:, i]
-    return bool(np.any((jacobian != 0) & (np.abs(s.mu[:, at]) > 0)))
+def _are_constrained(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
+    """Whether a limit of the path or of a state acts on each control beside times, (m, n_times)."""
+    near = np.argmin(np.abs(s.times[:, None] - times), axis=0)
+    sides = [np.clip(near + k, 0, s.times.size - 1) for k in (-3, 3)]
+    return np.logical_or(*(find_held_controls(problem, s, s.times[at]) for at in sides))

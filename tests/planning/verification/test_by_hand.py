@@ -504,11 +504,12 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
     transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
     solution: Any = SimpleNamespace(
+        problem=None,
         phases={
             "leg": SimpleNamespace(
                 initial_time=2.0, duration=4.0, controls=SimpleNamespace(labels=("a",)), name="leg"
             )
-        }
+        },
     )
     point: Any = SimpleNamespace(
         transcription=transcription, variables=SimpleNamespace(labels=transcription.variable_labels)

@@ -87,6 +87,46 @@ def test_a_touch_stays_at_the_peak_when_a_switch_moves(as_path: bool) -> None:
     assert not touching(0.51, as_path).ok
 
 
+def coupled_touch(concavity: float, as_path: bool) -> go.Verdict:
+    """Verdict on switches of two controls at 1 and 2 that raise q to a touch of its limit at 3.
+
+    From rest, q rises to s1 s2 at t = s1 + s2 if the acceleration (u1 + u2) / 2 has its switches at s1 and s2. With
+    J = int (t - 2) u1 + (t - 5 / 2) u2 - concavity / 2 x(4)^2 and the multiplier 1 of s1 s2 <= 2, steps (1, -2) d of
+    the switches keep the limit to first order and change the Lagrangian by (3 - concavity / 2) d^2. At the fixed time
+    3 it would be (5 / 2 - concavity / 2) d^2.
+    """
+    model = go.Model("two switches before a touch")
+    q, v, x = model.state("q"), model.state("v"), model.state("x")
+    u1, u2 = model.control("u1"), model.control("u2")
+    model.ode({q: v, v: (u1 + u2) / 2, x: u1 / 2})
+    problem, leg = one_phase("touch", model, 0.0, 4.0)
+    leg.initial(q=0.0, v=0.0, x=1.0)
+    leg.bounds(u1=(-1, 1), u2=(-1, 1))
+    if as_path:
+        leg.path("ceiling", q, upper=2.0)
+    else:
+        leg.bounds(q=(None, 2.0))
+    running = leg.integral((model.time - 2) * u1) + leg.integral((model.time - 2.5) * u2)
+    problem.minimize(running - concavity / 2 * leg.final_state("x") ** 2)
+    t = np.sort(np.append(np.linspace(0, 4, 41), [1.0, 2.0]))
+    count = np.arange(t.size)
+    first, second = (count <= np.searchsorted(t, s) for s in (1.0, 2.0))
+    states = {
+        "q": np.where(first, t**2 / 2, np.where(second, t - 0.5, 2 - (t - 3) ** 2 / 2)),
+        "v": np.where(first, t, np.where(second, 1.0, 3 - t)),
+        "x": np.where(first, 1 + t / 2, 2 - t / 2),
+    }
+    return go.verify_trajectory(
+        problem, t, states, {"u1": np.where(first, 1.0, -1.0), "u2": np.where(second, 1.0, -1.0)}
+    )
+
+
+@pytest.mark.parametrize("as_path", [False, True])
+def test_a_touch_moves_with_the_switches_before_it(as_path: bool) -> None:
+    assert coupled_touch(5.9, as_path)["switching times"].result is not go.ConditionResult.FAIL
+    assert coupled_touch(6.1, as_path)["switching times"].result is go.ConditionResult.FAIL
+
+
 def test_the_place_counts_switches_and_names_the_second_order() -> None:
     """Rest to rest in minimum time has one switch."""
     model, *_ = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
@@ -115,7 +155,7 @@ def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap
         legs.append(leg)
     problem.maximize(legs[0].final_state("x") - legs[1].final_state("x"))
     solution = go.solve(problem, mesh="2x3", tol=None)
-    jumps = find_jumps(list(solution.samples().values()))
+    jumps = find_jumps(solution.need_problem("verify"), list(solution.samples().values()))
     assert [jump.beyond for jump in jumps] == ["second"] * count
 
 
@@ -251,8 +291,8 @@ def test_the_largest_fall_of_all_groups_is_reported(monkeypatch: pytest.MonkeyPa
     module = importlib.import_module("gnc_opt.planning.verification.switching_times")
     gains = iter([Worst(0.1, "first"), None, Worst(0.3, "third")])
     monkeypatch.setattr(module.ShiftedTrajectory, "find_second_order_decrease", lambda _: next(gains))
-    jumps = [module.Jump("leg", t, 0, 1.0, "next") for t in (0.1, 0.5, 0.9)]
-    monkeypatch.setattr(module, "find_jumps", lambda _: jumps)
+    jumps = [module.Jump("leg", t, 0, -1.0, 1.0, beyond="next") for t in (0.1, 0.5, 0.9)]
+    monkeypatch.setattr(module, "find_jumps", lambda *_: jumps)
     monkeypatch.setattr(module, "MOST_TOGETHER", 1)
     model, *_ = dynamics("drift", "x", "u", lambda x, u: {x: u})
     problem, leg = one_phase("rest", model, 0.0, 1.0)

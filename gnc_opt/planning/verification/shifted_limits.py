@@ -1,0 +1,102 @@
+r"""Active limits of the states in the Lagrangian of a shifted trajectory (module `shifted_trajectory`).
+
+A limit that is touched at :math:`t_k` with the multiplier :math:`\eta`, the jump of the costates along its gradient,
+adds :math:`\eta \max_t g(t, x(t))`. The touch moves with the trajectory: where g changes by :math:`\Delta g` and its
+rate by :math:`\Delta\dot g` at :math:`t_k`, its maximum changes to second order by
+
+.. math:: \Delta g - \frac{\Delta\dot g^2}{2 \ddot g}
+
+with :math:`\ddot g` of the side to which the touch moves (Hermant, SIAM J. Control Optim. 48(3), 2009, for limits of
+second order).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraints import constraint_order
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
+
+ACTIVE_LIMIT_TIMES = 24
+"""Times of a phase, at most, at which limits that act along arcs are kept."""
+
+
+def find_costate_jumps(s: PhaseSamples) -> dict[float, Array]:
+    """Return the jumps of the costates (n,) that change the cost, by their times."""
+    inner = s.leg.breaks[1:-1]
+    jumps = s.leg.lam(inner, "left") - s.leg.lam(inner, "right")
+    sizes = np.max(np.abs(jumps) * s.state_scale[:, None], axis=0)
+    large = sizes > NEGLIGIBLE * s.cost_scale
+    return {float(t): jump for t, jump in zip(inner[large], jumps.T[large], strict=True)}
+
+
+def touch_terms(
+    problem: Problem, s: PhaseSamples, functions: PhaseFunctions, time: float, jump: Array, x: Array
+) -> Array:
+    """Return the change of the Lagrangian by a jump of the costates (n,), for states (n, n_columns) at its time.
+
+    ``functions`` are those with the parameters of each column; the last column is the trajectory itself. A jump that
+    limits do not explain counts by the states.
+    """
+    rows, count = StateConstraints(problem, s), x.shape[1]
+    shifted = StateConstraints(problem, replace(s, functions=functions))
+    t, moved = np.full(count, time), x - x[:, -1:]
+    before, after = (
+        np.repeat(s.leg.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
+    )
+    values = shifted.evaluate_rows(t, x, after)
+    near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
+    active = [int(i) for i in np.flatnonzero(near) if rows.row_order(int(i))]
+    by_path = functions.path_state_jacobian(t, x, after)[..., -1]
+    gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
+    multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale)[0]
+    terms = (jump - multipliers @ gradients) @ moved
+    for i, eta in zip(active, multipliers, strict=True):
+        terms += eta * (values[i] - values[i, -1])
+        if rows.row_order(i) < 2:
+            continue
+        slope = shifted.time_derivative(i, 1, t, x, after)
+        slope -= slope[-1]
+        bend = np.where(eta * slope > 0, *(shifted.time_derivative(i, 2, t, x, u) for u in (after, before)))
+        if np.all(-np.sign(eta) * bend * s.span**2 > SMALL * rows.row_scales[i]):
+            terms -= eta * slope**2 / (2 * bend)
+    return np.asarray(terms)
+
+
+def find_acting_limits(s: PhaseSamples, times: Array) -> Mask:
+    """Whether path constraints, then bounds of states, change the cost at times, (n_rows, n_times)."""
+    density = np.vstack([s.leg.path_multiplier(times), s.leg.state_multiplier(times)])
+    scale = np.concatenate([s.path_scale, s.state_scale])[:, None]
+    return np.asarray(np.abs(density) * scale * s.span > NEGLIGIBLE * s.cost_scale)
+
+
+def find_held_controls(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
+    """Whether each control is one by which a limit of the path or of a state can be followed (m, n_times)."""
+    held = np.zeros((s.leg.controls.size, times.size), dtype=bool)
+    for row, acting in enumerate(find_acting_limits(s, times)):
+        if np.any(acting):
+            held[list(constraint_order(problem, problem.phases[s.leg.name], row).controls)] |= acting
+    return held
+
+
+def find_active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
+    """Return gradients (n,) of the limits that act along arcs, at some edges of cells, by what they change the cost."""
+    chosen = edges[1:-1]
+    chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
+    if not chosen.size or not np.any(acting := find_acting_limits(s, chosen)):
+        return {}
+    leg, found = s.leg, {}
+    units = np.repeat(np.eye(leg.states.size)[:, :, None], chosen.size, axis=2)
+    by_path = s.functions.path_state_jacobian(chosen, leg.x(chosen), leg.applied(chosen))
+    density = np.vstack([leg.path_multiplier(chosen), leg.state_multiplier(chosen)])
+    gradients = np.concatenate([by_path, units]) * (s.span / max(s.cost_scale, TINY) * density)[:, None]
+    for k in np.flatnonzero(np.any(acting, axis=0)):
+        found[float(chosen[k])] = list(gradients[acting[:, k], :, k])
+    return found
