@@ -9,7 +9,7 @@ minimum of H      the first mesh again, from the controls that minimise H along 
 adaptive barrier  the first mesh again, by IPOPT's adaptive barrier strategy
 60 segments       60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the
                   switching-time formulation with the arcs that they show if none has had a solution
-200 segments      200 segments of degree 3, warm, and the switching-time formulation, without and with the shortest arcs
+200 segments      200 segments of degree 3, warm, and the switching-time formulation with the arcs that they show
 hp refinement     hp refinement of the best mesh so far, and the switching-time formulation with its arcs
 ================  =============================================================================================
 
@@ -204,9 +204,8 @@ class StagedRefinement:
             if again is not None:
                 yield again
                 fine = again if again.costs_less(fine) else fine
-            for sharp in (False, True):
-                found = detect_structures(fine.solution, sharp=sharp)
-                yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
+            found = detect_structures(fine.solution)
+            yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
         yield from self._run_last_stage()
 
     def _run_first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:

@@ -1,9 +1,8 @@
-"""Corrections of arcs: overlaps, short arcs beside limits, shared switches, arcs on bounds, mixed constraints."""
+"""Corrections of arcs: switches that coincide, arcs on bounds, mixed constraints."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -17,8 +16,6 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
-from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.refinement.arcs.contact_cleanup import remove_overlapping_limits
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.refinement.arcs.split_switches import (
     FREE_SPAN,
@@ -29,83 +26,11 @@ from gnc_opt.planning.refinement.arcs.split_switches import (
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import detect_structures
 from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
 
-# What a mesh shows and no control can do, on structures put together by hand.
-
-
-LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
-
-
-def structure(times: tuple[float, ...], *kinds: tuple[ArcKind, ...], lean: int = 1) -> PhaseStructure:
-    """One control, and two states of order 1 and 2 that it holds."""
-    return PhaseStructure(
-        times, kinds, n_controls=1, orders=(0, 1, 2), holders=((), (0,), (0,)), leans=((), (lean,), (lean,))
-    )
-
-
-def test_one_limit_takes_over_from_another_in_the_middle_of_what_they_share() -> None:
-    both = structure((0.0, 3.0, 5.0, 9.0), (SING, UP, FREE), (SING, UP, UP), (SING, FREE, UP))
-    left = remove_overlapping_limits(both)
-    assert left.times == (0.0, 4.0, 9.0)
-    assert left.kinds == ((SING, UP, FREE), (SING, FREE, UP))
-
-
-def test_a_limit_held_on_both_sides_of_another_is_left_where_it_is_shorter() -> None:
-    both = structure(
-        (0.0, 3.0, 5.0, 6.0, 9.0), (SING, FREE, LOW), (SING, UP, LOW), (SING, FREE, LOW), (LOW, FREE, FREE)
-    )
-    left = remove_overlapping_limits(both)
-    assert left.times == (0.0, 3.0, 5.0, 6.0, 9.0)
-    assert left.kinds[1:] == ((SING, UP, FREE), (SING, FREE, FREE), (LOW, FREE, FREE))
-
-
-def test_a_control_comes_to_its_own_bound_in_the_middle_of_what_that_shares_with_the_limit_it_holds() -> None:
-    both = structure((0.0, 3.0, 5.0, 9.0), (FREE, UP, FREE), (UP, UP, FREE), (UP, FREE, FREE))
-    left = remove_overlapping_limits(both)
-    assert left.times == (0.0, 4.0, 9.0)
-    assert left.kinds == ((FREE, UP, FREE), (UP, FREE, FREE))
-
-
-def test_limits_of_two_controls_may_be_held_together() -> None:
-    both = PhaseStructure(
-        (0.0, 3.0, 5.0, 9.0), ((SING, SING, UP, FREE), (SING, SING, UP, UP), (SING, SING, FREE, UP)),
-        n_controls=2, orders=(0, 0, 1, 2), holders=((), (), (0,), (0, 1)),
-    )  # fmt: skip
-    assert remove_overlapping_limits(both) == both
-
-
-# Short arcs beside limits that no trajectory has, on structures put together by hand: v' = a, |a| <= 1,
-# |v| <= 1.
-
-
-def speeding(rate: Callable[[Any, Any], Any] = lambda a, t: a, mesh: Any = "10x3") -> StateConstraints:
-    """Of a speed with this rate, over 4 s."""
-    model = go.Model("cart")
-    v, a = model.state("v"), model.control("a")
-    model.ode({v: rate(a, model.time)})
-    problem, leg = one_phase("fast", model, 0.0, 4.0)
-    leg.initial(v=0.0)
-    leg.bounds(a=(-1.0, 1.0), v=(-1.0, 1.0))
-    problem.minimize(leg.integral(a**2 - v, "cost"))
-    solution = go.solve(problem, mesh=mesh, tol=None, throw=False)
-    return StateConstraints(problem, solution.samples()["leg"])
-
-
-@pytest.fixture(scope="module")
-def cart() -> StateConstraints:
-    """With segments of 0.4 s."""
-    return speeding()
-
-
-def of(times: tuple[float, ...], *kinds: tuple[ArcKind, ArcKind]) -> PhaseStructure:
-    """The control, and the speed that it holds."""
-    return PhaseStructure(times, kinds, n_controls=1, orders=(0, 1), holders=((), (0,)), leans=((), (1,)))
-
-
 # Several controls that change at one time, with arcs on limits of states: closed forms, and their
 # multipliers.
 
 
-LOW, UP, FREE, SINGULAR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR, ArcKind.SINGULAR
+LOW, UP, FREE, SING = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR, ArcKind.SINGULAR
 
 
 def gantry(distance: float, speed: float) -> go.Problem:
@@ -199,8 +124,8 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
     """Rows: two controls, a state of each that it can hold."""
     kinds = (
         (UP, UP, FREE, FREE),
-        (SINGULAR, SINGULAR, UP, UP),
-        (LOW, SINGULAR, FREE, UP),
+        (SING, SING, UP, UP),
+        (LOW, SING, FREE, UP),
         (UP, LOW, FREE, FREE),
         (LOW, UP, FREE, FREE),
     )
@@ -440,7 +365,7 @@ TURNING = PhaseStructure(
     (
         (UP, FREE, FREE, FREE, FREE),
         (UP, FREE, FREE, FREE, UP),
-        (UP, SINGULAR, SINGULAR, FREE, UP),
+        (UP, SING, SING, FREE, UP),
         (UP, FREE, FREE, FREE, FREE),
     ),
     n_controls=3,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +23,6 @@ from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.refinement.arcs import contact_detection as p
-from gnc_opt.planning.refinement.arcs import contacts as c
 
 # Arcs on state constraints and touches, found on a coarse mesh and refined: closed forms.
 
@@ -299,7 +298,6 @@ def test_touches_stay_with_their_times() -> None:
     two = one.with_touch(1, 3.0, UP)
     assert (two.times, two.touches) == ((0.0, 1.0, 3.0, 4.0), ((), ((1, UP),), ((1, UP),), ()))
     assert two.kinds == ((FREE, FREE),) * 3 and not two.has_only_kinks(1)
-    assert two.without_touch(1, 1) == free.with_touch(1, 3.0, UP)
     assert (
         two.merge_pieces() == two and two.touch_times(1, UP) == [1.0, 3.0] and two.touch_times(1, LOW) == []
     )
@@ -510,38 +508,3 @@ def test_values_derivatives_and_gradients_of_rows() -> None:
     assert here.state_gradient(0, 0.5, x[:, 0], u[:, 0]) == pytest.approx([1.0, 3.0])
     assert here.state_gradient(2, 0.5, x[:, 0], u[:, 0]).tolist() == [0.0, 1.0]
     assert here.row_scales == pytest.approx([*here.samples.path_scale, *here.samples.state_scale])
-
-
-def test_a_touch_whose_limit_would_have_to_pull_is_wrong() -> None:
-    """At 2 s the costate of h falls by 2: an upper limit pushes, a lower one would pull."""
-    here = constraints(falling, steady, jumping, state_bounds=interval([4, -9], [4.5, 9]))
-    base = PhaseStructure((0.0, 4.0), ((FREE, FREE, FREE, FREE),), (), 1, 1, (0, 0, 2, 0))
-    assert c.find_pulling_touch(here, base.with_touch(2, 2.0, UP)) is None
-    assert c.find_pulling_touch(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
-    assert c.find_pulling_touch(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
-    both = base.with_touch(2, 1.0, LOW).with_touch(2, 2.0, LOW)
-    assert c.find_pulling_touch(here, both) == (2, 2) and c.find_pulling_touch(here, base) is None
-    path = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 2, 0, 0))
-    assert c.find_pulling_touch(here, path.with_touch(1, 2.0, UP)) is None
-    assert c.find_pulling_touch(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
-
-
-@dataclass(frozen=True)
-class ContactNodes:
-    """A run that knows whether it can be held, whether it is known, and whether the mesh or a barrier alone pushes."""
-
-    row: int
-    times: Any
-    worth: Any
-    can: bool
-    seen: bool
-    touched: bool = False
-
-    def is_near_touch(self, structure: Any, samples: Any) -> bool:
-        return self.touched
-
-    def possible(self, structure: Any) -> bool:
-        return self.can
-
-    def known(self, structure: Any, samples: Any) -> bool:
-        return self.seen

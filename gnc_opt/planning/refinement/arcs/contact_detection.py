@@ -105,21 +105,6 @@ class ContactNodes:
         end = self._touched_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
-    def is_near_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether it is in the segments next to a touch of its own: the barrier pushes where points come close to it.
-
-        What begins or ends with the phase is more than that.
-        """
-        pushing, breaks = self.times[self.worth > 0], samples.leg.breaks
-        if np.any(np.isin(samples.leg.point_times[[0, -1]], pushing)):
-            return False
-        for time in structure.touch_times(self.row, self.kind):
-            at = int(np.argmin(np.abs(breaks - time)))
-            first, last = breaks[max(at - 1, 0)], breaks[min(at + 1, breaks.size - 1)]
-            if np.all((pushing >= first) & (pushing <= last)):
-                return True
-        return False
-
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
         """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
         pushing = self.times[self.worth > 0]

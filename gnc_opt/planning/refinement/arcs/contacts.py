@@ -29,19 +29,14 @@ from gnc_opt.arrays import Indices
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.contact_cleanup import (
-    remove_oscillation_arcs,
-    remove_overlapping_limits,
-)
 from gnc_opt.planning.refinement.arcs.contact_detection import (
     CONTACT_MIN_NODES,
-    SHORT_ARC_SEGMENTS,
     ContactNodes,
     find_contact_nodes,
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE, TINY
+from gnc_opt.tolerances import NEGLIGIBLE
 
 BETWEEN_BOUNDS_MIN_SHARE = 0.05
 """A control is between its bounds on average if the mean is this far from them, relative to its range."""
@@ -122,10 +117,10 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
         leans=(*((),) * first, *leans),
     )
     if not any(orders):
-        return remove_oscillation_arcs(remove_overlapping_limits(structure), constraints, SHORT_ARC_SEGMENTS)
+        return structure
     for run in _find_new_contact_nodes(constraints, structure):
         structure = run.add_contacts(structure, samples)
-    return remove_overlapping_limits(remove_oscillation_arcs(structure, constraints, SHORT_ARC_SEGMENTS))
+    return structure
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
@@ -135,29 +130,10 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
         worth = np.where(structure.is_at_limit(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
-    s = constraints.samples
-    return [
-        run for run in found if not run.is_end_touch(structure, s) and not run.is_near_touch(structure, s)
-    ]
+    return [run for run in found if not run.is_end_touch(structure, constraints.samples)]
 
 
 # --- mended ---------------------------------------------------------------------------------------------------
-
-
-def find_pulling_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
-    """Return boundary and row of a touch whose limit would have to pull, or None."""
-    s, first = constraints.samples, len(structure.control_kinds)
-    for k, touches in enumerate(structure.touches):
-        for row, kind in touches:
-            time = float(s.leg.breaks[np.argmin(np.abs(s.leg.breaks - structure.times[k]))])
-            gradient = (
-                constraints.state_gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
-            )
-            jump = (s.leg.lam(time, "left") - s.leg.lam(time, "right")) * s.state_scale
-            push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), TINY)
-            if push < -NEGLIGIBLE * s.cost_scale:
-                return k, row
-    return None
 
 
 def add_missing_contact(

@@ -366,12 +366,6 @@ class PhaseStructure:
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
         return self._merge_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
 
-    def without_touch(self, boundary: int, row: int) -> PhaseStructure:
-        """Return the structure in which a row does not touch its limit at a boundary."""
-        touches = list(self.touches)
-        touches[boundary] = tuple(touch for touch in touches[boundary] if touch[0] != row)
-        return self._merge_pieces(list(self.times), self.kinds, touches)
-
     def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
         """What is touched at each of some times, those of the structure among them."""
         known = dict(zip(self.times, self.touches, strict=True))

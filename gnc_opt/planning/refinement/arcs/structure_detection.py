@@ -36,23 +36,21 @@ HELD_STATE_TOLERANCE = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
 
 
-def detect_structures(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
-    """Return the structures of all phases with contacts; sharp: see `detect_phase_structure`."""
+def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
+    """Return the structure of every phase, with its contacts."""
     problem = solution.need_problem("refine")
     return {
-        name: add_contacts(detect_phase_structure(s, find_determined_controls(problem, s), sharp), problem, s)
+        name: add_contacts(detect_phase_structure(s, find_determined_controls(problem, s)), problem, s)
         for name, s in solution.samples().items()
     }
 
 
-def detect_phase_structure(
-    samples: PhaseSamples, determined: Sequence[Determined] = (), sharp: bool = False
-) -> PhaseStructure:
+def detect_phase_structure(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> PhaseStructure:
     """Return the structure of a phase; what state constraints determine, if known, lies between its bounds.
 
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
-    constraint). Short bangs next to those are taken for noise, unless the structure is to be sharp. Other controls are
+    constraint). Short bangs next to those are taken for noise. Other controls are
     checked by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
     """
     leg, regular, affine = samples.leg, convex_controls(samples), affine_controls(samples)
@@ -60,7 +58,7 @@ def detect_phase_structure(
     limits = linear_path_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
-        _label_linear_control(samples, i, held[i], sharp)
+        _label_linear_control(samples, i, held[i])
         if affine[i]
         else _label_nonlinear_control(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
         for i in range(leg.controls.size)
@@ -106,17 +104,14 @@ def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
     return samples.functions.control_gradient(times, leg.x(times), leg.applied(times), leg.lam(times), mu)
 
 
-def _label_linear_control(
-    samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]], sharp: bool = False
-) -> KindArray:
+def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
     """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
     gradient = _compute_hamiltonian_gain(samples, samples.control_gradient, i)
     labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
     labels[_mask_intervals(samples, held)] = ArcKind.SINGULAR
-    if not sharp:
-        _absorb_short_bangs(samples, i, labels, gradient)
+    _absorb_short_bangs(samples, i, labels, gradient)
     return labels
 
 

@@ -20,7 +20,6 @@ from gnc_opt.planning.refinement.arcs.arc_refinement import (
 )
 from gnc_opt.planning.refinement.arcs.contacts import (
     add_missing_contact,
-    find_pulling_touch,
     replace_saturated_controls,
 )
 from gnc_opt.planning.refinement.arcs.control_curvature import (
@@ -50,7 +49,7 @@ def correct_plans(
         if structure is not None:
             return {**plans, name: plans[name].replace_structure(structure)}, action
     for name, c in constraints.items():
-        structure, action = _correct_contacts(c, plans[name].structure)
+        structure, action = add_missing_contact(c, plans[name].structure)
         if structure is not None:
             return {**plans, name: plans[name].replace_structure(structure)}, action
     for name, s in samples.items():
@@ -257,21 +256,3 @@ def find_violation_interval(times: Array, violation: Array) -> tuple[float, floa
 def _interpolate_zero(times: Array, values: Array, left: int, right: int) -> float:
     """Zero of a straight line between two samples whose values do not have the same sign."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
-
-
-# --- contacts with state constraints --------------------------------------------------------------------------
-
-
-def _correct_contacts(
-    constraints: StateConstraints, structure: PhaseStructure
-) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
-
-    A touch may pull because another is missing next to it.
-    """
-    added, action = add_missing_contact(constraints, structure)
-    wrong = find_pulling_touch(constraints, structure)
-    if added is not None or wrong is None:
-        return added, action
-    time = constraints.samples.describe_times(structure.times[wrong[0]])
-    return structure.without_touch(*wrong), f"touch at {time} dropped"
