@@ -1,4 +1,4 @@
-"""Candidates: the answers found on the way, what is known of the error of each, and which of them is returned."""
+"""Candidates: the solutions that a search has found, their estimated errors, and the choice of the best one."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 LOCAL_ERROR_RATIO = 1e3
-"""The objective's estimated error counts if local errors are at most so many tolerances."""
+"""Largest local error, in tolerances, with which the estimated error of the objective is used."""
 
 CANDIDATE_ERROR_MARGIN = 3.0
-"""An objective that is lower by more than so many estimates belongs to another minimum."""
+"""An objective that is lower by more than this many estimated errors belongs to another minimum."""
 
 OPEN_MAX_RATIO = 1e2
-"""A condition that misses its tolerance by a larger factor is not met by a finer mesh."""
+"""Largest ratio of a failed condition to its tolerance with which a finer mesh may satisfy it."""
 
 NAMED_CONDITIONS = 3
-"""So many open conditions are named in the message."""
+"""Number of failed conditions that the message names."""
 
 _CHATTERING = (
     "A singular arc, {where}, may be of higher order: such arcs meet arcs on bounds by chattering only, ever faster "
@@ -39,7 +39,7 @@ _CHATTERING = (
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An answer, the history of the passes that led to it, and its stage in the sequence of meshes."""
+    """A solution, the history of the solves that led to it, and the stage of the search that found it."""
 
     solution: Solution
     history: History
@@ -95,12 +95,12 @@ class Candidate:
 
     @property
     def passes_check(self) -> bool:
-        """Whether it is known to pass the optimality check."""
+        """Whether the optimality check has been computed and passed."""
         return self.known_verdict is not None and self.known_verdict.ok
 
     @property
     def is_nearly_optimal(self) -> bool:
-        """Whether the optimality check fails by so little that a finer mesh may pass it."""
+        """Whether the optimality check failed by at most `OPEN_MAX_RATIO`, so that a finer mesh may pass it."""
         if self.known_verdict is None:
             return False
         necessary = [c for c in self.known_verdict.open if not c.sufficient]
@@ -131,14 +131,14 @@ class Candidate:
         return max(estimate / found.scale, tol), self.largest_error
 
     def costs_less(self, other: Candidate) -> bool:
-        """Whether it is a solution that costs less than another one on the same mesh."""
+        """Whether its cost is lower than that of another solution on the same mesh, beyond rounding."""
         return (
             self.is_solved
             and self.minimised_cost < other.minimised_cost - SMALL * other.solution.objective_error.scale
         )
 
     def has_lower_cost(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
-        """Whether it belongs to a lower minimum; by far, if only the other passes the check."""
+        """Whether it belongs to a lower minimum; the margin is larger if only the other one passes the check."""
         if not self.minimised_cost < other.minimised_cost:
             return False
         ours, theirs = (
@@ -150,10 +150,12 @@ class Candidate:
 
 
 def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
-    """Return which candidate to keep: of those that pass the check, else of all, the least estimate.
+    """Return the index of the best candidate.
 
-    Of several within the tolerance, the least local error. A clearly lower minimum wins in any case, unless its local
-    errors are large and larger: then it need not be a trajectory of the vehicle.
+    Candidates that pass the check come first; among these, or else among all, the smallest estimated error decides.
+
+    Of several within the tolerance, the local error decides. A clearly lower minimum is preferred to all of them,
+    unless its local errors are large: then it need not be a trajectory of the vehicle.
     """
     solved = [k for k, c in enumerate(candidates) if c.is_solved]
     if not solved:
@@ -170,18 +172,18 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
 def final_solution(
     candidates: Sequence[Candidate], ended: RefinementStatus | None, tol: float, begin: float, check: bool
 ) -> Solution:
-    """Return the best candidate's solution with the history of all, its verdict, and how it ended.
+    """Return the solution of the best candidate with the history of all candidates, its verdict and its status.
 
     Parameters
     ----------
     candidates : sequence of Candidate
     ended : RefinementStatus or None
-        What stopped the search; None if nothing was left to do.
+        Status that stopped the search; None if all stages have run.
     tol : float
     begin : float
-        As `time.perf_counter` counts.
+        Time at which the search began, s, of `time.perf_counter`.
     check : bool
-        Whether the answer is to carry a verdict.
+        Whether the solution gets a verdict.
     """
     chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]
@@ -242,7 +244,7 @@ def _classify_status(
 
 
 def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
-    """Say how it ended: local error, estimated error of the objective, stage, and what is open."""
+    """Describe the ending: local error, estimated error of the objective and failed conditions."""
     error = best.largest_error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
@@ -263,6 +265,6 @@ def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict 
 
 
 def _describe_singular_arcs(verdict: Verdict) -> str:
-    """Say what may keep a refinement with singular arcs from its end, and where they are."""
+    """Explain why a refinement with singular arcs may not converge, and where they are."""
     _, found, where = verdict["second order"].where.partition("singular arcs: ")
     return f" {_CHATTERING.format(where=where.partition(';')[0])}" if found else ""

@@ -80,24 +80,24 @@ BARRIER_OPTION = "ipopt.mu_strategy"
 
 @dataclass(eq=False)
 class StagedRefinement:
-    """A problem, what is asked of its answer, and what has been found.
+    """The search for an accurate solution of one problem: settings, budget and candidates.
 
     Parameters
     ----------
     problem : Problem
-        As it is solved: restated.
+        In the form that the solver gets; see `gnc_opt.planning.problem.reformulation`.
     tol : float
-        On local errors, and on the estimated error of the objective in shares of it.
+        On the local errors, and on the estimated error of the objective relative to the objective.
     limits : RefinementLimits
     budget : WorkBudget
-        What they leave.
+        Work that the limits allow.
     check : bool
-        Whether the answer has to pass the optimality check.
+        Whether the search ends only with a solution that passes the optimality check.
     options : SolverOptions, optional
-        Of all solves.
+        Options of all solves.
     progress : bool
     begin : float
-        When it began, as `time.perf_counter` counts.
+        Time at which the search began, s, of `time.perf_counter`.
     """
 
     problem: Problem
@@ -112,17 +112,17 @@ class StagedRefinement:
     _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
 
     def run_stages(self, first: Solution) -> Solution:
-        """Return the answer, from a solution on a first mesh."""
+        """Run all stages from a solution on a first mesh and return the best solution."""
         self.budget.charge_solve(first)
         return self._collect_candidates(first, self._run_all_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
-        """Return the answer by hp refinement alone, from a solution on a mesh."""
+        """Return the result of hp refinement alone, from a solution on a mesh."""
         self._add_candidate(Candidate.from_solve(first, self.tol, self.begin, FIRST))
         return self._collect_candidates(first, self._refine_mesh(first, 1.0))
 
     def refine_with_fixed_arcs(self, first: Solution) -> Solution:
-        """Return the answer with the arcs that a solution shows.
+        """Return the result of the switching-time formulation with the arcs of a solution.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class StagedRefinement:
         return self._collect_candidates(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
 
     def answer_interruption(self, first: Solution) -> Solution:
-        """Return a solution as the answer of a search that Ctrl-C ended before it began."""
+        """Return the result of a search that Ctrl-C ended before its first stage: the given solution."""
         candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
         return final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
 
@@ -219,7 +219,7 @@ class StagedRefinement:
             yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
     def _run_middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
-        """Yield what the middle stage finds; the generator returns the solution to go on with."""
+        """Yield the candidates of the stage with 60 segments; return the solution that the next stage starts from."""
         meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_stage(MIDDLE, meshes, first)
         yield found
@@ -233,7 +233,7 @@ class StagedRefinement:
         return found.solution if found.is_solved else first
 
     def _run_last_stage(self) -> Iterator[Candidate]:
-        """Refine the best mesh, and try its arcs; then further where only the check is open."""
+        """Refine the best mesh, then solve with its arcs; refine further while only the check fails."""
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.ranking_errors(self.tol))
         found = yield from self._refine_mesh(start.solution, 1.0)
@@ -253,7 +253,7 @@ class StagedRefinement:
         return next(c for c in self.candidates if c.is_solved and c.solution is solution)
 
     def _uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
-        """Return uniform meshes of so many segments in all phases together; finer ones that a solution has stay."""
+        """Return uniform meshes with a total number of segments; phases that have a finer mesh keep it."""
         each = max(segments // len(like.phases), segments // 4)
         meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}
         return {
@@ -293,7 +293,7 @@ class StagedRefinement:
         return Candidate.from_solve(found, self.tol, begin, stage)
 
     def _solve_from_minimum_hamiltonian(self, start: Solution, stage: str) -> Candidate | None:
-        """Solve on the same mesh from the controls of least H, where the controls lose much."""
+        """Solve on the same mesh from the controls that minimise H, if the present controls do not minimise it."""
         if not self._find_candidate(start).is_false_extremal:
             return None
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
@@ -301,7 +301,7 @@ class StagedRefinement:
         return self._solve_stage(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
 
     def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
-        """Solve on the same mesh from the problem's own guess by the adaptive barrier strategy."""
+        """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
         options = self.options or SolverOptions()
         if any(c.is_objective_within(self.tol) for c in self.candidates):
             return None
@@ -315,7 +315,7 @@ class StagedRefinement:
     def _refine_mesh(
         self, start: Solution, share: float, stage: str = HP, tol: float | None = None
     ) -> Generator[Candidate, None, Candidate]:
-        """Yield what hp refinement leads to; the generator returns it, too."""
+        """Yield and return the candidate of hp refinement."""
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,
@@ -338,7 +338,7 @@ class StagedRefinement:
         share: float = STAGE_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
-        """Yield what a switching-time formulation leads to, if it is promising."""
+        """Yield the candidate of the switching-time formulation, if the arcs are promising."""
         if not self._is_structure_promising(start, found) and share < 1.0:
             return
         options = self.options or SolverOptions(
@@ -358,7 +358,7 @@ class StagedRefinement:
         yield Candidate(solution, history, stage)
 
     def _is_structure_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
-        """Whether arcs are there, few enough, not tried before, and programs have had solutions so far."""
+        """Whether there are arcs, not too many, not tried before, and few earlier formulations have failed."""
         if not _has_arcs(start, found, at_least=1):
             return False
         if any(s.n_pieces > PROGRAM_MAX_PIECES for s in found.values()):
@@ -382,7 +382,7 @@ class StagedRefinement:
 
 
 def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
-    """Whether some control can have switches or kinks, and its phase has more pieces than that, or touches limits."""
+    """Whether a control can have switches or kinks in a phase with more pieces than given, or with touched limits."""
     for name, samples in solution.samples().items():
         if np.any(affine_controls(samples)) and found[name].n_pieces > at_least:
             return True
@@ -390,7 +390,7 @@ def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
             return True
         if np.any(nonconvex_controls(samples)) and found[name].n_pieces > max(at_least, 1):
             return True
-        # Controls that H determines have nothing to settle if they stay between their bounds.
+        # Controls that H determines need no arcs as long as they stay between their bounds.
         if np.any(convex_controls(samples)) and found[name].n_pieces > 1:
             return True
     return False
