@@ -1,4 +1,4 @@
-"""Optimal control: problem, transcription, solution, optimality check, refinement and studies."""
+"""Optimal control: problem statement, transcription, solution, optimality check, refinement and studies."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -141,7 +141,7 @@ _MODULES = {name: module for module, names in _NAMES_OF_MODULES.items() for name
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used (PEP 562), since loading all takes longer than NumPy and CasADi."""
+    """Load a public name at its first use (PEP 562), which keeps the import fast."""
     if name in _MODULES:
         value = getattr(import_module(f"gnc_opt.{_MODULES[name]}"), name)
         globals()[name] = value

@@ -1,4 +1,4 @@
-"""solve: from a stated problem to an accurate solution with its optimality check; Resolver: variations of a problem."""
+"""solve: accurate solution of a problem with optimality check; Resolver: solutions of variations of a problem."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ from gnc_opt.runtime_environment import one_thread
 
 
 class Resolver:
-    """Solve variations of a problem (`Problem.with_initial`, `with_parameters`, ...) from one solution of it.
+    """Solver of variations of a problem (`Problem.with_initial`, `with_parameters`, ...) from a known solution.
 
-    The methods, tried in this order:
+    The methods are tried in this order:
 
     ============  ============================================================  ========================================
     method        applies to                                                    computation
     ============  ============================================================  ========================================
-    SWITCH_TIMES  one phase, every control on a bound, all conditions at       Newton's method on switch times, to 1e-9
-                  the ends are equalities                                       in the cost
-    WARM          all else                                                      its arcs or mesh, and multipliers, by
-                                                                                IPOPT; refined if it was refined
-    COLD          where the others fail                                         `solve` without a guess
+    SWITCH_TIMES  one phase, all controls at bounds, all end conditions are     Newton's method on the switching times,
+                  equalities                                                    to 1e-9 in the cost
+    WARM          all other problems                                            IPOPT with the known arcs or mesh and
+                                                                                multipliers; refined if it was refined
+    COLD          the other methods fail                                        `solve` without a guess
     ============  ============================================================  ========================================
 
-    WARM is within ``tol`` if the solution was refined; if arcs or mesh changed, it carries its verdict. The first two
-    find a local minimum, usually the nearest. One object must not be used by two threads at once.
+    WARM is within ``tol`` if the solution was refined; if arcs or mesh changed, it has a verdict. The first two methods
+    find a local minimum, usually the nearest. An object must not be used by two threads at the same time.
 
     Parameters
     ----------
     solution : Solution
-        A solved one, with its problem.
+        Solved solution with its problem.
     tol : float, optional
-        For cold solutions; default: that which the solution was refined to; None if it was not.
+        Tolerance of cold solves; default: that of the solution; None if it was not refined.
     cold : bool
-        Whether to solve from the start where the other methods fail.
+        Whether to use COLD if the other methods fail.
 
     Raises
     ------
@@ -76,7 +76,7 @@ class Resolver:
         if not solution.status.solved:
             raise ProblemError(
                 f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
-                "solve again from one that is solved."
+                "use a solution that is solved."
             )
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
@@ -87,24 +87,24 @@ class Resolver:
 
     @one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
-        """Return the solution of a variation; ``solution.provenance["way"]`` names the `SolveMethod` it was found.
+        """Return the solution of a variation; ``solution.provenance["way"]`` is its `SolveMethod`.
 
-        A variation may begin along the known trajectory: ``problem.with_time(initial=t).with_initial(...)``.
-        Initial states slightly beyond a bound (2 % of the range), as measured ones are, start on it;
+        A variation may start along the known trajectory: ``problem.with_time(initial=t).with_initial(...)``. Measured
+        initial states slightly beyond a bound (2 % of the range) are moved to the bound;
         ``provenance["start"]`` names them.
 
         Parameters
         ----------
         problem : Problem
         near : Solution, optional
-            Of a variation, to start from; default the one that the resolver was made of.
+            Solution of a variation to start from; default: the solution of the resolver.
 
         Raises
         ------
         ProblemError
-            The problem, or ``near``, is no variation of the one that the resolver knows, or is not well stated.
+            The problem, or ``near``, is not a variation of the resolver's problem, or is invalid.
         SolveError
-            No method has led to a solution.
+            All methods failed.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
         within, moved = clip_start_to_bounds(problem)
@@ -113,15 +113,15 @@ class Resolver:
         stated, problem = problem, reformulate(problem)
         if not stated.has_variation(self._problem):
             raise ProblemError(
-                f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
-                "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
+                f"problem '{problem.name}' is not a variation of the resolver's problem: create it by "
+                "with_initial(), with_parameters() or similar, or create a Resolver from its own solution."
             )
         if near is not None:
             expect(near, Solution, "the start of Resolver.solve()", "give near=resolver.solve(...), say")
             if _variable_names(near) != _variable_names(self.solution):
                 raise ProblemError(
-                    f"the solution of '{near.problem_name}' has other phases, states or controls than what the "
-                    "resolver knows: give near= a solution of a variation."
+                    f"the solution of '{near.problem_name}' has other phases, states or controls than the "
+                    "resolver's problem: give near= a solution of a variation."
                 )
         check_bounds_and_times(
             stated
@@ -131,13 +131,13 @@ class Resolver:
             return found
         if not self.cold:
             raise ProblemError(
-                f"problem '{problem.name}' was not solved next to the known solution, and the resolver is not to begin "
-                "from the start: vary it less, or leave out cold=False."
+                f"problem '{problem.name}' was not solved next to the known solution, and cold=False excludes a cold "
+                "solve: use a smaller variation, or omit cold=False."
             )
         return with_method(solve(problem, tol=self.tol), SolveMethod.COLD)
 
     def _solve_nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
-        """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
+        """Return the solution of a variation in the form of the known one, if a warm method finds it."""
         flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
         found = solve_by_switching_times(problem, flight)
         if found is not None:
@@ -167,7 +167,7 @@ def _variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]
 
 
 class SolveMethod(Enum):
-    """How a problem was solved again, from a known solution; ``solution.provenance["way"]`` names it."""
+    """Method by which a variation was solved; stored as ``solution.provenance["way"]``."""
 
     SWITCH_TIMES = "switch times"
     WARM = "warm start"
@@ -175,7 +175,7 @@ class SolveMethod(Enum):
 
 
 DEFAULT_TOLERANCE = 1e-6
-"""What a solution is refined to where nobody says otherwise."""
+"""Default tolerance of a refinement."""
 
 
 @one_thread()
@@ -194,38 +194,38 @@ def solve(
     progress: bool = False,
     throw: bool = True,
 ) -> Solution:
-    """Solve an optimal control problem by collocation, refine the solution, and check that it is optimal.
+    """Return the solution of an optimal control problem by collocation, refined and checked for optimality.
 
     Parameters
     ----------
     problem : Problem
     mesh : Mesh, str or mapping, optional
-        ``Mesh.uniform(20, 3)`` or ``"20x3"``; a mapping from phase to mesh for several phases. Refinement starts from
-        it; ``tol=None`` keeps it.
+        ``Mesh.uniform(20, 3)`` or ``"20x3"``; a mapping from phase to mesh for several phases. It is the first mesh of
+        the refinement; ``tol=None`` solves on it only.
     scheme : {"LG", "LGR", "LGL"}
         Collocation points: Legendre-Gauss, -Radau or -Lobatto.
     guess : Solution, optional
         Start from states, controls and multipliers of an earlier solution, on any mesh. If it is the refined solution
-        of a variation (`Problem.with_initial`, ...), and neither mesh nor options are given, its arcs or mesh are used
-        again, as by `Resolver`; if that fails, refinement starts anew. By default the problem's own guess and straight
-        lines; see `gnc_opt.planning.direct.solve_mesh`.
+        of a variation (`Problem.with_initial`, ...), and neither mesh nor options are given, its arcs or mesh are
+        reused as by `Resolver`, with a new refinement if that fails. Default: the problem's guess and straight lines;
+        see `gnc_opt.planning.direct.solve_mesh`.
     tol : float, "auto" or None
-        Refine until the error between the nodes is below this, and check the result; see `refine`. None: one solve on
-        the given mesh, without a check. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` that which a variation
-        was refined to, and None with any other.
+        Tolerance of the error between the nodes, with refinement and check; see `refine`. None: one solve on the given
+        mesh, without a check. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` from a variation its tolerance,
+        with any other guess None.
     structure : {"auto", "bang-bang", "none"}
-        How to refine; see `refine`.
+        Refinement method; see `refine`.
     check : bool
-        ``False``: return as soon as the estimated error of the objective is within the tolerance, without the
+        ``False``: the solve ends as soon as the estimated error of the objective is within the tolerance, without the
         optimality check; see `refine`.
     limits : RefinementLimits, optional
-        On solving and refining together; see `refine`.
+        Limits of solves and refinement together; see `refine`.
     options : SolverOptions, optional
-        Solver, tolerances, limits and raw options. The limit on wall time is one on solving and refining together.
+        Solver, tolerances, limits and raw options. The wall-time limit applies to solves and refinement together.
     progress : bool
-        Show iterations while solving.
+        Display iterations.
     throw : bool
-        Raise `SolveError` when no solution was reached; with ``False`` the last iterate is returned, with its
+        Raise `SolveError` if no solution was found; with ``False`` the last iterate is returned, with its
         ``status`` and ``violations``. An interrupted solve (Ctrl-C, time limit) returns the best solution so far.
 
     Returns
@@ -235,9 +235,9 @@ def solve(
     Raises
     ------
     ProblemError
-        The problem is not well stated; see ``Problem.check``.
+        The problem is invalid; see ``Problem.check``.
     SolveError
-        No solution was found; the error carries the last iterate.
+        No solution was found; the error contains the last iterate.
 
     Examples
     --------
@@ -299,7 +299,7 @@ def solve(
 
 
 def with_method(solution: Solution, way: SolveMethod) -> Solution:
-    """Return a solution that says how it was found."""
+    """Return a solution with the method recorded in its provenance."""
     return _with_provenance(solution, "way", way.value)
 
 
@@ -311,7 +311,7 @@ def _with_provenance(solution: Solution, key: str, text: str) -> Solution:
 def _solve_variation(
     problem: Problem, known: Solution, tol: float | None, in_a_loop: bool
 ) -> Solution | None:
-    """Return the solution of a variation of a known one, or None; in a loop checked only if arcs or mesh changed."""
+    """Return the solution of a variation, or None; with ``in_a_loop`` checked only if arcs or mesh changed."""
     if not _is_variation(problem, known):
         return None
     if in_a_loop:
@@ -341,18 +341,18 @@ def solve_by_known_arcs(
 
 
 def _is_refined(known: Solution) -> bool:
-    """Whether a solution is within its tolerance, checked or not."""
+    """Return whether a solution is within its tolerance, checked or not."""
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
     return known.history is not None and known.history.status in reached_by
 
 
 def _is_variation(problem: Problem, known: Solution) -> bool:
-    """Whether a solution is one of a problem that differs in numbers only."""
+    """Return whether a solution belongs to a problem that differs only in numbers."""
     return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
 
 
 def _solve_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
-    """Return the refinement from the mesh that the known solution was refined from, or else a cold solution."""
+    """Return the refinement from the first mesh of the known solution, or else a cold solution."""
     meshes, start = recover_initial_meshes(known), truncate_solution(known, problem)
     warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
     if warm.status is Status.INTERRUPTED:
@@ -375,14 +375,14 @@ def _solve_again(problem: Problem, known: Solution, tol: float, progress: bool, 
 
 
 def _is_better(warm: Solution, cold: Solution) -> bool:
-    """Whether the one that did not settle is still the better of two."""
+    """Return whether the warm solution that did not converge is better than the cold one."""
     if cold.converged or warm.history is None:
         return False
     return cold.history is None or warm.history.final.error < cold.history.final.error
 
 
 def reached_tolerance(known: Solution) -> float:
-    """Return the tolerance that a solution was refined to."""
+    """Return the tolerance of a refined solution."""
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
 
 

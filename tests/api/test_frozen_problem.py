@@ -75,7 +75,7 @@ def test_the_problem_of_a_solution_refuses_every_declaration(change: str) -> Non
     solution = go.solve(rest_to_rest()[0], tol=None)
     assert solution.problem is not None
     before = solution.problem.fingerprint()
-    with pytest.raises(go.ProblemError, match="cannot be changed any more: make a variation"):
+    with pytest.raises(go.ProblemError, match="cannot be changed: create a variation"):
         CHANGES[change](solution.problem)
     assert solution.problem.fingerprint() == before
 

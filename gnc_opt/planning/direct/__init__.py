@@ -1,1 +1,1 @@
-"""One solve on one mesh, and why it failed."""
+"""Direct collocation on one mesh: solves, repeated attempts and failure reports."""

@@ -1,4 +1,4 @@
-"""One problem on one mesh, ready to be solved: program, scaling, solver, and the way back to a solution."""
+"""Problem on one mesh, ready for the solver: program, scaling, initial point, and conversion of the result."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """The program of a problem on given meshes, with numbers.
+    """Nonlinear program of a problem on given meshes, with numbers, scaling and initial point.
 
     Attributes
     ----------
     options : SolverOptions
-        As asked for; the solver's may differ in what suits the mesh.
+        Options of the user; those of the solver may be adapted to the mesh.
     build_s : float
-        Wall time of all this.
+        Wall time of the preparation.
     reused : bool
-        Whether the solver served before.
+        Whether the solver is reused from an earlier solve.
     progress : bool
-        Whether to show iterations.
+        Whether to display iterations.
     """
 
     transcription: Transcription
@@ -66,12 +66,12 @@ class Attempt:
         *,
         progress: bool = False,
     ) -> Attempt:
-        """Transcribe and scale a problem, or take what an earlier solve left, and find a start.
+        """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point.
 
         Raises
         ------
         ProblemError
-            The guess does not fit the problem.
+            The guess is incompatible with the problem.
         """
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
@@ -87,7 +87,7 @@ class Attempt:
     def build_point(
         self, start: ProgramStart, *, held: Indices | None = None, with_cost: bool = True
     ) -> NlpPoint:
-        """Return the scaled numbers of the program: from a start, some variables held, with or without the cost."""
+        """Return the scaled solver input for an initial point, with ``held`` variables fixed; cost is optional."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
         variables, rows = transcription.variable_interval(problem), transcription.row_interval(problem)
         if held is not None:
@@ -106,18 +106,20 @@ class Attempt:
 
     @contextmanager
     def show_progress(self, *, with_cost: bool = True) -> Iterator[ShowIteration | None]:
-        """While open, iterations can be shown by the function that it yields, if they are to be shown."""
+        """Provide the function that displays iterations, or None."""
         if not self.progress:
             yield None
             return
         from gnc_opt.progress import solve_meter
 
-        worth = self.problem.sense * self.scaling.objective if with_cost else 1.0  # as it was stated
+        worth = (
+            self.problem.sense * self.scaling.objective if with_cost else 1.0
+        )  # in the sense and unit of the user
         with solve_meter(self.problem.name) as show:
             yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
 
     def build_solution(self, result: NlpResult) -> Solution:
-        """Return what a result means in the problem's own terms; its problem is a frozen copy."""
+        """Return the solution of a solver result; its problem is a frozen copy."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
         iterate = Iterate(
             result.x * scaling.variables,
@@ -125,7 +127,7 @@ class Attempt:
             result.lam_g * scaling.rows / scaling.objective,
         )
         box = transcription.variable_interval(problem)
-        # Scaling and unscaling rounds: a variable at its bound must sit exactly there.
+        # Scaling and unscaling rounds; fixed variables must equal their bounds exactly.
         iterate = replace(iterate, x=np.where(box.fixed, box.lower, iterate.x))
         iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
         phases, gradients = extract_phases(transcription, problem, iterate)
@@ -160,7 +162,7 @@ class Attempt:
 
 
 def _with_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
-    """Pivot with care where switch times are variables: short arcs make the linear systems nearly singular."""
+    """Select careful pivoting if switching times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
     if options.careful_pivoting is None and movable:
         return replace(options, careful_pivoting=True)

@@ -1,14 +1,14 @@
-r"""Multipliers where conditions depend on each other: those of least norm.
+r"""Minimum-norm multipliers for dependent constraints.
 
-If some combination of equality constraints is satisfied by every motion of the variables, :math:`J_F^T r = 0`, any
-multiple of r may be added to the multipliers. Examples: all four components of a quaternion prescribed at its end; a
-state on an arc of its limit, which follows from an arc of another limit. An interior-point method leaves the multiple
-where its iterates drifted, which may be so far out that no digit of the costates is left.
+If a combination of equality constraints is satisfied by every change of the variables, :math:`J_F^T r = 0`, any
+multiple of r may be added to the multipliers. Examples: all four components of a quaternion fixed at the end; a state
+on an active arc that is implied by another active arc. The multiple in the result of an interior-point method is
+arbitrary and may be so large that the costates lose all digits.
 
-The result has the least :math:`|\lambda_x + J_A^T r|^2 + \epsilon |\lambda - r|^2`: a limit that another one implies
-(A: states on arcs) has no multiplier, and what is left open then is as small as possible. The least-squares problem is
-solved by its augmented system (Bjorck, Numerical Methods for Least Squares Problems, 1996, sec. 1.1.5). Inequalities
-and bounds keep their multipliers; those of fixed variables take what the rows give up, so that stationarity stays.
+The result minimises :math:`|\lambda_x + J_A^T r|^2 + \epsilon |\lambda - r|^2`: a limit implied by another one (A:
+states on arcs) has no multiplier, and the remaining null-space part has minimum norm. The least-squares problem is
+solved by its augmented system (Bjorck, Numerical Methods for Least Squares Problems, 1996, sec. 1.1.5). Multipliers of
+inequalities and bounds do not change; those of fixed variables are adapted, so that stationarity is preserved.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE
 
 NULL_SPACE_MIN_SHARE = 0.5
-"""Least share of the largest multiplier that the part in the null space has if that has drifted."""
+"""Smallest null-space part, as a share of the largest multiplier, that is removed."""
 
 REGULARISATION = 1e-13
-"""Regularisation of the least-squares problem, whose matrix has rows of size 1."""
+"""Regularisation of the least-squares problem, whose rows have norm 1."""
 
 NULL_RESIDUAL = 1e-10
-"""A null vector's largest residual, in shares of its largest component."""
+"""Largest residual of a null vector, as a share of its largest component."""
 
 
 def minimum_norm_multipliers(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
-    """Return a result without what dependent equality constraints leave open in its multipliers."""
+    """Return a result without the null-space part of the multipliers of dependent equality constraints."""
     largest = np.max(np.abs(result.lam_g), initial=0.0)
     if not 0.0 < largest < np.inf:
         return result
@@ -56,7 +56,7 @@ def minimum_norm_multipliers(transcription: Transcription, point: NlpPoint, resu
 
 
 def _mask_phase_states(transcription: Transcription) -> Mask:
-    """Which variables are states within a phase (n_variables,): fixed ones are on an arc of their limit."""
+    """Return which variables are states inside a phase (n_variables,); fixed ones are on active arcs."""
     found: Mask = np.zeros(transcription.n_variables, dtype=bool)
     for part in transcription.parts.values():
         found[part.collocation.point_states] = True
@@ -66,7 +66,7 @@ def _mask_phase_states(transcription: Transcription) -> Mask:
 
 
 def _null_space_part(free: Any, along: Any, rows: Array, limits: Array) -> Array:
-    """Return the part r of the multipliers of rows (m,) that the variables ``free`` (m, n) leave open."""
+    """Return the part r of the row multipliers (m,) that the variables ``free`` (m, n) do not determine."""
     m, n = free.shape
     weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T
     system = scipy.sparse.block_array(

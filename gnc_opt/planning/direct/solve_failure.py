@@ -1,4 +1,4 @@
-"""A solve that failed, as an error."""
+"""Failure of a solve: exception, message and remedies."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from gnc_opt.planning.problem.problem_check import missing_bounds_text
 from gnc_opt.planning.solution.solution import Solution
 
 GUESS_HELPS = (Status.INFEASIBLE, Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
-"""Endings of a way through the iterates that another start may spare."""
+"""Statuses of failures that another initial guess may avoid."""
 
 
 class SolveError(GncOptError, RuntimeError):
-    """The solver did not reach a solution; `solution` holds the last iterate and its status.
+    """The solver did not find a solution; `solution` contains the last iterate and its status.
 
-    On its way to another process the iterate loses its problem, whose symbols cannot travel;
-    ``error.solution.with_problem(problem)`` joins the two again.
+    The problem of the iterate is not pickled, because its symbols cannot be pickled;
+    ``error.solution.with_problem(problem)`` restores it.
     """
 
     def __init__(self, message: str, solution: Solution) -> None:
@@ -34,7 +34,7 @@ class SolveError(GncOptError, RuntimeError):
 
 
 def format_failure(solution: Solution) -> str:
-    """Return what a failed solve raises: status, worst constraint, remedy, what to guess, and norms to declare."""
+    """Return the message of a failed solve: status, worst constraint, remedies for guess and norms."""
     worst = "all constraints hold at the last iterate"
     if solution.violations:
         first = solution.violations[0]
@@ -54,26 +54,23 @@ def format_failure(solution: Solution) -> str:
 
 
 def suggest_better_guess(problem: Problem) -> str:
-    """Return which kind of guess can help, and the states of unknown size; empty where a trajectory is given."""
+    """Return a remedy on useful guesses, with states of unknown magnitude; "" if a trajectory is given."""
     if has_trajectory_guess(problem):
         return ""
     hint = (
-        " Guesses that help are trajectories: one that go.guess_from_simulation() flies, waypoints over time in "
-        "with_guess(phase, times, ...) (about a centre on an arc, not a straight line; or state the problem in polar "
+        " Guesses that help are trajectories: a simulation by go.guess_from_simulation(), waypoints over time in "
+        "with_guess(phase, times, ...) (around a centre an arc instead of a straight line; or use polar "
         "coordinates), or a simpler problem's solution in go.guess_from_solution()."
     )
     names = _find_unsized_states(problem)
     if not names:
         return hint
     listed = ", ".join(f"'{name}'" for name in names)
-    return (
-        f"{hint} Begin with {listed}: no bound, end value or guess gives the size; use "
-        f"with_guess(phase, {names[0]}=...)."
-    )
+    return f"{hint} Start with {listed}, whose magnitude is unknown: use with_guess(phase, {names[0]}=...)."
 
 
 def _find_unsized_states(problem: Problem) -> list[str]:
-    """Return the states of which neither a bound, nor an end, nor a guess is known in any phase."""
+    """Return the states without bound, end value and guess in all phases."""
     told: dict[str, bool] = {}
     for leg in problem.phases.values():
         numbers, states = leg.numbers, leg.model.states

@@ -1,9 +1,9 @@
-"""solve_mesh: one solve on one mesh, and what is tried when it fails.
+"""Solution of a problem on one mesh, with repeated attempts after failures.
 
-A start from a solution that loses its way is repeated from the trajectory alone, without its multipliers. A cold start
-that fails is repeated with careful pivoting where rounding may be the cause, and with IPOPT's adaptive barrier; where
-the guess is no trajectory, then from a simulation, and from points that meet the constraints without the cost. All
-tries of one solve share its limit on wall time.
+If a start from a solution fails, it is repeated from its trajectory without multipliers. A failed cold start is
+repeated with careful pivoting if rounding may be the cause, and with IPOPT's adaptive barrier. If the guess is not a
+trajectory, it is also repeated from a simulation, and from points that satisfy the constraints without the cost. All
+attempts share the limit on wall time.
 """
 
 from __future__ import annotations
@@ -38,25 +38,24 @@ from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription
 
 TRY_MAX_ITERATIONS = 300
-"""Iterations of a try while others follow, where the guess is no trajectory."""
+"""Iterations of an attempt if others follow and the guess is not a trajectory."""
 
 WARM_MAX_ITERATIONS = 150
-"""Iterations after which a start near a known solution, or the first one from straight lines, has lost its way. Of 84
-problems that are solved from straight lines none takes more than 143."""
+"""Iterations after which a start near a known solution, or the first start from straight lines, is given up. Of 84
+problems solved from straight lines none needs more than 143."""
 
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
-"""Endings of a warm start after which its multipliers are given up."""
+"""Statuses of a warm start after which it is repeated without multipliers."""
 
 ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
-"""Endings that rounding in the linear solver can cause: it is repeated from there, pivoting with care."""
+"""Statuses that rounding in the linear solver can cause; the solve is repeated with careful pivoting."""
 
 CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
-"""Endings after which points are tried that meet the constraints, one after the other.
+"""Statuses after which the constraints are solved without the cost from several initial points.
 
-A cost pulls the iterates, a free final time above all, into a corner where the constraints cannot be met and their
-violation is stationary: there a solver stops and reports that the problem is infeasible, though it is not. Without
-the cost nothing pulls; with the durations held, what remains of many problems is close to linear. Durations that are
-too short are the usual trap, so longer ones are tried."""
+A cost, above all of a free final time, can drive the iterates to points where the constraint violation is stationary;
+the solver then reports infeasibility of a feasible problem. Without the cost this is rare. With fixed durations many
+problems are nearly linear. Too short durations are the most frequent cause, so that longer ones are tried."""
 
 UNEXPLAINED = (
     Status.RESTORATION_FAILED,
@@ -64,33 +63,33 @@ UNEXPLAINED = (
     Status.STEP_TOO_SMALL,
     Status.ITERATION_LIMIT,
 )
-"""Endings that say nothing of the problem."""
+"""Statuses that are no property of the problem."""
 
 TRAJECTORY_START_BARRIER = 1e-2
-"""First barrier parameter when only the trajectory is kept."""
+"""Initial barrier parameter of a start from a trajectory without multipliers."""
 
 HELD_TIME_FACTORS = (1.0, 4.0, 16.0, 64.0)
-"""Multiples of the guessed times at which durations are held while constraints are met."""
+"""Multiples of the guessed times that are fixed while the constraints are solved."""
 
 FEASIBILITY_RANDOM_STARTS, FEASIBILITY_SEED = 2, 1
-"""Random starts, with free durations, where the guess itself does not help to meet the constraints."""
+"""Number of random starts with free durations, if the guess does not lead to a feasible point."""
 
 
 @dataclass(frozen=True)
 class SolveLimits:
-    """When a solve on a mesh gives up sooner than the solver's options say.
+    """Limits of a solve on a mesh, in addition to the solver options.
 
     Attributes
     ----------
     warm_iterations : int, optional
-        A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`; 0: from the trajectory
-        alone.
+        A start from a guess with more iterations is stopped with `TRAJECTORY_ONLY`; 0: start from the trajectory
+        without multipliers.
     iterations : int, optional
-        Of all tries together: the last one ends as `Status.ITERATION_LIMIT` there.
+        Limit of all attempts together; the last one ends as `Status.ITERATION_LIMIT`.
     deadline : float
-        When to stop, as `time.perf_counter` counts.
+        End time on the clock `time.perf_counter`.
     cpu_deadline : float
-        When to end as `Status.ITERATION_LIMIT`, as `time.thread_time` counts.
+        End time on the clock `time.thread_time`, with `Status.ITERATION_LIMIT`.
     """
 
     warm_iterations: int | None = None
@@ -109,26 +108,26 @@ def solve_mesh(
     limits: SolveLimits = SolveLimits(),
     progress: bool = False,
 ) -> Solution:
-    """Solve a problem on one mesh, by as many tries as it takes, and return the last iterate, solved or not.
+    """Return the last iterate of a problem on one mesh, solved or not, after as many attempts as necessary.
 
     Parameters
     ----------
     problem : Problem
-        One that passes its `check`.
+        A problem that passes its `check`.
     mesh : Mesh, str or mapping, optional
-        Default: that of the guess, if it has the same phases, else `DEFAULT_MESH`.
+        Default: the mesh of the guess, if it has the same phases, else `DEFAULT_MESH`.
     guess : Solution, optional
-        Start from its trajectory and multipliers.
+        The solve starts from its trajectory and multipliers.
     options : SolverOptions, optional
     limits : SolveLimits
-        When to give up sooner than the options say.
+        Limits in addition to the options.
     progress : bool
-        Show iterations while solving.
+        Whether to display iterations.
     """
     chosen, problem = options or SolverOptions(), reformulate(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         known = {name: guess.phases[name] for name in problem.phases}
-        # Boundaries that moved with arcs would, without these, move to where the points see least.
+        # Boundaries that were moved with arcs would otherwise move to where the points have the least accuracy.
         meshes = {
             name: mesh_with_fixed_breaks(leg) if guess.structure else leg.mesh for name, leg in known.items()
         }
@@ -150,7 +149,7 @@ def solve_mesh(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A problem on meshes, and how it is solved; see `solve_mesh`."""
+    """Problem on meshes with solver options; see `solve_mesh`."""
 
     problem: Problem
     meshes: Mapping[str, Mesh]
@@ -160,7 +159,7 @@ class _Task:
     limits: SolveLimits
 
     def deduct_iterations(self, found: Solution) -> _Task:
-        """Return the task with the iterations that are left after those of a solution."""
+        """Return the task with the iterations remaining after a solution."""
         if self.limits.iterations is None:
             return self
         left = max(0, self.limits.iterations - found.statistics.iterations)
@@ -168,7 +167,7 @@ class _Task:
 
     @property
     def is_exhausted(self) -> bool:
-        """Whether no iterations or no CPU time are left."""
+        """Return whether no iterations or no CPU time remain."""
         return self.limits.iterations == 0 or time.thread_time() > self.limits.cpu_deadline
 
     def solve_from_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
@@ -181,17 +180,17 @@ class _Task:
         return replace(found, problem=self.problem.frozen())
 
     def limit_iterations(self, iterations: int) -> _Task:
-        """Return the task with so many iterations at most."""
+        """Return the task with at most this number of iterations."""
         fewer = min(iterations, self.options.max_iterations)
         return replace(self, options=replace(self.options, max_iterations=fewer))
 
     def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
-        """Solve from one guess; the effort and the wall time of an earlier try (after) count."""
+        """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
         attempt = Attempt.from_problem(
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
         )
         point = attempt.build_point(attempt.start)
-        attempt.solver.create_solver(point)  # the limit is on solving, not on setting up
+        attempt.solver.create_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.limits.deadline, attempt.solver.solve_deadline() - earlier_s)
         allowance = _Allowance(None, self.limits)
@@ -206,12 +205,12 @@ class _Task:
         return replace(found, statistics=found.statistics.add_earlier(after.statistics)) if after else found
 
 
-# --- the same program, other starts ---------------------------------------------------------------------
+# --- repeated attempts ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityStart:
-    """Physical variables (n_variables,) to start from, and places of those to hold until the constraints are met."""
+    """Initial physical variables (n_variables,), and indices of variables fixed until the constraints are satisfied."""
 
     variables: Array
     held: Indices
@@ -219,7 +218,7 @@ class FeasibilityStart:
 
 @dataclass(eq=False)
 class _Tries:
-    """Solves of one program, until one is solved: all that was ``spent``, and those of the ``whole``, cost included."""
+    """Attempts on one program until one succeeds: all results ``spent``, and those with cost, ``whole``."""
 
     attempt: Attempt
     allowance: _Allowance
@@ -228,7 +227,7 @@ class _Tries:
     whole: list[NlpResult] = field(default_factory=list)
 
     def solve_from_point(self, point: NlpPoint, *, search: bool) -> None:
-        """Solve from a point, then by other numerics; where it is no trajectory (search), from other points."""
+        """Solve from a point, then with other numerical options; with ``search`` also from other points."""
         options = self.attempt.solver.options
         ipopt = options.solver == "ipopt"
         cold = ipopt and point.start_kind == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
@@ -254,9 +253,9 @@ class _Tries:
             self._solve_program(point)
 
     def select_result(self) -> NlpResult:
-        """Return the solution; without one the first ending that says why, or else the first failure.
+        """Return the solution; without one the first conclusive failure, or else the first failure.
 
-        Constraints that are not met from one point say nothing of the problem.
+        A failure to satisfy the constraints from one point is not conclusive.
         """
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
@@ -292,7 +291,7 @@ class _Tries:
             yield program_start(self.attempt.transcription, flown, None)
 
     def _solve_constraints_first(self) -> None:
-        """Solve from points that meet the constraints, until an ending is none of `CONSTRAINTS_FIRST`."""
+        """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
         for place in generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
             point = attempt.build_point(ProgramStart(place.variables), held=place.held, with_cost=False)
@@ -308,7 +307,7 @@ class _Tries:
 
 @dataclass
 class _Allowance:
-    """Shows iterations, and ends the try that takes the last one, or the CPU time, of all tries together."""
+    """Display of iterations, and end of the attempt that exceeds the common iteration or CPU limit."""
 
     show: ProgressCallback | None
     limits: SolveLimits
@@ -328,7 +327,7 @@ class _Allowance:
 
 @dataclass
 class _Patience:
-    """Shows iterations, and ends a solve after so many or the last that all tries may take."""
+    """Display of iterations, and end of a solve after its own or the common iteration limit."""
 
     show: ProgressCallback
     most: int | None = None
@@ -348,7 +347,7 @@ def _find_free_times(transcription: Transcription) -> Indices:
 def generate_feasibility_starts(
     transcription: Transcription, problem: Problem, start: Array
 ) -> Iterator[FeasibilityStart]:
-    """Yield starts: the guess with free times, with times held at multiples of the guess, random ones."""
+    """Yield initial points: the guess with free times, with times fixed at multiples of the guess, random ones."""
     times, box = _find_free_times(transcription), transcription.variable_interval(problem)
     yield FeasibilityStart(start, times[:0])
     tried: list[Array] = []
@@ -366,7 +365,7 @@ def generate_feasibility_starts(
 
 
 def has_trajectory_guess(problem: Problem) -> bool:
-    """Whether the problem's guess is a trajectory over time, not merely end values: then its failure is the user's."""
+    """Return whether the guess is a trajectory over time, and not only end values."""
     guesses = [leg.numbers.guess for leg in problem.phases.values()]
     return any(
         callable(value) or (guess.time is not None and guess.time.size > 2)

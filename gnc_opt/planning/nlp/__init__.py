@@ -1,4 +1,4 @@
-"""The boundary to NLP solvers. Knows nothing about optimal control."""
+"""Interface to NLP solvers, independent of optimal control."""
 
 from gnc_opt.planning.nlp.options import SolverOptions
 from gnc_opt.planning.nlp.program import NlpProblem

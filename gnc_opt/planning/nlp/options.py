@@ -1,4 +1,4 @@
-"""Options of a solver, and their form for `nlpsol` and its plugins."""
+"""Solver options, and their conversion for `nlpsol` and its plugins."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem, full_hessian, joint_jacobian
 
 DIVERGING_MAGNITUDE = 1e15
-"""A variable beyond this magnitude, or an objective below minus this, counts as running off to infinity."""
+"""Magnitude of a variable, or of a negative objective, above which the iterates diverge."""
 
 WARM_PUSH = 1e-9
-"""How far a warm start is moved off its bounds and its multipliers off zero (IPOPT's cold default: 1e-2)."""
+"""Distance by which a warm start is moved from its bounds, and its multipliers from zero (IPOPT cold: 1e-2)."""
 
 WARM_MU = 1e-6
-"""Barrier parameter at which a warm start begins (IPOPT's cold default: 0.1)."""
+"""Initial barrier parameter of a warm start (IPOPT cold: 0.1)."""
 
-# No "ma97": if its library is missing, IPOPT 3.14 answers Invalid_Option and then crashes as it is freed.
+# No "ma97": if its library is missing, IPOPT 3.14 returns Invalid_Option and then crashes when it is freed.
 _IPOPT_LINEAR_SOLVERS = (
     "mumps", "ma27", "ma57", "ma77", "ma86", "pardiso", "pardisomkl", "spral", "wsmp", "custom",
 )  # fmt: skip
 
-# By default MUMPS permutes and scales all matrices by the numbers of the first one, which may be untypical.
+# By default MUMPS permutes and scales all matrices by the values of the first one, which may be untypical.
 _MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4}
 
-# From this size on MUMPS orders by METIS, which is slow with a dense row (a free final time).
+# From this size on MUMPS uses METIS orderings, which are slow with a dense row (a free final time).
 _LARGE_PROGRAM_VARIABLES = 10_000
 
 _MUMPS_LARGE = {"mumps_pivot_order": 6}
@@ -37,7 +37,7 @@ _MUMPS_LARGE = {"mumps_pivot_order": 6}
 # Nearly singular systems (badly scaled variables, very short segments) need larger pivots and balanced rows.
 _MUMPS_CAREFUL = {"mumps_pivtol": 1e-2, "mumps_scaling": 8}
 
-# For lam_p alone CasADi differentiates the whole NLP once more; these plugins can do without.
+# For lam_p CasADi would differentiate the NLP again; these plugins do not need it.
 _WITHOUT_NLP_GRAD = ("ipopt", "sqpmethod", "bonmin")
 
 Start: TypeAlias = Literal["cold", "warm", "careful", "adaptive"]
@@ -45,37 +45,37 @@ Start: TypeAlias = Literal["cold", "warm", "careful", "adaptive"]
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """Options of the solver.
+    """Options of the NLP solver.
 
     Parameters
     ----------
     solver
         CasADi `nlpsol` plugin.
     linear_solver
-        IPOPT's linear solver. All but "mumps" and "spral" must be installed by the user.
+        Linear solver of IPOPT. All except "mumps" and "spral" must be installed by the user.
     tolerance
-        On the scaled optimality conditions (IPOPT `tol`; `tol_pr` and `tol_du` of the SQP methods).
+        Tolerance of the scaled optimality conditions (IPOPT `tol`; `tol_pr` and `tol_du` of the SQP methods).
     max_iterations
         Limit on the number of iterations.
     max_wall_time
-        Limit in s; None for no limit. Looked at once per iteration.
+        Limit in s; None: no limit. Checked once per iteration.
     bound_relax
-        IPOPT's `bound_relax_factor`. Zero: IPOPT's own 1e-8 would let trajectories exceed their limits.
+        IPOPT's `bound_relax_factor`. Default 0, because with IPOPT's 1e-8 trajectories would exceed their limits.
     careful_pivoting
-        Have MUMPS scale rows and columns and pivot at 1e-2, for nearly singular systems. None: on meshes with movable
-        boundaries only.
+        Row and column scaling and pivot tolerance 1e-2 of MUMPS, for nearly singular systems. None: on meshes with
+        movable breaks only.
     mu_init
-        First barrier parameter of IPOPT; None for 0.1 cold (IPOPT's own) and 1e-6 warm.
+        Initial barrier parameter of IPOPT; None: 0.1 for a cold start (IPOPT's default) and 1e-6 for a warm start.
     extra
-        Options of `nlpsol` that win over all of the above, such as `{"expand": True, "ipopt.mu_strategy":
-        "adaptive"}`; a nested `{"ipopt": {...}}` means the same.
+        Options of `nlpsol` that override all others, such as `{"expand": True, "ipopt.mu_strategy": "adaptive"}`; a
+        nested `{"ipopt": {...}}` is equivalent.
     verbose
-        Let the solver print its log. Silent otherwise.
+        Whether the solver prints its log.
 
     Raises
     ------
     ArgumentError
-        If a value is out of range, or a solver's name is unknown.
+        A value is out of range, or the name of a solver is unknown.
 
     Examples
     --------
@@ -112,7 +112,7 @@ class SolverOptions:
 
 
 def nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) -> dict[str, Any]:
-    """Everything for `nlpsol` but the callback; plugin options in their dotted form."""
+    """Return all options of `nlpsol` except the callback; plugin options in dotted form."""
     quiet = {
         "print_time": options.verbose,
         "show_eval_warnings": options.verbose,
@@ -158,17 +158,17 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
 
 
 def _complementarity_tolerance(tolerance: float) -> float:
-    """Return IPOPT's `compl_inf_tol`, which also ends the barrier's descent: smaller, for accurate multipliers."""
+    """Return IPOPT's `compl_inf_tol`, which also limits the final barrier parameter, for accurate multipliers."""
     return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
 def final_barrier_parameter(tolerance: float) -> float:
-    """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10."""
+    """Return the final barrier parameter of IPOPT, with its ``barrier_tol_factor`` of 10."""
     return _complementarity_tolerance(tolerance) / (10.0 + 1.0)
 
 
 def _plugin_options(options: SolverOptions) -> dict[str, Any]:
-    """The same wishes for another plugin, as far as it has options for them."""
+    """Return the corresponding options of another plugin, as far as they exist."""
     quiet_qp = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     wishes: dict[str, Any] = {
         "max_iter": int(options.max_iterations),
@@ -185,7 +185,7 @@ def _plugin_options(options: SolverOptions) -> dict[str, Any]:
 
 
 def _derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
-    """The problem's own derivatives in the form that the plugin takes; {} if it takes none."""
+    """Return the problem's derivatives in the form that the plugin accepts; {} if it accepts none."""
     if solver in ("ipopt", "bonmin"):
         given = {name: getattr(problem, name) for name in ("grad_f", "jac_g", "hess_lag")}
     elif solver == "sqpmethod":
@@ -196,7 +196,7 @@ def _derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
 
 
 def _flatten_options(extra: Mapping[str, object], solver: str) -> dict[str, object]:
-    """Write a nested `{solver: {name: value}}` as `{"solver.name": value}`."""
+    """Return a nested `{solver: {name: value}}` as `{"solver.name": value}`."""
     flat: dict[str, object] = {}
     for name, value in extra.items():
         if name == solver and isinstance(value, Mapping):

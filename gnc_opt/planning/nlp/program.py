@@ -1,4 +1,4 @@
-"""A nonlinear program as CasADi symbols, with or without its derivatives."""
+"""Nonlinear program in CasADi symbols, with optional derivatives."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gnc_opt.errors import ArgumentError
 
 @dataclass(frozen=True)
 class NlpProblem:
-    """A nonlinear programme, with or without its derivatives, in the signatures of CasADi 3.8's IPOPT interface.
+    """Nonlinear program with optional derivatives, in the signatures of CasADi 3.8's IPOPT interface.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class NlpProblem:
     Raises
     ------
     ArgumentError
-        If a derivative does not have the signature above.
+        A derivative has another signature.
     """
 
     x: Any
@@ -67,7 +67,7 @@ class NlpProblem:
 
     @cached_property
     def lagrangian(self) -> Any:
-        """Function `(x, p, lam_g) -> (f, g, gradient of f + lam_g . g)`; the gradient is (nx, 1)."""
+        """Return the function `(x, p, lam_g) -> (f, g, gradient of f + lam_g . g)`; the gradient is (nx, 1)."""
         if self.grad_f is not None and self.jac_g is not None:
             x, p, lam_g = create_nlp_symbols(self, "x", "p", "lam_g")
             f, gradient = self.grad_f(x, p)
@@ -75,13 +75,13 @@ class NlpProblem:
             total = gradient + ca.mtimes(jacobian.T, lam_g)
         else:
             x, p, f, g = self.x, self.p, self.f, self.g
-            lam_g = x.sym("lam_g", self.n_constraints)  # SX or MX, as the programme is
+            lam_g = x.sym("lam_g", self.n_constraints)  # SX or MX, as in the program
             total = ca.gradient(f + ca.dot(lam_g, g), x)
         return ca.Function("lagrangian", [x, p, lam_g], [f, g, ca.densify(total)])
 
 
 def joint_jacobian(problem: NlpProblem) -> Any:
-    """`(x, p) -> (f, grad_f_x, g, jac_g_x)`, the `jac_fg` of sqpmethod; None without derivatives."""
+    """Return `(x, p) -> (f, grad_f_x, g, jac_g_x)`, the `jac_fg` of sqpmethod; None without derivatives."""
     if problem.grad_f is None or problem.jac_g is None:
         return None
     x, p = create_nlp_symbols(problem, "x", "p")
@@ -89,7 +89,7 @@ def joint_jacobian(problem: NlpProblem) -> Any:
 
 
 def full_hessian(problem: NlpProblem) -> Any:
-    """`(x, p, lam_f, lam_g) -> (hess_gamma_x_x)`, both triangles, as sqpmethod wants it; or None."""
+    """Return `(x, p, lam_f, lam_g) -> (hess_gamma_x_x)`, both triangles, for sqpmethod; None without it."""
     if problem.hess_lag is None:
         return None
     inputs = create_nlp_symbols(problem, "x", "p", "lam_f", "lam_g")

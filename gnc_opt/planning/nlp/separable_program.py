@@ -1,12 +1,12 @@
-r"""Sparse nonlinear programs that are sums of many small functions.
+r"""Partially separable nonlinear programs: sums of many small functions.
 
 The rows r = (f, g) of the program, its objective and its constraints, have the form
 
 .. math:: r(x) = C x + \sum_b W_b \, \mathrm{vec}\, [F_b(Z_{b1} x, d_{b1}), F_b(Z_{b2} x, d_{b2}), \dots]
 
-with constant sparse matrices C and W and index maps Z. Collocation is of this form: F is the dynamics at a
-point, W holds step sizes and quadrature weights. Only F is differentiated, once and symbolically; Jacobian and
-Hessian of the program are linear in its derivatives.
+with constant sparse matrices C and W and index maps Z. Collocation has this form: F is the dynamics at a point, W
+contains step sizes and quadrature weights. Only F is differentiated, once and symbolically; Jacobian and Hessian of the
+program are linear in its derivatives.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from gnc_opt.arrays import Array, Indices
 
 @dataclass(frozen=True)
 class PointFunction:
-    """A small vector function F(z, d) and its derivatives as CasADi Functions.
+    """Small vector function F(z, d) with its derivatives as CasADi Functions.
 
     Attributes
     ----------
     value, jacobian : casadi.Function
-        (z, d) -> F, shape (n_rows, 1); with the second, a dense vector of the nonzeros of dF/dz.
+        Maps (z, d) to F, shape (n_rows, 1), or to the dense vector of the nonzeros of dF/dz.
     hessian : casadi.Function
-        (z, d, m) -> dense vector of the nonzeros of the upper triangle of d2(m.F)/dz2.
+        Maps (z, d, m) to the dense vector of the nonzeros of the upper triangle of d2(m.F)/dz2.
     jacobian_pattern, hessian_pattern : (rows, columns)
-        Places of those nonzeros.
+        Indices of these nonzeros.
     """
 
     value: Any
@@ -44,8 +44,8 @@ class PointFunction:
 
     @classmethod
     def differentiate(cls, name: str, z: Any, d: Any, expression: Any) -> PointFunction:
-        """Differentiate an SX expression in z; d is data that is not differentiated."""
-        expression = ca.cse(expression)  # models write the same rotation more than once
+        """Return the function and its derivatives from an SX expression in z; d is not differentiated."""
+        expression = ca.cse(expression)  # models often repeat subexpressions, such as rotations
         multiplier = ca.SX.sym("multiplier", expression.shape[0])
         jacobian = ca.jacobian(expression, z)
         hessian = ca.triu(ca.hessian(ca.dot(multiplier, expression), z)[0])
@@ -65,12 +65,12 @@ class PointFunction:
 
 @dataclass(frozen=True)
 class PointBlock:
-    """One small function evaluated at many points of the program.
+    """Small function evaluated at many points of the program.
 
     Attributes
     ----------
     variables : int array (n_z, n_points)
-        Z: which program variable feeds each argument; indices >= the number of variables mean constants.
+        Z: index of the program variable of each argument; indices >= the number of variables are constants.
     data : casadi.MX (n_d, n_points)
         d: constants and program parameters.
     weights : scipy.sparse.csc_array (rows of the program, n_rows * n_points)
@@ -89,7 +89,7 @@ class PointBlock:
 
 @dataclass(frozen=True)
 class SeparableProgram:
-    """The rows of a partially separable program, in physical units; ``linear`` is C, (n_rows, n_variables)."""
+    """Rows of a partially separable program in physical units; ``linear`` is C, (n_rows, n_variables)."""
 
     linear: Any
     blocks: tuple[PointBlock, ...]
@@ -103,7 +103,7 @@ class SeparableProgram:
         return int(self.linear.shape[1])
 
     def select_rows(self, first: int, end: int) -> SeparableProgram:
-        """Return the rows from ``first`` to ``end`` alone, without the blocks that do not enter them."""
+        """Return the rows from ``first`` to ``end``, with the blocks that they contain."""
         parts = [
             replace(b, weights=scipy.sparse.csc_array(b.weights.tocsr()[first:end])) for b in self.blocks
         ]
@@ -196,7 +196,7 @@ class SeparableProgram:
 
 @dataclass(frozen=True)
 class _Entries:
-    """Contributions of a block's local nonzeros to global ones: global place, local source, factor."""
+    """Contributions of a block's nonzeros to the global ones: global index, local source, factor."""
 
     rows: Indices
     columns: Indices
@@ -236,14 +236,14 @@ def _hessian_entries(block: PointBlock, n_variables: int) -> _Entries:
     second = block.variables[columns, :].ravel(order="F")
     keep = np.flatnonzero((first < n_variables) & (second < n_variables))
     low, high = np.minimum(first, second)[keep], np.maximum(first, second)[keep]
-    # Two arguments fed by one variable: both off-diagonal entries land on the diagonal.
+    # Two arguments from one variable: both off-diagonal entries contribute to the diagonal.
     off_diagonal = np.tile(rows != columns, block.n_points)[keep]
     factors = np.where((low == high) & off_diagonal, 2.0, 1.0)
     return _Entries(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
 
 
 def _merge_patterns(keys: list[Indices]) -> Indices:
-    """Return the distinct keys in order; several times faster than numpy.unique, which hashes integers."""
+    """Return the distinct keys in order; several times faster than numpy.unique."""
     ordered = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *keys]))
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
 
@@ -259,7 +259,7 @@ def _to_casadi_matrix(matrix: Any) -> Any:
     csc.sum_duplicates()
     csc.sort_indices()
     pattern = ca.Sparsity(*csc.shape, csc.indptr.tolist(), csc.indices.tolist())
-    return ca.DM(pattern, csc.data.tolist())  # an array is converted entry by entry
+    return ca.DM(pattern, csc.data.tolist())  # arrays are converted entry by entry
 
 
 def _nonzero_entries(expression: Any) -> Any:

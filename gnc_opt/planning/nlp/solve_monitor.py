@@ -1,4 +1,4 @@
-"""Watching a solve: progress, interrupts and time limits, iterate by iterate."""
+"""Monitoring of a solve: progress, interrupts and time limits at each iteration."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class IterationInfo:
     Parameters
     ----------
     iteration
-        0 for the (projected) guess.
+        0 for the (projected) initial point.
     objective
         f at the iterate.
     infeasibility
@@ -43,7 +43,7 @@ ProgressCallback: TypeAlias = Callable[[IterationInfo], "bool | None"]
 
 @dataclass(frozen=True)
 class Box:
-    """Bounds on a vector, (n,) each."""
+    """Bounds of a vector, (n,) each."""
 
     lower: Array
     upper: Array
@@ -73,7 +73,7 @@ class Box:
 
 @dataclass
 class SolveWatch:
-    """Input of the monitor for the current solve, and its record of it."""
+    """Data of the monitor for the current solve."""
 
     box_x: Box
     box_g: Box
@@ -84,13 +84,13 @@ class SolveWatch:
     error: BaseException | None = None
 
     def record_iterate(self, x: Array, f: float, g: Array) -> None:
-        """Note one iterate; sets `stop`, never raises."""
+        """Record an iterate; sets `stop` on errors and never raises."""
         try:
             if self.callback is not None:
                 infeasibility = max(self.box_x.largest_violation(x), self.box_g.largest_violation(g))
                 if self.callback(IterationInfo(self.count, f, infeasibility)):
                     self.stop = True
-        except BaseException as error:  # must not travel through the solver; raised again after it
+        except BaseException as error:  # raised again after the solver has returned
             self.error, self.stop = error, True
         self.count += 1
         if time.perf_counter() > self.deadline:
@@ -98,7 +98,7 @@ class SolveWatch:
 
 
 class Monitor(ca.Callback):  # type: ignore[misc]
-    """The `iteration_callback` of `nlpsol`: passes each iterate, by buffers, to the run and stops it on request."""
+    """The `iteration_callback` of `nlpsol`: passes each iterate to the watch and stops the solver on request."""
 
     def __init__(self, nx: int, ng: int, n_parameters: int) -> None:
         super().__init__()
@@ -129,7 +129,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def stop_on_sigint(run: SolveWatch) -> Iterator[None]:
-    """While open, the first Ctrl-C requests a stop of the run; the previous handler receives the next one."""
+    """Let the first Ctrl-C stop the solve; the previous handler receives the next one."""
     previous = signal.getsignal(signal.SIGINT)
     ignored = previous in (None, signal.SIG_IGN)
     if ignored or threading.current_thread() is not threading.main_thread():
@@ -148,14 +148,14 @@ def stop_on_sigint(run: SolveWatch) -> Iterator[None]:
 
 
 def _buffer_view(buffer: Any, size: int) -> Array:
-    """View of a CasADi buffer, (size,); NaN for values that the plugin does not report."""
+    """Return a view of a CasADi buffer, (size,); NaN for values that the plugin does not report."""
     if size == 0 or buffer is None:
         return np.full(size, np.nan)
     return np.frombuffer(buffer, dtype=np.float64)
 
 
 def as_float_vector(name: str, value: npt.ArrayLike, size: int) -> Array:
-    """A fresh vector (size,) from a vector or a scalar."""
+    """Return a new vector (size,) from a vector or a scalar."""
     array = np.asarray(value, dtype=np.float64)
     if array.ndim == 0:
         return np.full(size, float(array))

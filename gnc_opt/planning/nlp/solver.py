@@ -1,8 +1,8 @@
-"""The boundary to NLP solvers: minimise f(x, p) subject to lbx <= x <= ubx and lbg <= g(x, p) <= ubg.
+"""Interface to NLP solvers: minimise f(x, p) subject to lbx <= x <= ubx and lbg <= g(x, p) <= ubg.
 
-Any `nlpsol` plugin of CasADi can be behind it; IPOPT is the default and the one that is tuned. Multipliers
-follow CasADi's sign: L = f + lam_g . g + lam_x . x is stationary, so a multiplier is >= 0 at an upper bound
-and <= 0 at a lower bound.
+All `nlpsol` plugins of CasADi are supported; IPOPT is the default and the only tuned one. Multipliers have the sign of
+CasADi: L = f + lam_g . g + lam_x . x is stationary, so that a multiplier is >= 0 at an upper bound and <= 0 at a lower
+bound.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from gnc_opt.planning.nlp.solve_monitor import (
 from gnc_opt.planning.nlp.status import Status, status_from_stats
 
 RUNAWAY = 1e10
-"""The same once the solver has given up anyway: scaled variables are of order one."""
+"""Divergence limit after a failure of the solver; scaled variables have order one."""
 
 SUSPICIOUS = 1e8
-"""Magnitude at which an iterate that is merely acceptable counts as running off: its gradients fade out there."""
+"""Divergence limit of an iterate of acceptable accuracy; gradients may vanish at infinity."""
 
 _NEVER_STARTED = (Status.NOT_A_NUMBER, Status.TOO_FEW_DEGREES_OF_FREEDOM, Status.INVALID_OPTION)
 
@@ -53,20 +53,20 @@ _MAY_HIDE_UNBOUNDED = (
 
 @dataclass(frozen=True, eq=False)
 class NlpPoint:
-    """The numbers of one solve: guess, bounds and parameters. Scalars stand for constant vectors.
+    """Input of one solve: initial point, bounds and parameters. Scalars are constant vectors.
 
     Parameters
     ----------
     x0
-        (nx,): guess.
+        Initial point, (nx,).
     lbx, ubx
-        (nx,): bounds on x, may be infinite. Where they are equal x is fixed.
+        Bounds of x, (nx,), may be infinite; x is fixed if they are equal.
     lbg, ubg
-        (ng,): bounds on g.
+        Bounds of g, (ng,).
     p
-        (np,): parameters.
+        Parameters, (np,).
     lam_x0, lam_g0
-        (nx,) and (ng,): multipliers of a nearby solution. With either, the solver starts warm.
+        Multipliers of a nearby solution, (nx,) and (ng,); if given, the start is warm.
     """
 
     x0: npt.ArrayLike
@@ -80,14 +80,14 @@ class NlpPoint:
 
     @property
     def start_kind(self) -> Start:
-        """How to start from it: warm if there are multipliers, else cold."""
+        """Kind of start: warm with multipliers, else cold."""
         return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
 
     def drop_multipliers(self) -> NlpPoint:
         return replace(self, lam_x0=None, lam_g0=None)
 
     def nlpsol_arguments(self, problem: NlpProblem) -> dict[str, Array]:
-        """Return vectors of the right lengths by the names that `nlpsol` gives them."""
+        """Return the arguments of `nlpsol` as vectors, by name."""
         sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
         given = {f.name: getattr(self, f.name) for f in fields(self)}
         return {
@@ -99,22 +99,22 @@ class NlpPoint:
 
 @dataclass(frozen=True)
 class NlpResult:
-    """The last iterate and how the solve ended.
+    """Last iterate and status of a solve.
 
     Parameters
     ----------
     x, g
-        (nx,) and (ng,): variables and constraints.
+        Variables (nx,) and constraints (ng,).
     f
         Objective.
     lam_x, lam_g
-        (nx,) and (ng,): multipliers; grad f + J^T lam_g + lam_x = 0 at a solution.
+        Multipliers (nx,) and (ng,); grad f + J^T lam_g + lam_x = 0 at a solution.
     status, raw_status
-        How it ended, and the solver's own word for it.
+        Status, and the status string of the solver.
     iterations
         Number of iterations.
     wall_time, function_time, linear_solver_time
-        In s, without the time to set the solver up: in all, in functions and derivatives, and what remains.
+        Times in s without the setup of the solver: total, functions and derivatives, remainder.
     """
 
     x: Array
@@ -130,7 +130,7 @@ class NlpResult:
     linear_solver_time: float
 
     def with_total_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
-        """Return this result with the iterations and times of all attempts that led to it."""
+        """Return this result with the iterations and times of all its attempts."""
         return replace(
             self,
             iterations=sum(r.iterations for r in attempts),
@@ -141,16 +141,16 @@ class NlpResult:
 
 
 class NlpSolver:
-    """Solve one NLP many times: for other bounds, parameters and guesses, cold or warm.
+    """Solver of one NLP for different bounds, parameters and initial points, cold or warm.
 
-    One object must not be used by two threads at once.
+    An object must not be used by two threads at the same time.
 
     Parameters
     ----------
     problem
-        The programme.
+        Nonlinear program.
     options
-        Of the solver.
+        Solver options.
     """
 
     def __init__(self, problem: NlpProblem, options: SolverOptions | None = None) -> None:
@@ -167,42 +167,42 @@ class NlpSolver:
         callback: ProgressCallback | None = None,
         deadline: float | None = None,
     ) -> NlpResult:
-        """Solve once; Ctrl-C returns the last iterate with `Status.INTERRUPTED`.
+        """Solve once; after Ctrl-C the last iterate is returned with `Status.INTERRUPTED`.
 
         Parameters
         ----------
         point
-            Where to start, within which bounds.
+            Initial point, bounds and parameters.
         way
-            How to start; default: warm if there are multipliers, else cold.
+            Kind of start; default: warm with multipliers, else cold.
         callback
             Called with an `IterationInfo` at every iteration; returning True stops the solve.
         deadline
-            When to stop, as `time.perf_counter` counts; default: as the options say, from when the solver is set up.
+            End time on the clock `time.perf_counter`; default: from the options, counted after the setup.
 
         Returns
         -------
         NlpResult
-            Also if the solve failed; look at its `status`.
+            Also after a failure; see its `status`.
 
         Raises
         ------
         ArgumentError
-            If a length is wrong, bounds are crossed or NaN, or the plugin refuses its options.
+            A vector has a wrong length, bounds are crossed or NaN, or the plugin rejects its options.
         """
         arguments = point.nlpsol_arguments(self.problem)
         box_x = Box.from_scalars("x", arguments["lbx"], arguments["ubx"])
         box_g = Box.from_scalars("g", arguments["lbg"], arguments["ubg"])
-        self.create_solver(point, way)  # the limit is on solving, not on setting up
+        self.create_solver(point, way)  # the time limit excludes the setup
         end = self.solve_deadline() if deadline is None else deadline
         return self._run_solver(way or point.start_kind, arguments, SolveWatch(box_x, box_g, callback, end))
 
     def create_solver(self, point: NlpPoint, way: Start | None = None) -> None:
-        """Create the solver for such a start, if it has not been needed before."""
+        """Create the solver for this kind of start, unless it exists."""
         self._solver_for_start(way or point.start_kind)
 
     def solve_deadline(self) -> float:
-        """Return when a solve that starts now has to end, as `time.perf_counter` counts."""
+        """Return the end time of a solve that starts now, on the clock `time.perf_counter`."""
         limit = self.options.max_wall_time
         return math.inf if limit is None else time.perf_counter() + limit
 
@@ -222,7 +222,7 @@ class NlpSolver:
         return self._build_result(raw, solver.stats(), run, arguments, wall_time)
 
     def _solver_for_start(self, start: Start) -> Any:
-        """The `nlpsol` Function for one kind of start, created at first use."""
+        """Return the `nlpsol` Function for a kind of start, created at first use."""
         key = start if self.options.solver == "ipopt" else "cold"
         if key not in self._instances:
             nlp = {name: getattr(self.problem, name) for name in ("x", "p", "f", "g")}
@@ -248,7 +248,7 @@ class NlpSolver:
         started = run.count > 0 or status not in _NEVER_STARTED
         x, lam_x, lam_g = (_flat_vector(raw[name]) for name in ("x", "lam_x", "lam_g"))
         f, g = float(raw["f"]), _flat_vector(raw["g"])
-        if not started:  # the plugin's outputs are then whatever was in memory
+        if not started:  # the outputs of the plugin are then undefined
             x, lam_x, lam_g = arguments["x0"].copy(), np.zeros_like(x), np.zeros_like(lam_g)
         fixed = run.box_x.is_fixed
         if fixed.any() or not status.solved:
@@ -276,7 +276,7 @@ class NlpSolver:
 
 @contextlib.contextmanager
 def _swallow_stderr(active: bool) -> Iterator[None]:
-    """Hide CasADi's warning about overdetermined problems, which no option turns off."""
+    """Suppress CasADi's warning about overdetermined problems, which has no option."""
     if not active:
         yield
         return
@@ -285,7 +285,7 @@ def _swallow_stderr(active: bool) -> Iterator[None]:
 
 
 def _classify_stopped_status(status: Status, run: SolveWatch) -> Status:
-    """INTERRUPTED if the run requested a stop before the solver had finished, for any plugin's name of it."""
+    """Return INTERRUPTED if the run requested a stop before the solver had finished, for all plugins."""
     return Status.INTERRUPTED if run.stop and not status.solved else status
 
 

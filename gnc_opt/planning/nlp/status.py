@@ -1,4 +1,4 @@
-"""How an NLP solve ended, in words that do not depend on the solver."""
+"""Status of an NLP solve, independent of the solver."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ __all__ = ["Status", "status_from_stats"]
 
 
 class Status(Enum):
-    """How an NLP solve ended.
+    """Status of an NLP solve.
 
-    The value is a stable lower-case string for files; `remedy` gives its meaning and what to do.
+    The value is a stable lower-case string for files; `remedy` contains its meaning and a remedy.
 
     Examples
     --------
@@ -35,12 +35,12 @@ class Status(Enum):
 
     @property
     def solved(self) -> bool:
-        """True if the iterate meets the optimality conditions (to full or to acceptable tolerance)."""
+        """Whether the iterate satisfies the optimality conditions (to full or to acceptable tolerance)."""
         return self in (Status.OPTIMAL, Status.ACCEPTABLE)
 
     @property
     def remedy(self) -> str:
-        """Meaning of this status and the remedy for the user."""
+        """Meaning of the status, and a remedy."""
         return _REMEDIES[self]
 
 
@@ -98,7 +98,7 @@ _REMEDIES: dict[Status, str] = {
 _FROM_NAME: dict[str, Status] = {
     "Solve_Succeeded": Status.OPTIMAL,
     "Solved_To_Acceptable_Level": Status.ACCEPTABLE,
-    "Feasible_Point_Found": Status.ACCEPTABLE,  # square problem: a feasible point is all there is to find
+    "Feasible_Point_Found": Status.ACCEPTABLE,  # square problem: no objective
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Search_Direction_Becomes_Too_Small": Status.STEP_TOO_SMALL,
     "Diverging_Iterates": Status.UNBOUNDED,
@@ -135,7 +135,7 @@ _FROM_WORD: dict[str, Status] = {
 
 
 def status_from_stats(stats: Mapping[str, object]) -> Status:
-    """Translate the `stats()` of a CasADi `nlpsol` into a `Status`; FAILED if nothing in it is known."""
+    """Return the `Status` of the `stats()` of a CasADi `nlpsol`; FAILED for unknown ones."""
     name = str(stats.get("return_status", ""))
     if name in _FROM_NAME:
         return _FROM_NAME[name]

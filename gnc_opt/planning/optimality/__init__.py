@@ -1,1 +1,1 @@
-"""Mathematics of the optimality conditions, shared by the optimality check, refinement and sensitivity."""
+"""Optimality theory: quantities shared by the optimality check, refinement and sensitivity analysis."""

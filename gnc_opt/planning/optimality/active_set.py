@@ -1,19 +1,19 @@
-r"""Touch points of state constraints as conditions of a program, and controls that active constraints determine.
+r"""Active state constraints: touch points as conditions of a program, and controls determined by active constraints.
 
-If a constraint :math:`S(t, x) \le 0` of order two or more is active at an isolated time, the *largest* value of S is
-zero on all neighbouring trajectories: with a free breakpoint there, :math:`S = \dot S = 0`. The multiplier of
-:math:`\dot S = 0` is zero, that of S = 0 the jump of the costate along :math:`\partial S/\partial x` (Bryson & Ho,
-Applied Optimal Control, 1975, section 3.11). Neighbouring trajectories of an arc on the limit meet
-:math:`S = \dots = S^{(q-1)} = 0` where it begins.
+If a constraint :math:`S(t, x) \le 0` of order two or more is active at an isolated time, the *maximum* of S is zero on
+all neighbouring trajectories: with a free breakpoint there, :math:`S = \dot S = 0`. The multiplier of
+:math:`\dot S = 0` is zero; that of S = 0 is the costate jump along :math:`\partial S/\partial x` (Bryson & Ho,
+Applied Optimal Control, 1975, section 3.11). Neighbouring trajectories of an active arc satisfy
+:math:`S = \dots = S^{(q-1)} = 0` at its entry.
 
-A control that holds a constraint of first order may come to a limit of its own there: the costate jumps, and
-:math:`\dot S = 0` on either side. Neighbouring trajectories come to both limits at one time, as they do where one limit
-of a control takes over from another.
+A control that keeps a first-order constraint active may reach its own limit at the end of the arc: the costate jumps,
+and :math:`\dot S = 0` on both sides. Neighbouring trajectories reach both limits at the same time, as they do when one
+limit of a control replaces another.
 
-Along an arc on which a constraint without controls is active, the first of its time derivatives in which controls
-appear, of its order q, determines as many of them as it has independent gradients (Bryson, Denham & Dreyfus, AIAA J.
-1(11), 1963; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, sec. 2). H determines the rest. An active constraint with
-zero multiplier determines no control.
+Along an arc with an active pure state constraint, the first time derivative that contains controls, of its order q,
+determines as many controls as it has independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi
+& Vickson, SIAM Review 37(2), 1995, sec. 2). H determines the others. An active constraint with zero multiplier
+determines no control.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from gnc_opt.tolerances import ACTIVE, NOTABLE, RANK, SMALL
 
 
 def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
-    """Return, for every sample, an orthonormal basis (m, k) of the free controls' directions that no constraint takes.
+    """Return, for every sample, an orthonormal basis (m, k) of the free controls that active constraints leave free.
 
     Parameters
     ----------
     free : bool array (m, n_samples)
-        Controls between their bounds.
+        Interior controls.
     unit : array (m,)
-        What a step of 1 in each control is.
+        Unit step in each control.
     """
     rows, axes = _constraint_control_gradients(s) * unit[None, :, None], np.eye(unit.size)
     bases = [axes[:, here] for here in free.T]
@@ -64,10 +64,10 @@ def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Ar
 
 
 def undetermined_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
-    """Return which free controls have something left that H does not curve in (m, n_samples), and where all is left.
+    """Return which free controls have a direction without curvature of H (m, n_samples), and where all directions do.
 
-    Arguments as `free_control_directions`; curvature of H that is at most ``flat`` is none. Without active constraints
-    the curvature is not evaluated.
+    Arguments as in `free_control_directions`; curvatures up to ``flat`` count as zero. Without active constraints the
+    curvature is not evaluated.
     """
     if not _constraint_control_gradients(s).size:
         return free, np.ones(s.times.size, dtype=bool)
@@ -80,7 +80,7 @@ def undetermined_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float)
 
 
 def _directions_without_curvature(basis: Array, hessian: Array, flat: float) -> Array:
-    """Return the directions of a basis in which a quadratic form is flat, or no number."""
+    """Return the directions of a basis in which a quadratic form is flat or not finite."""
     reduced = basis.T @ hessian @ basis
     if not reduced.size or not np.all(np.isfinite(reduced)):
         return basis
@@ -89,11 +89,11 @@ def _directions_without_curvature(basis: Array, hessian: Array, flat: float) -> 
 
 
 def _constraint_control_gradients(s: PhaseSamples) -> Array:
-    """Control gradients of the quantities that active constraints keep at zero (n, m, n_samples); else zero."""
+    """Return the control gradients of the quantities that active constraints keep zero (n, m, n_samples); else zero."""
     leg = s.leg
     found = [np.zeros((0, leg.controls.size, s.times.size))]
     if leg.path_labels:
-        # One that holds all along hardly moves: it is near by what could move it.
+        # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
         scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_reach, s.path_scale, s.path_reach)
         near = _is_at_limit(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
@@ -105,7 +105,7 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
         pushes = np.abs(s.mu) * s.path_scale[:, None] > density
         on_path[s.pure_paths] = (near & pushes)[s.pure_paths]
     along = np.vstack([on_state, on_path])
-    # A limit that is met at one sample is touched: its derivatives need not vanish there.
+    # A limit reached at a single sample is touched: its derivatives need not vanish there.
     beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
     chosen = np.flatnonzero(np.any(beside, axis=1))
     if chosen.size:
@@ -123,7 +123,7 @@ def _is_at_limit(values: Array, box: Any, scale: Array) -> Mask:
 
 
 def _control_gradients_of_derivatives(functions: PhaseFunctions, chosen: Indices) -> Any:
-    """Gradients, with respect to u, of the first time derivatives that contain u: states, paths (n * m, by rows)."""
+    """Return the u-gradients of the first time derivatives that contain u: states, paths (n * m, by rows)."""
     rates = functions.functions["rates"]
     t, x, u, lam, mu = (ca.SX.sym("v", rates.size1_in(i)) for i in range(5))
     numbers = [ca.SX.sym("v", rates.size1_in(i)) for i in range(5, 8)]
@@ -142,7 +142,7 @@ def _control_gradients_of_derivatives(functions: PhaseFunctions, chosen: Indices
 
 
 def add_touch_points(solution: Solution) -> Problem:
-    """Return the problem of a solution with its state constraints active at free breakpoints with multipliers.
+    """Return the problem of a solution with state constraints active at free breakpoints with multipliers.
 
     Next to a touch point they are released, since an interior-point method leaves spurious multipliers there. Phases
     with user-defined arcs are unchanged.
@@ -157,7 +157,7 @@ def add_touch_points(solution: Solution) -> Problem:
 
 
 def add_constraint_contacts(solution: Solution) -> Problem:
-    """Return the problem of a solution with its state constraints held at such touches and along their arcs."""
+    """Return the problem of a solution with state constraints active at touch points and along their arcs."""
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
@@ -171,7 +171,7 @@ def add_constraint_contacts(solution: Solution) -> Problem:
 
 @dataclass(frozen=True)
 class _HeldArc:
-    """An arc of order two or more: row, limit and order, and the segments ``first, ..., last - 1``."""
+    """Active arc of order two or more: row, limit, order, and segments ``first, ..., last - 1``."""
 
     row: int
     kind: ArcKind
@@ -181,7 +181,7 @@ class _HeldArc:
 
 
 def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
-    """Return [arc on this phase's mesh]; empty unless it is a state-constraint arc of order two or more."""
+    """Return [arc on the mesh of the phase]; empty unless it is a state-constraint arc of order two or more."""
     leg = s.leg
     labels = (*leg.path_labels, *leg.states.labels)
     if arc.phase != leg.name or arc.channel not in labels or not arc.kind.at_limit:
@@ -205,11 +205,11 @@ def _constrain_touches_and_arcs(
     along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u)), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
-            if not np.all(along[junction.constraint, s.segments == k]):  # no arc that begins or ends there
+            if not np.all(along[junction.constraint, s.segments == k]):  # no arc begins or ends there
                 kinds[junction.constraint, k] = ArcKind.RELEASED
     for arc in arcs:
         kinds[arc.row, arc.first : arc.last] = arc.kind
-        for k in (arc.first - 1, arc.last):  # its ends contain all active rows next to it
+        for k in (arc.first - 1, arc.last):  # the segments at its ends contain all active rows next to it
             if 0 <= k < leg.mesh.segments and kinds[arc.row, k] is ArcKind.INTERIOR:
                 kinds[arc.row, k] = ArcKind.RELEASED
     entries = tuple(Junction(a.row, a.first, a.kind, a.order) for a in arcs if a.first > 0)
@@ -223,7 +223,7 @@ def _constrain_touches_and_arcs(
 
 
 def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
-    """Which constraints are at their limits, and which push there (2, n_rows, n_boundaries): lower and upper ones."""
+    """Return which constraints are active, and which have multipliers, at lower and upper limits (2, n_rows, n)."""
     s = rows.samples
     times = s.leg.breaks[list(boundaries)]
     point = times, s.leg.x(times), s.leg.applied(times)
@@ -235,9 +235,9 @@ def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) 
 
 
 def with_free_touch_times(solution: Solution) -> Solution:
-    """Return a solution with variable times where limits are touched, if other times of the mesh vary.
+    """Return a solution with variable times of touch points, if other break times are variable.
 
-    A mesh stretches between its variable times: a touch that it carries along would be held next to the peak.
+    A mesh is stretched between its variable times; a touch point at a fixed break would be moved off the peak.
     """
     phases = dict(solution.phases)
     for name, s in solution.samples().items():
@@ -255,7 +255,7 @@ def with_free_touch_times(solution: Solution) -> Solution:
 
 
 def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
-    """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
+    """Return the contacts with multipliers at movable breaks: touch points, or ends of first-order arcs."""
     boundaries, found = s.leg.mesh.movable, []
     for kind, here in zip(
         (ArcKind.LOWER, ArcKind.UPPER), _find_active_constraints(rows, boundaries)[1], strict=True
@@ -270,7 +270,7 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
 
 
 def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
-    """Where a path constraint of a control and another limit of it take over from one another, one condition each."""
+    """Return the breaks where a path constraint and another limit of a control replace each other."""
     s, leg = rows.samples, rows.samples.leg
     orders = [constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
     owners = [order.controls if order.order == 0 else () for order in orders]
@@ -291,7 +291,7 @@ def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junct
 
 
 def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
-    """The side, -1 or 1, on which another limit holds a control up to where a constraint does; 0 if there is none."""
+    """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
         meets = np.flatnonzero(off)[-1 if side < 0 else 0]
@@ -301,14 +301,14 @@ def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], b
 
 
 def _find_constraint_exit_side(rows: StateConstraints, row: int, boundary: int) -> int:
-    """The side, -1 or 1, to which a constraint leaves its limit at a boundary without a slope; 0 if it does not."""
+    """Return the side, -1 or 1, on which a constraint leaves its limit without a slope; 0 if it does not."""
     s, breaks = rows.samples, rows.samples.leg.breaks
     along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))[:, row], axis=0)
     held = [bool(np.all(along[s.segments == k])) for k in (boundary - 1, boundary)]
     if held[0] == held[1]:
         return 0
     side = 1 if held[0] else -1
-    # Without a slope: so near the boundary it has moved by little of what its scale suggests.
+    # Without a slope, its change near the boundary is small relative to its scale.
     times = breaks[boundary] + np.array([0.0, SMALL]) * (breaks[boundary + side] - breaks[boundary])
     values = rows.evaluate_rows(times, s.leg.x(times), s.leg.applied(times))[row]
     return side if abs(values[1] - values[0]) < NOTABLE * SMALL * rows.row_scales[row] else 0

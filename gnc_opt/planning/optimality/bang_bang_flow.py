@@ -1,20 +1,20 @@
-r"""The flow of a bang-bang control, and its first two derivatives in switch times and start.
+r"""Flow of a bang-bang control, with first and second derivatives in switching times and initial values.
 
-The flow is a chain of integration steps, :math:`y_{j+1} = M_j(y_j, h_j)`, with the state y of the phase, its
-integrals, the time and the free parameters, and the width h of a step. With the sensitivities
+The flow is a chain of integration steps, :math:`y_{j+1} = M_j(y_j, h_j)`; y contains the states of the phase, its
+integrals, the time and the free parameters, and h is the step length. With the sensitivities
 :math:`S_j = dy_j/d\theta` and :math:`D_j = (S_j, dh_j/d\theta)`,
 
 .. math:: S_{j+1} = M_j' D_j, \qquad
           \frac{d^2 (p^T y_N)}{d\theta^2} = \sum_j D_j^T (p_{j+1}^T M_j'') D_j, \qquad
           p_j = \Big(\frac{\partial M_j}{\partial y_j}\Big)^T p_{j+1}, \quad p_N = p
 
-(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step is a chain of stages, differentiated alike. Only the
-rates are differentiated symbolically. The derivatives are exact for the discretised flow.
+(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step is a chain of stages, differentiated in the same way. Only
+the rates are differentiated symbolically. The derivatives are exact for the discretised flow.
 
-Steps are those of the explicit Runge-Kutta method of order 8 with 11 stages by Cooper & Verner (SIAM J. Numer. Anal.
-9(3), 1972).
+The steps are those of the explicit Runge-Kutta method of order 8 with 11 stages by Cooper & Verner (SIAM J. Numer.
+Anal. 9(3), 1972).
 
-A piece of zero length gives the effect of a control between two coinciding switches if they separate.
+A piece of zero length yields the effect of the control between two coinciding switches when they separate.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ FLOW_INITIAL_STEPS = 36
 """
 
 ORDER = 8
-"""Of the steps: half their width leaves 2 to the power of minus this of the error."""
+"""Order of the method: halving the step reduces the error by 2 to this power."""
 
 
 @dataclass(frozen=True)
 class PiecewiseControl:
-    """A control that is constant on pieces of a phase.
+    """Piecewise constant control of a phase.
 
     Attributes
     ----------
     times : array (n_pieces + 1,)
-        Ends of the pieces (s), not decreasing.
+        Ends of the pieces (s), in ascending order.
     controls : array (n_controls, n_pieces)
     unknowns : int array (n_pieces + 1,)
-        Which unknown each end is.
+        Index of the unknown of each end.
     """
 
     times: Array
@@ -60,16 +60,16 @@ class PiecewiseControl:
 
 @dataclass(frozen=True, eq=False)
 class BangBangFlow:
-    """The end of a bang-bang flow as a function of the times of its pieces, of free start values and parameters.
+    """Final state of a bang-bang flow as a function of switching times, free initial values and parameters.
 
-    Unknowns are the ends of the pieces (s), then the free start values, then the free parameters of the problem.
+    Unknowns are the ends of the pieces (s), the free initial values, and the free parameters of the problem.
 
     Attributes
     ----------
     initial, final : array (n_states + n_integrals + 1 + n_parameters,)
         States, integrals, time and free parameters at the start and at the end.
     initial_sensitivity, final_sensitivity : array (n_states + n_integrals + 1 + n_parameters, n_unknowns)
-        Derivatives of these with respect to the unknowns.
+        Derivatives of these in the unknowns.
     states : array (n_states + n_integrals + 1 + n_parameters, n_steps + 1)
         Before every step and at the end.
     controls : array (n_controls, n_steps)
@@ -93,18 +93,18 @@ class BangBangFlow:
         return self._forward_sensitivities[1]
 
     def integrate_adjoint(self, adjoint: Array) -> Array:
-        """Gradient of ``adjoint @ final`` with respect to the states at all ends of steps (n, n_steps + 1)."""
+        """Return the gradient of ``adjoint @ final`` in the states at all step ends (n, n_steps + 1)."""
         return self._cost_gradients(adjoint)[:-1]
 
     def final_state_gradient(self, adjoint: Array) -> Array:
-        """First derivative of ``adjoint @ final``, (n_unknowns,), without any sensitivity."""
+        """Return the first derivative of ``adjoint @ final``, (n_unknowns,), without sensitivities."""
         worths, n_times = self._cost_gradients(adjoint), self._widths.shape[1]
         found = worths[:-1, 0] @ self.initial_sensitivity
         found[:n_times] += worths[-1, :-1] @ self._widths
         return np.asarray(found)
 
     def final_state_hessian(self, adjoint: Array) -> Array:
-        """Second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
+        """Return the second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
         worths = np.empty((len(self._step_derivatives.jacobians), adjoint.size))
         for j in reversed(range(len(worths))):
             worths[j] = adjoint
@@ -116,7 +116,7 @@ class BangBangFlow:
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
     def _cost_gradients(self, adjoint: Array) -> Array:
-        """Cost gradients in the states before every step and, last row, the step widths; (n + 1, n_steps + 1)."""
+        """Return cost gradients in the states before every step and (last row) step lengths; (n + 1, n_steps + 1)."""
         key = adjoint.tobytes()
         if key not in self._swept:
             places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
@@ -129,11 +129,11 @@ class BangBangFlow:
 
     @cached_property
     def _forward_sensitivities(self) -> tuple[Array, Array]:
-        """Derivatives of (state, width) of every step with respect to the unknowns, and of the final state."""
+        """Derivatives of (state, step length) of every step in the unknowns, and of the final state."""
         (n, n_times), sensitivity = self._widths.shape, self.initial_sensitivity
         directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
         directions[:, -1, :n_times] = self._widths
-        with np.errstate(over="ignore", invalid="ignore"):  # of a flow that has left the numbers
+        with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for j, jacobian in enumerate(self._step_derivatives.jacobians):
                 directions[j, :-1] = sensitivity
                 sensitivity = jacobian @ directions[j]
@@ -148,18 +148,18 @@ def integrate_bang_bang(
     refinement: int = 1,
     steps: int = FLOW_INITIAL_STEPS,
 ) -> BangBangFlow:
-    """Fly a phase piece by piece.
+    """Return the flow of a phase with a piecewise constant control.
 
     Parameters
     ----------
     problem : Problem
-        Of the samples.
+        Problem of the samples.
     free_start : int array
-        Rows of the start values that are unknowns.
+        Rows of the initial values that are unknowns.
     refinement : int
-        Every step of the grid is divided into so many.
+        Number of parts of every step of the grid.
     steps : int
-        Of the grid, over the phase; at least one from switch to switch.
+        Number of grid steps over the phase; at least one between two switches.
     """
     leg, q = s.leg, s.functions.q
     rates = problem.cache(("flow", leg.name), lambda: _Rates.build_functions(s))
@@ -178,7 +178,7 @@ def integrate_bang_bang(
 def _integration_step_inputs(
     s: PhaseSamples, pieces: PiecewiseControl, n_times: int, refinement: int, steps: int
 ) -> tuple[Array, Array]:
-    """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""
+    """Return the inputs of all steps (n_inputs, n_steps), and derivatives of their lengths (n_steps, n_times)."""
     widths = np.diff(pieces.times)
     counts = refinement * np.maximum(1, np.rint(steps * widths / np.sum(widths)).astype(int))
     every = np.arange(widths.size).repeat(counts)
@@ -196,14 +196,14 @@ class _Rates:
     Attributes
     ----------
     step : Function
-        Of z and inputs: z after one step.
+        Maps z and inputs to z after one step.
     back : Function
-        Of (cost gradient in z after a step, unused) and (z, inputs): cost gradients in z before it and in its
-        width.
+        Maps (cost gradient in z after a step, unused) and (z, inputs) to the cost gradients in z before it and in its
+        length.
     stages : Function
-        Of z and inputs: where the stages evaluate dz/dt, one after the other, and then what they find.
+        Maps z and inputs to the arguments and the values of dz/dt at all stages.
     jacobian, hessian : _Matrices
-        The Jacobian of dz/dt in z; of z, of the inputs and of weights: the Hessian of weights @ dz/dt in z.
+        Jacobian of dz/dt in z; Hessian of weights @ dz/dt in z, a function of z, inputs and weights.
     """
 
     step: Any
@@ -253,7 +253,7 @@ class _Rates:
 
 @dataclass(frozen=True, eq=False)
 class _Matrices:
-    """A sparse matrix as a function of columns, evaluated for many of them."""
+    """Sparse matrix as a function of column vectors, evaluated for many of them."""
 
     entries: Any
     shape: tuple[int, int]
@@ -267,7 +267,7 @@ class _Matrices:
         return cls(ca.Function(name, arguments, [entries]), matrix.shape, rows, columns)
 
     def __call__(self, *arguments: Array) -> Array:
-        """Return the dense matrices (n, *shape) of n columns of every argument."""
+        """Return the dense matrices (n, *shape) for n columns of every argument."""
         n = arguments[0].shape[1]
         found = np.zeros((n, *self.shape))
         found[:, self.rows, self.columns] = evaluate_columns(self.entries, n, *arguments).T
@@ -301,15 +301,15 @@ _REACHES: tuple[tuple[float, ...], ...] = (
         (301 + 53 * _ROOT) / 72, (28 - 28 * _ROOT) / 45, (49 - 7 * _ROOT) / 18,
     ),
 )  # fmt: skip
-"""Stage i begins at y + h * sum of reach * k_j over the stages before it."""
+"""Butcher tableau: stage i is evaluated at y + h * sum of reach * k_j over the previous stages."""
 
 _SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
-"""The step is y + h * sum of share * k_i."""
+"""Weights: the step ends at y + h * sum of share * k_i."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Derivatives of steps with respect to w = (z, h): n_stages, n_steps first; ``jacobians`` (n_steps, n, n + 1)."""
+    """Derivatives of steps in w = (z, h): n_stages, n_steps first; ``jacobians`` (n_steps, n, n + 1)."""
 
     jacobians: Array
     _rates: _Rates
@@ -321,7 +321,7 @@ class _Steps:
 
     @classmethod
     def differentiate(cls, rates: _Rates, states: Array, inputs: Array) -> _Steps:
-        """Differentiate the steps from some states (n, n_steps) with some inputs."""
+        """Return the derivatives of the steps from states (n, n_steps) with given inputs."""
         (n, n_steps), n_stages = states.shape, len(_SHARES)
         h = inputs[0][:, None, None]
         found = evaluate_columns(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
@@ -331,25 +331,25 @@ class _Steps:
         moved, change = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
 
         def moves(shares: Array, into: Array) -> Array:
-            """The derivatives of z + h * sum of share * k_i over the first stages."""
+            """Return the derivatives of z + h * sum of share * k_i over the first stages."""
             used = np.flatnonzero(shares)
             into[:, :, :n] = np.eye(n)
             into += h * np.tensordot(shares[used], change[used], 1)
             into[:, :, n] += np.tensordot(shares[used], slopes[used], 1)
             return into
 
-        with np.errstate(over="ignore", invalid="ignore"):  # of a flow that has left the numbers
+        with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for i, reach in enumerate(_REACHES):
                 np.matmul(slope_jacobians[i], moves(np.array(reach), moved[i]), out=change[i])
             jacobians = moves(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
         return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
     def adjoint_hessians(self, adjoints: Array) -> Array:
-        """Hessians of ``adjoints @ step`` of every step, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
+        """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
         (n, n_steps), n_stages = adjoints.shape, len(_SHARES)
         h = self._inputs[0]
-        # Cost gradient of a slope times the width: through the step itself, and through the later stages'
-        # states.
+        # Cost gradient of a slope times the step length: through the step itself, and through the states of later
+        # stages.
         worth = np.multiply.outer(np.array(_SHARES), adjoints.T)
         for i in reversed(range(n_stages)):
             by_place = ((h[:, None] * worth[i])[:, None] @ self._slope_jacobians[i])[:, 0]

@@ -1,4 +1,4 @@
-"""Control deviation: how far the applied control is from its mean over the phase, or is pulled from it.
+"""Control deviation: distance of the applied control from its mean, or from the minimum of H.
 
 See the module `reference_scales` for its definition.
 """
@@ -17,15 +17,15 @@ from gnc_opt.planning.solution.variation_scales import (
 from gnc_opt.tolerances import EQUAL, NOTABLE, TINY
 
 MEAN_SHARE = 0.1
-"""Least deviation of a control at any time, in shares of its mean over the phase; by the pull of H it is at most the
-inverse of this times larger."""
+"""Smallest deviation of a control at any time, as a share of its mean over the phase; the distance to the minimum of H
+exceeds it at most by the inverse of this."""
 
 BESIDE = 1.3
 """Multiple of a control at which its effect is compared with that at its value."""
 
 
 def compute_control_deviation(s: PhaseSamples) -> Array:
-    """Return how far the applied control deviates, or is pulled, from its mean (m, n_samples); zero if idle."""
+    """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
     lasts, u = max(float(np.sum(s.weights)), TINY), s.u
     about = replace_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
     size = np.max(np.abs(replace_nonfinite(u)), axis=1, initial=0.0)
@@ -51,7 +51,7 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
 
 
 def _deviation_of_constant_controls(s: PhaseSamples, size: Array, bends: Array) -> Array:
-    """Return the deviation of constant controls (m,): their size, unless that is negligible relative to the cost."""
+    """Return the deviation of constant controls (m,): their magnitude, unless negligible relative to the cost."""
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
     worth = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
@@ -61,11 +61,11 @@ def _deviation_of_constant_controls(s: PhaseSamples, size: Array, bends: Array) 
 
 
 def _deviation_of_zero_controls(s: PhaseSamples, size: Array) -> Array:
-    """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero."""
+    """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
     asked, rounding = estimate_required_controls(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
         return np.zeros_like(size)
-    # Where the effect of a control vanishes at its value only, as that of an angle of 180 degrees, it is not rounding.
+    # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
     own, beside = (
         np.max(
             np.abs(replace_nonfinite(s.functions.input_jacobian(s.times, s.x, factor * s.u))),
@@ -81,7 +81,7 @@ def _deviation_of_zero_controls(s: PhaseSamples, size: Array) -> Array:
 
 
 def limit_deviation_from_below(s: PhaseSamples, deviation: Array, cost: float) -> Array:
-    """Return deviations of controls in which H curves that are no smaller than those that a least cost allows."""
+    """Return deviations of controls with curvature of H, at least those with the smallest relevant cost."""
     bends = np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     least = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     return np.fmax(deviation, least[:, None])

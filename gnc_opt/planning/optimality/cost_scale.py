@@ -1,7 +1,7 @@
-"""Scales of the cost and the boundary constraints, and averages of violations over a share of the phase.
+"""Scales of the cost and the boundary constraints, and time averages of violations.
 
-A scale is the change over the trajectory's spans, not the value, to which constants may be added. It is the reference
-where costates vanish.
+A scale is the change over the variation scales of the trajectory, not the value, which may contain constants. It is the
+reference for vanishing costates.
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.tolerances import NOTABLE, nonzero_magnitude
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
-"""Violations shorter than this share of a phase count by their mean over it: the loss of cost is size times
-duration.
+"""Share of a phase over which violations are averaged: the loss of cost is the size times the duration.
 """
 
 SMEARED = 1e-4
-"""A control that is between its bounds for less than this share of a phase is on its way from one to the other."""
+"""Duration, as a share of the phase, below which a control between its bounds is switching."""
 
 
 def average_over_time(times: Array, violation: Array) -> Array:
-    """Violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE`: a kink costs little."""
+    """Return violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE`, since short ones cost little."""
     half = 0.5 * AVERAGING_SHARE_OF_PHASE * (times[-1] - times[0])
     areas = 0.5 * (violation[:, 1:] + violation[:, :-1]) * np.diff(times)
     total = np.concatenate([np.zeros((violation.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
@@ -41,12 +40,12 @@ def average_over_time(times: Array, violation: Array) -> Array:
 
 
 def mask_interior_controls(times: Array, inside: Mask) -> Mask:
-    """Where controls are between their bounds (m, n_times) for longer than a switch, smeared by a polynomial, takes."""
+    """Return where controls are between their bounds (m, n_times) for longer than an interpolated switch."""
     return lasts_for_share_of_phase(times, inside, SMEARED)
 
 
 def lasts_for_share_of_phase(times: Array, here: Mask, share: float) -> Mask:
-    """Where something holds (m, n_times) for longer than a share of the phase."""
+    """Return where a condition is true (m, n_times) for longer than a share of the phase."""
     arcs = here.copy()
     for row in arcs:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
@@ -56,9 +55,9 @@ def lasts_for_share_of_phase(times: Array, here: Mask, share: float) -> Mask:
 
 
 def lasting_minimum_index(times: Array, values: Array) -> int:
-    """Return a sample at which values (n_times,) are least, of those that are not undercut for longer than `SMEARED`.
+    """Return the sample of the smallest values (n_times,) that last for more than the share `SMEARED`.
 
-    A dip that takes less is a switch, smeared by a polynomial that wiggles on the way. ``times`` do not decrease.
+    A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
     """
     length = SMEARED * (times[-1] - times[0])
     firsts = np.flatnonzero(times <= times[-1] - length)
@@ -69,12 +68,12 @@ def lasting_minimum_index(times: Array, values: Array) -> int:
 
 @dataclass(frozen=True)
 class Magnitudes:
-    """Largest changes when an end value, time, integral or parameter changes by its span.
+    """Largest changes for end values, times, integrals or parameters that change by their variation scales.
 
     Attributes
     ----------
     constraints : array (n_constraints,)
-        Of the boundary constraints; where none of them changes them, their size, or 1.
+        Changes of the boundary constraints; if all are zero, their magnitude or 1.
     """
 
     cost: float
@@ -82,7 +81,7 @@ class Magnitudes:
 
     @classmethod
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Magnitudes:
-        """Vary cost and constraints."""
+        """Return the changes of cost and constraints for a solution."""
         problem = solution.need_problem("verify")
         values: list[Array] = []
         spans: list[Array] = []
@@ -108,7 +107,7 @@ class Magnitudes:
         nu = np.zeros(solution.constraint_multipliers.size)
         found = evaluate_columns(build_endpoint_values(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
-        with np.errstate(invalid="ignore"):  # what has no value has not changed
+        with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])
         changes = np.where(np.isfinite(changes), changes, 0.0)
         largest = np.fmax(np.max(changes, axis=1, initial=0.0), SPAN_MIN_SHARE * np.abs(base))
@@ -116,10 +115,10 @@ class Magnitudes:
 
 
 def compute_integral_spans(s: PhaseSamples) -> Array:
-    """Return by how much the flight can change each integral of a phase (n_integrals,).
+    """Return the variation scale of each integral of a phase (n_integrals,).
 
-    An integrand counts by what it is above its least, or below its largest, value along the phase; by its size if the
-    duration may change; and by the share `NOTABLE` of its change when a state or control is off by its span.
+    An integrand contributes its variation along the phase; its magnitude if the duration is free; and the share
+    `NOTABLE` of its change when a state or control changes by its variation scale.
     """
     values = s.functions.integrands(s.times, s.x, s.u)
     if not values.shape[0]:
@@ -141,12 +140,12 @@ def compute_integral_spans(s: PhaseSamples) -> Array:
 
 
 def _clip_to_trajectory(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
-    """Return values clipped to the trajectory's range, outside which the cost may be undefined or excessive."""
+    """Return values clipped to the range of the trajectory, outside which the cost may be undefined or excessive."""
     return values if box is None else np.clip(values, box[0][i], box[1][i])
 
 
 def compute_parameter_scales(solution: Solution) -> Array:
-    """Return a tenth of the range of each free parameter, or its size where it has none (n_parameters,)."""
+    """Return a tenth of the range of each free parameter, or its magnitude without a range (n_parameters,)."""
     box = solution.need_problem("verify").parameter_interval()
     extent = box.upper - box.lower
     size = nonzero_magnitude(np.abs(solution.parameter_values))
@@ -154,9 +153,9 @@ def compute_parameter_scales(solution: Solution) -> Array:
 
 
 def compute_state_variations(s: PhaseSamples) -> Array:
-    """By what states may be varied (n,): what they move along a phase, or their size if nothing moves them.
+    """Return the variations of the states (n,): their motion along a phase, or their magnitude without motion.
 
-    A constant that is stated as a state, whose value is free, moves by rounding only.
+    The motion of a free constant that is stated as a state is at rounding level.
     """
     sizes = np.max(np.abs(s.x), axis=1, initial=0.0)
     still = (s.state_scale <= 2 * SPAN_MIN_SHARE * sizes) & (sizes > 0)

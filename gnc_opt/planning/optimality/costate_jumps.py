@@ -1,15 +1,15 @@
 r"""Costate jumps of active state constraints.
 
-A constraint without controls, :math:`c(t, x) \le 0` or a state bound, enters the adjoint equation through a measure
+A pure state constraint, :math:`c(t, x) \le 0` or a state bound, enters the adjoint equation through a measure
 (Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, theorem 4.1),
 
 .. math:: d\lambda = -\Big(\frac{\partial H}{\partial x}\Big)dt - \frac{\partial c}{\partial x}\,d\eta,
           \qquad d\eta \ge 0 \text{ at an upper, } \le 0 \text{ at a lower limit, } 0 \text{ away from both,}
 
-hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` and
-:math:`H(t^-) = H(t^+) - \eta\,\partial c/\partial t` where it has an atom, as at the ends of an arc
-along the limit or where the limit is touched. A jump at a segment boundary is
-admissible if the active constraints explain it with multipliers of the right sign.
+therefore :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` and
+:math:`H(t^-) = H(t^+) - \eta\,\partial c/\partial t` at an atom, as at the ends of an active arc
+or at a touch point. A jump at a segment boundary is admissible if the active constraints explain it with multipliers of
+the correct sign.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from gnc_opt.tolerances import AT_LIMIT
 
 @dataclass(frozen=True)
 class StateConstraintSides:
-    """Pure state constraints at some times.
+    """Pure state constraints at given times.
 
     Attributes
     ----------
     directions : array (n_states, n_sides, n_times)
-        Gradient of each side of each constraint, outwards: a legitimate push moves lambda against it.
+        Outward gradient of each side of each constraint; an admissible multiplier moves lambda against it.
     drifts : array (n_sides, n_times)
-        Its partial derivative with respect to time.
+        Partial derivative of each side in time.
     active : bool array (n_sides, n_times)
     """
 
@@ -46,7 +46,7 @@ class StateConstraintSides:
 
     @classmethod
     def evaluate_at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
-        """Evaluate state bounds and the path constraints that do not depend on controls."""
+        """Evaluate state bounds and pure state path constraints."""
         leg, n = s.leg, s.leg.states.size
         gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
         drifts = [np.zeros_like(x)]
@@ -75,7 +75,7 @@ class StateConstraintSides:
 def path_gradients(
     functions: PhaseFunctions, n_paths: int, times: Array, x: Array, u: Array
 ) -> tuple[Array, Array, Array]:
-    """dc/dx, (n_states, n_paths, n_times), dc/dt, (n_paths, n_times), and dc/dq, (n_parameters, n_paths, n_times)."""
+    """Return dc/dx (n_states, n_paths, n_times), dc/dt (n_paths, n_times), dc/dq (n_parameters, n_paths, n_times)."""
     zero, mu = np.zeros_like(x), np.zeros((n_paths, times.size))
 
     def evaluate_gradients() -> list[Array]:
@@ -96,14 +96,14 @@ def path_gradients(
 def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """Return the jumps at inner segment boundaries with the parts that active constraints explain.
 
-    Adjacent multiplier density may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`.
+    Adjacent multiplier densities may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`.
 
     Returns
     -------
     unexplained : array (n_states, K - 1)
         Unexplained part of the costate jumps.
     atoms : array (n_paths, K - 1)
-        Multipliers of the path constraints that explain them, >= 0 at upper limits.
+        Multipliers of the path constraints that explain the jumps, >= 0 at upper limits.
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
@@ -126,21 +126,20 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class EndPush:
-    """Transversality residual at an end of a phase, and the part that path constraints without controls
-    explain.
+    """Transversality residual at an end of a phase, and the part that pure state path constraints explain.
 
     Attributes
     ----------
     gap : array (n_states,)
-        Costate less the gradients of cost and boundary constraints.
+        Costate minus the gradients of cost and boundary constraints.
     multipliers : array (n_paths,)
-        Atoms of the path constraints that are active there, >= 0 at upper limits; zero for all others.
+        Atoms of the active path constraints, >= 0 at upper limits; zero for others.
     explained : array (n_states,)
-        The part of the gap that they explain.
+        Part of the gap that the atoms explain.
     drift : float
-        Their contribution to the gap of H.
+        Contribution of the atoms to the gap of H.
     limits : Interval
-        Of the states there.
+        Limits of the states at this end.
     """
 
     gap: Array
@@ -151,7 +150,7 @@ class EndPush:
 
 
 def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
-    """Explain a costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
+    """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     leg, name, pure, n = s.leg, s.leg.name, s.pure_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds
     limits = intersect(given, leg.state_bounds)
@@ -183,7 +182,7 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
 
 
 def _nearby_impulses(s: PhaseSamples) -> Array:
-    """The same by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
+    """Return the integrals by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = integrate_nearby_multipliers(
         s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])
     )

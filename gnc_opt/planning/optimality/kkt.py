@@ -1,9 +1,9 @@
-r"""Linear algebra of first- and second-order conditions: sparse saddle points, null spaces, ends of spectra.
+r"""Linear algebra of first- and second-order conditions: sparse saddle-point systems, null spaces, extreme eigenvalues.
 
-The rows of a collocated program, in the order of time, are banded, but for what a whole phase shares: a free final
-time, a parameter, an integral. In a stretched matrix (J. Grcar, Matrix stretching for linear equations, 1990) the
-unknown :math:`y` of such a dense row becomes one copy for every stretch of time, and the multipliers of
-:math:`y_1 = y_2 = \dots = y_K`. The matrix stays symmetric, its solution is the same, and it is banded.
+The rows of a collocated program, in order of time, are banded, except for quantities common to a whole phase: a free
+final time, a parameter, an integral. In a stretched matrix (J. Grcar, Matrix stretching for linear equations, 1990) the
+unknown :math:`y` of such a dense row is replaced by one copy per stretch of time, with the multipliers of
+:math:`y_1 = y_2 = \dots = y_K`. The matrix stays symmetric, has the same solution, and is banded.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
 SINGULAR = 1e13
-"""Condition number of the scaled system from which its solution has no digits to rely on."""
+"""Condition number of the scaled system above which its solution has no reliable digits."""
 
 SADDLE_REFINEMENTS = 6
-"""Steps of inverse iteration and of iterative refinement; each gains the digits that the factors have."""
+"""Numbers of steps of inverse iteration and of iterative refinement."""
 
 CONSISTENT, NOISE = 1e-7, 1e-13
-"""Relative and absolute residual that the solution of a consistent system keeps below."""
+"""Relative and absolute residual of a consistent system."""
 
 
 class SaddlePoint:
-    """A symmetric indefinite sparse system; redundant but consistent rows are allowed, a free direction is not."""
+    """Symmetric indefinite sparse system; redundant consistent rows are allowed, undetermined variables are not."""
 
     def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:
         self.labels, self._n, self._name = labels, n_primal, name
         self._scale = _equilibrate_rows(matrix)
         diagonal = scipy.sparse.diags_array(self._scale)
         self._matrix = scipy.sparse.csc_array(diagonal @ matrix @ diagonal)
-        # SuperLU may write about a structurally singular matrix instead of raising.
+        # SuperLU may print a message about a structurally singular matrix instead of raising.
         self.redundant = scipy.sparse.csgraph.structural_rank(self._matrix) < matrix.shape[0]
         if not self.redundant:
             try:
                 self._factors = scipy.sparse.linalg.splu(self._matrix)
                 self.redundant = not self._condition_number() < SINGULAR
-            except RuntimeError:  # a pivot is exactly zero
+            except RuntimeError:  # a pivot is zero
                 self.redundant = True
         if self.redundant:
             self._classify_singularity()
@@ -66,7 +66,7 @@ class SaddlePoint:
         )
 
     def _classify_singularity(self) -> None:
-        """Find what the singular system leaves undetermined: variables (refuse) or only multipliers (accept)."""
+        """Find what a singular system leaves undetermined: variables (error) or only multipliers (allowed)."""
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
         self._factors = scipy.sparse.linalg.splu(
@@ -85,7 +85,7 @@ class SaddlePoint:
             )
 
     def solve_system(self, right: Array) -> Array:
-        """Solve with iterative refinement, which also undoes the shift of a redundant system."""
+        """Return the solution, with iterative refinement that also removes the shift of a redundant system."""
         scaled = self._scale * right
         solved = self._factors.solve(scaled)
         smallest = 5 * np.finfo(float).eps * np.max(np.abs(scaled), initial=TINY)
@@ -98,15 +98,15 @@ class SaddlePoint:
         if not np.max(np.abs(rest), initial=0.0) <= CONSISTENT * np.max(np.abs(scaled), initial=TINY) + NOISE:
             culprit = self.labels[int(np.argmax(np.abs(rest)))]
             raise GncOptError(
-                f"the limits of '{self._name}' that are active leave no room for its constraints, at '{culprit}': "
-                "settle bang-bang arcs with refine(solution, structure='auto') first, or free a boundary value that is "
+                f"the limits of '{self._name}' that are active contradict its constraints, at '{culprit}': "
+                "refine bang-bang arcs with refine(solution, structure='auto') first, or free a boundary value that is "
                 "given twice."
             )
         return np.asarray(solved * self._scale)
 
 
 def _equilibrate_rows(matrix: Any) -> Array:
-    """Return symmetric scale factors that bring the largest entry of every row near 1."""
+    """Return symmetric scale factors for which the largest entry of every row is near 1."""
     scale = np.ones(matrix.shape[0])
     absolute = scipy.sparse.coo_array(np.abs(matrix))
     for _ in range(4):
@@ -117,14 +117,14 @@ def _equilibrate_rows(matrix: Any) -> Array:
 
 
 DENSE = 200
-"""Rows with more entries than this are dense: a row of collocation has those of the points of its segment."""
+"""Number of entries above which a row is dense; a collocation row has those of the points of its segment."""
 
 STRETCH = 60
-"""Rows per copy: about as many as the band is wide."""
+"""Number of rows per copy, about the bandwidth."""
 
 
 def factorise_symmetric(matrix: Any) -> Callable[[Array], Array]:
-    """Return the solver of a sparse symmetric system (n, n): right-hand sides (n,) to solutions."""
+    """Return the solver of a sparse symmetric system (n, n), a function of the right-hand side (n,)."""
     matrix = scipy.sparse.csr_array(matrix)
     many = np.diff(matrix.indptr) > DENSE
     dense, others = np.flatnonzero(many), np.flatnonzero(~many)
@@ -148,7 +148,7 @@ def factorise_symmetric(matrix: Any) -> Callable[[Array], Array]:
 
 
 def _assign_row_blocks(matrix: Any, copies: int) -> Indices:
-    """The stretch of every row, by its place in an order in which the matrix is banded (Cuthill & McKee's)."""
+    """Return the stretch of every row, from its position in a banded ordering (Cuthill & McKee)."""
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(scipy.sparse.csr_matrix(matrix), symmetric_mode=True)
     stretches = np.empty(order.size, dtype=int)
     stretches[order] = np.arange(order.size) * copies // order.size
@@ -156,7 +156,7 @@ def _assign_row_blocks(matrix: Any, copies: int) -> Indices:
 
 
 def _split_dense_jacobian_rows(matrix: Any, dense: Indices, others: Indices, stretches: Indices) -> Any:
-    """The matrix of the other rows, the copies of each dense one, and the multipliers of their equality."""
+    """Return the matrix of the other rows, the copies of each dense row, and the multipliers of their equality."""
     copies = int(np.max(stretches)) + 1
     entries = scipy.sparse.coo_array(matrix)
     stretch, place = np.zeros(matrix.shape[0], dtype=int), np.empty(matrix.shape[0], dtype=int)
@@ -165,7 +165,7 @@ def _split_dense_jacobian_rows(matrix: Any, dense: Indices, others: Indices, str
     is_dense = np.zeros(matrix.shape[0], dtype=bool)
     is_dense[dense] = True
     i, j = entries.row, entries.col
-    # An entry of a dense row belongs to the stretch of its column; one of two dense rows, to the first.
+    # An entry of a dense row belongs to the stretch of its column; one of two dense rows to the first stretch.
     rows = place[i] + np.where(is_dense[i], stretch[j], 0)
     columns = place[j] + np.where(is_dense[j], stretch[i], 0)
     n = others.size + copies * dense.size
@@ -182,26 +182,26 @@ def _split_dense_jacobian_rows(matrix: Any, dense: Indices, others: Indices, str
 
 
 LANCZOS_RESIDUAL_TOLERANCE = 1e-4
-"""Residual of the eigenvectors, relative to the largest eigenvalue, at which the method ends."""
+"""Residual of the eigenvectors, relative to the largest eigenvalue, at which the method converges."""
 
 
 @dataclass(frozen=True, eq=False)
 class NullSpace:
-    """The variations that keep some variables and rows of a program where they are.
+    """Variations of a program in which some variables and rows are fixed.
 
-    Variations are taken in shares of the scales, weighed such that their squares add up to an integral over time.
+    Variations are relative to the scales, with weights for which the sum of squares is an integral over time.
 
     Attributes
     ----------
     unit : sparse (n_variables, n_variations)
-        Scaled variables per variation.
+        Scaled variables for each variation.
     rows : int array
-        Rows of the program that do not vary.
+        Rows of the program that are fixed.
     norms : array (n_rows,)
-        Of the gradients of the rows.
+        Norms of the gradients of these rows.
     jacobian : sparse (n_rows + n_held, n_variations)
-        Of the rows by the variations, scaled to unit gradients; then that of variables that do not vary, but that
-        variations would move; then of what is held besides.
+        Jacobian of these rows, scaled to unit gradients; followed by fixed variables that variations would change, and
+        by additional rows.
     """
 
     unit: Any
@@ -211,9 +211,9 @@ class NullSpace:
 
     @classmethod
     def with_fixed(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
-        """Return the space where ``held`` (n_variables + n_constraints,) do not vary.
+        """Return the space in which ``held`` (n_variables + n_constraints,) are fixed.
 
-        ``unit`` (n_variables, n_variations) replaces a variation for each variable; ``further`` are more rows to hold.
+        ``unit`` (n_variables, n_variations) replaces one variation per variable; ``further`` are additional fixed rows.
         """
         held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
         if unit is None:
@@ -232,23 +232,23 @@ class NullSpace:
         return int(self.unit.shape[1])
 
     def project_hessian(self, hessian: Any) -> Any:
-        """Return a Hessian with respect to all scaled variables as one with respect to the variations."""
+        """Return a Hessian in all scaled variables as one in the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
     def expand_variation(self, variation: Array) -> Array:
         return np.asarray(self.unit @ variation)
 
     def factorise_hessian(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
-        """Return the saddle matrix of a Hessian and of the rows, and what solves with it, but for rounding."""
+        """Return the saddle-point matrix of a Hessian and the rows, and its solver."""
         n, m = self.dimension, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
-        # Of rows with unit gradients: dependent ones do no harm.
+        # With unit gradients, dependent rows are harmless.
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, ROUNDING))
         return matrix, factorise_symmetric(matrix - slack)
 
     @cached_property
     def factorise_identity(self) -> tuple[Any, Callable[[Array], Array]]:
-        """The same for the identity, by which variations are projected."""
+        """Return the same for the identity, which projects variations."""
         return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
     def projected_hessian_inverse(self, hessian: Any) -> Callable[[Array], Array]:
@@ -257,7 +257,7 @@ class NullSpace:
 
     @property
     def projection_operator(self) -> Callable[[Array], Array]:
-        """Projection of variations to the null space."""
+        """Projection of variations onto the null space."""
         return self._restrict_inverse(*self.factorise_identity)
 
     def _restrict_inverse(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -266,14 +266,14 @@ class NullSpace:
         def inverse(vector: Array) -> Array:
             right = np.concatenate([vector, rows])
             solved = solve(right)
-            solved = solved + solve(right - matrix @ solved)  # without the slack of `factorise_hessian`
+            solved = solved + solve(right - matrix @ solved)  # removes the slack of `factorise_hessian`
             return np.asarray(solved[: vector.size])
 
         return inverse
 
 
 def compute_curvature(hessian: Any, direction: Array) -> tuple[float, float]:
-    """Return the curvature along a direction, and in shares of the terms that add up to it."""
+    """Return the curvature along a direction, absolute and relative to the sum of its terms."""
     value = float(direction @ (hessian @ direction))
     terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
     return value, value / max(terms, TINY)
@@ -306,7 +306,7 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
 
 
 def is_spectrum_converged(diagonal: list[float], beside: list[float], length: float) -> bool:
-    """Whether both ends of the spectrum are found, by the last components of their eigenvectors."""
+    """Return whether both ends of the spectrum have converged, from the last components of their eigenvectors."""
     values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
     return bool(
         np.max(length * np.abs(vectors[-1, [0, -1]])) <= LANCZOS_RESIDUAL_TOLERANCE * np.max(np.abs(values))
@@ -314,23 +314,23 @@ def is_spectrum_converged(diagonal: list[float], beside: list[float], length: fl
 
 
 def _normalise_rows(rows: Any) -> tuple[Any, Array]:
-    """Rows scaled to unit length, and what they have been divided by."""
+    """Return rows scaled to unit length, and their original lengths."""
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
     norms = np.where(norms > 0, norms, 1.0)
     return scipy.sparse.diags_array(1 / norms) @ rows, norms
 
 
 def unit_variation_matrix(squares: Array) -> Any:
-    """A variation of size 1 for each scaled variable (n_variables, n_variables), sparse."""
+    """Return a unit variation for each scaled variable (n_variables, n_variables), sparse."""
     return scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")
 
 
 def variation_norm_weights(transcription: Transcription) -> Array:
-    """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
+    """Return the weights of the squares of scaled variables in the norm of a variation (n_variables,)."""
     weights, _ = compute_quadrature_weights(transcription)
     for part in transcription.parts.values():
         collocation = part.collocation
-        # States at inner boundaries follow from the points: their rows count by the adjacent segments.
+        # States at inner boundaries follow from the points; they are weighted by the adjacent segments.
         widths = collocation.mesh.widths
         weights[collocation.boundary_states[:, 1:-1]] = 0.5 * (widths[:-1] + widths[1:])
     return weights

@@ -1,14 +1,15 @@
-r"""Estimated costates and multipliers of a given trajectory: least squares of the first-order conditions.
+r"""Estimated costates and multipliers of a given trajectory: least-squares solution of the first-order conditions.
 
-Transcribed on the trajectory's own mesh (Legendre-Gauss), stationarity with respect to states, controls, free times,
-parameters and jump times of the controls reads :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`, linear in the
-multipliers. Those of inactive limits vanish. A variable on its limit removes its row, unless its multiplier would have
-the wrong sign. The result is mapped to costates like a solver's multipliers (module `costates`).
+On the mesh of the trajectory (Legendre-Gauss), stationarity in states, controls, free times, parameters and jump times
+of the controls is :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`, linear in the multipliers. Multipliers of inactive
+limits are zero. The row of a variable at its limit is omitted, unless its multiplier would have the wrong sign. The
+result is mapped to costates like the multipliers of a solver (module `costates`).
 
-Where a constraint :math:`c(t, x) \le 0` without controls is touched, reached or left, its multiplier has an atom
+At a touch point, entry or exit of a pure state constraint :math:`c(t, x) \le 0`, its multiplier has an atom
 :math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM Review
-37(2), 1995, theorem 4.1). A program has rows at its collocation points only, so that terms :math:`\eta\,c(t_k, x_k)` at
-segment boundaries are added to its Lagrangian: at ends of arcs of order two or more, at touches, and at phase ends.
+37(2), 1995, theorem 4.1). Since a program has rows at its collocation points only, terms :math:`\eta\,c(t_k, x_k)` at
+segment boundaries are added to its Lagrangian: at ends of arcs of order two or more, at touch points, and at phase
+ends.
 """
 
 from __future__ import annotations
@@ -40,14 +41,14 @@ from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
 
 @dataclass(frozen=True)
 class PointMultipliers:
-    """Where path constraints without controls may push at a boundary of segments.
+    """Pure state path constraints that may have atoms at segment boundaries.
 
     Attributes
     ----------
     gradients : sparse array (n_variables, n_atoms)
-        Of the constraints, by the program's variables.
+        Gradients of the constraints in the program's variables.
     sizes : array (n_atoms,)
-        What a constraint varies by.
+        Variations of the constraints.
     at_lower, at_upper : bool array (n_atoms,)
     """
 
@@ -66,7 +67,7 @@ class PointMultipliers:
         scales: Array,
         near: float,
     ) -> PointMultipliers:
-        """Find them along a trajectory; ``scales`` (n_variables,) are what the variables of the program vary by."""
+        """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
         found = [cls._empty(transcription.n_variables)]
         for name, part in transcription.parts.items():
             leg, functions, phase = (problem.phases[name], phase_functions_at(problem, name, q), fitted[name])
@@ -75,7 +76,7 @@ class PointMultipliers:
             if not pure.size:
                 continue
             times = phase.x.breaks
-            # A shared value belongs to the segment that begins with it, but for the last one.
+            # A shared value belongs to the segment that starts there; the last one to the last segment.
             x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
             places, gradients = path_gradients_at_boundaries(transcription, part, functions, (times, x, u))
             gradients = gradients[:, pure]
@@ -108,7 +109,7 @@ class PointMultipliers:
 def path_gradients_at_boundaries(
     transcription: Transcription, part: PhasePart, functions: PhaseFunctions, at: tuple[Array, Array, Array]
 ) -> tuple[Indices, Array]:
-    """Gradients of path constraints at segment boundaries of a phase, with respect to the variables of the program.
+    """Return the gradients of path constraints at segment boundaries of a phase in the variables of the program.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def path_gradients_at_boundaries(
     Returns
     -------
     places : int array (k, K + 1)
-        Variables of the program: states, free times, free parameters.
+        Indices of the variables: states, free times, free parameters.
     gradients : array (k, n_paths, K + 1)
     """
     collocation, n = part.collocation, at[0].size
@@ -133,7 +134,7 @@ def path_gradients_at_boundaries(
 
 
 def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
-    """Where active constraints (n, K + 1) may have an atom: not within arcs, nor at the ends of some constraints'."""
+    """Return where active constraints (n, K + 1) may have an atom: not inside arcs, nor at the ends of certain arcs."""
     before, after = np.zeros_like(active), np.zeros_like(active)
     before[:, 1:], after[:, :-1] = active[:, :-1], active[:, 1:]
     beside = np.where(touched_only[:, None], before | after, before & after)
@@ -142,20 +143,20 @@ def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
 
 
 def _boundary_time_derivatives(mesh: Mesh) -> Array:
-    """By how much each boundary moves with each anchor in time (n_anchors, K + 1)."""
+    """Return the derivatives of the boundary times in the anchor times (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
     anchors = fractions[list(mesh.anchors)]
     return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])
 
 
 _WRONG = 1e-7
-"""Multipliers of the wrong sign below this share of the largest count as zero."""
+"""Share of the largest multiplier below which multipliers of the wrong sign count as zero."""
 
 MAX_TRANSITION_NORM = 1e4
-"""Growth of adjoint errors after which costates are unknowns of their own."""
+"""Growth of adjoint errors above which costates at a boundary become additional unknowns."""
 
 _ROUNDS = 8
-"""Of sorting out which limits push."""
+"""Largest number of iterations of the active set."""
 
 
 def estimate_multipliers(
@@ -172,7 +173,7 @@ def estimate_multipliers(
     q : array (n_parameters,)
         Free parameters.
     near : float
-        Distance from a limit, in shares of the scale, within which it may push.
+        Distance from a limit, relative to the scale, up to which it may be active.
     """
     x = _fill_program_variables(transcription, problem, fitted, q)
     scales = _estimate_variable_spans(transcription, problem, fitted, x)
@@ -207,7 +208,7 @@ def estimate_multipliers(
 
 
 class _Limits:
-    """Which limits are near: lower ones push with multipliers <= 0, upper ones with >= 0, equal ones with any."""
+    """Limits that may be active: multipliers are <= 0 at lower, >= 0 at upper limits, of any sign for equalities."""
 
     def __init__(self, lower: Mask, upper: Mask) -> None:
         self.lower, self.upper = lower, upper
@@ -224,23 +225,23 @@ class _Limits:
         return self.lower | self.upper
 
     def wrong_signs(self, multipliers: Array, size: float) -> Mask:
-        """Multipliers with a sign that the limit cannot exert."""
+        """Return which multipliers have an inadmissible sign."""
         sign = np.where(np.abs(multipliers) > _WRONG * size, np.sign(multipliers), 0.0)
         return self.at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
 
 
 @dataclass(frozen=True, eq=False)
 class _CostateForm:
-    """The least squares in the multipliers that the adjoint equation leaves open, its rows eliminated.
+    """Least-squares problem in the multipliers that the adjoint equation does not determine, with its rows eliminated.
 
     Attributes
     ----------
     matrix, right : array (n_rows, n), (n_rows,)
-        Residuals of all rows that are not eliminated: right + matrix @ unknowns.
+        Residuals of the remaining rows: right + matrix @ unknowns.
     columns : int array
         Multipliers among the unknowns.
     freed : int array
-        Eliminated rows whose own multiplier is an unknown, after these.
+        Eliminated rows whose own multiplier is an unknown, listed after these.
     """
 
     matrix: Array
@@ -256,7 +257,7 @@ class _CostateForm:
     def eliminate_adjoint_rows(
         cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, pushing: _Limits
     ) -> _CostateForm | None:
-        """Eliminate; None where the adjoint equation is singular to rounding."""
+        """Return the reduced problem; None if the adjoint equation is numerically singular."""
         loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.at_any_limit & ~basis)
         freed, rows = np.flatnonzero(limits.at_any_limit & exact), np.flatnonzero(exact)
         kept = np.flatnonzero(basis)
@@ -276,12 +277,12 @@ class _CostateForm:
         found[:, -1] += gradient[loose]
         if not np.all(np.isfinite(response)):
             return None
-        # Where a derivative has no value, as that of a norm at zero, its row says nothing.
+        # The row of a derivative that is not finite, such as that of a norm at zero, is omitted.
         found[~np.all(np.isfinite(found), axis=1)] = 0.0
         return cls(found[:, :-1], found[:, -1], columns, freed, loose, kept, response, matrix.shape[1])
 
     def solve_least_squares(self, imposed: Mask, pushing: Mask) -> Array:
-        """Return the unknowns that leave least of the imposed rows; those that do not push are zero."""
+        """Return the unknowns with the smallest residual of the imposed rows; inactive ones are zero."""
         used = np.concatenate([pushing[self.columns], ~imposed[self.freed]])
         rows = imposed[self._loose]
         part = self.matrix[np.ix_(rows, used)]
@@ -294,7 +295,7 @@ class _CostateForm:
         return unknowns
 
     def row_residuals(self, unknowns: Array, n_rows: int) -> Array:
-        """Return the residuals of all rows (n_rows,); of freed ones the multiplier with its sign reversed."""
+        """Return the residuals of all rows (n_rows,); for freed rows the negative multiplier."""
         left = np.zeros(n_rows)
         left[self._loose] = self.right + self.matrix @ unknowns
         left[self.freed] = -unknowns[self.columns.size :]
@@ -310,9 +311,9 @@ class _CostateForm:
 def _fit_multipliers(
     matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, row_limits: _Limits
 ) -> Array:
-    """Scaled multipliers of the rows: least squares, without those that would push the wrong way."""
+    """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
     form = _CostateForm.eliminate_adjoint_rows(matrix, gradient, exact, basis, limits, row_limits)
-    if form is None:  # nothing explains the trajectory
+    if form is None:  # no multipliers explain the trajectory
         return np.zeros(matrix.shape[1])
     imposed, pushing = ~limits.at_any_limit, row_limits.at_any_limit.copy()
     unknowns = np.zeros(form.matrix.shape[1])
@@ -336,21 +337,19 @@ def _fit_multipliers(
 def _fit_multipliers_with_right_signs(
     form: _CostateForm, first: Array, limits: _Limits, row_limits: _Limits, size: float
 ) -> Array | None:
-    """Unknowns with the right signs, by a linear programme, where they are not unique and others explain all too."""
+    """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
     n_rows = limits.at_any_limit.size
     left, imposed = form.row_residuals(first, n_rows), ~limits.at_any_limit
-    if (
-        not np.max(np.abs(left[imposed]), initial=0.0) <= _WRONG * size
-    ):  # they explain nothing whatever their signs
+    if not np.max(np.abs(left[imposed]), initial=0.0) <= _WRONG * size:  # the sign does not matter
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
     matrix[form._loose], right[form._loose] = form.matrix, form.right
     matrix[form.freed, form.columns.size + np.arange(form.freed.size)] = -1.0
     bound = limits.at_any_limit
-    # Of an active limit the residual -(g + A y) is the multiplier: not negative at upper ones, not positive at lower.
+    # At an active limit the residual -(g + A y) is the multiplier: >= 0 at upper, <= 0 at lower limits.
     only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
     one_sided = np.vstack([matrix[only_upper], -matrix[only_lower]])
-    # Multipliers are as large as possible, so that none vanishes at a point and has the wrong sign next to it.
+    # Multipliers are maximised, so that none is zero at a point with the wrong sign next to it.
     margin = np.ones((one_sided.shape[0], 1))
     loose = imposed & np.isin(np.arange(n_rows), form._loose)
     signs = [
@@ -386,7 +385,7 @@ def _fill_program_variables(
 
 
 def _adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
-    """Rows of the adjoint equation that are met exactly: between restarts they can be, whatever the costates there."""
+    """Return the rows of the adjoint equation between restarts, which hold exactly for any costates there."""
     rows = np.zeros(transcription.n_variables, dtype=bool)
     for name, part in transcription.parts.items():
         rows[part.collocation.point_states] = True
@@ -396,7 +395,7 @@ def _adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices])
 
 
 def _basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
-    """Multipliers of the dynamics that these rows determine: all but those at ends of phases and at restarts."""
+    """Return the multipliers of the dynamics that these rows determine: all but those at phase ends and restarts."""
     columns = np.zeros(transcription.n_constraints, dtype=bool)
     for name, part in transcription.parts.items():
         collocation = part.collocation
@@ -411,7 +410,7 @@ def _basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]
 
 
 def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
-    """Return the segment boundaries at which costates are unknowns, since adjoint errors grow from one to the next."""
+    """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
     breaks = phase.x.breaks
     middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
     x = phase.x(middles)
@@ -432,7 +431,7 @@ def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q:
 def _estimate_variable_spans(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
-    """Spans of the variables along the trajectory, which are independent of origin and guess."""
+    """Return the variations of the variables along the trajectory, independent of origin and guess."""
     scales = _replace_zeros_by_one(np.abs(x))
     for name, part in transcription.parts.items():
         collocation, numbers = part.collocation, problem.phases[name].numbers
@@ -455,7 +454,7 @@ def _replace_zeros_by_one(values: Array) -> Array:
 
 
 def _quadrature_weights(transcription: Transcription) -> Array:
-    """Weights by which the rows of states and controls at points become densities; 1 elsewhere."""
+    """Return the weights that turn the rows of states and controls at points into densities; 1 elsewhere."""
     weights = np.ones(transcription.n_variables)
     for part in transcription.parts.values():
         collocation = part.collocation

@@ -1,7 +1,7 @@
-r"""A solution as a point of its program: scaled variables and multipliers, active limits, second derivatives.
+r"""Solution as a point of its program: scaled variables and multipliers, active limits, second derivatives.
 
-Used by sensitivities and second-order conditions. With the variables on their limits fixed (set P, the others
-F) and the rows on theirs active (set C), the first-order conditions at the point are
+Used by sensitivity analysis and second-order conditions. Variables at their limits are fixed (set P, the others F), and
+rows at their limits are active (set C). The first-order conditions at the point are
 
 .. math:: \nabla_F \mathcal L(z, \lambda) = 0, \qquad g_C(z) = b, \qquad \mathcal L = f + \lambda^T g.
 """
@@ -30,7 +30,7 @@ from gnc_opt.tolerances import ACTIVE, RANK
 
 @dataclass(frozen=True, eq=False)
 class ProgramLimits:
-    """Scaled limits of variables or rows; ``active`` (n,) where the multiplier outweighs the distance, or fixed."""
+    """Scaled limits of variables or rows; ``active`` (n,): the multiplier exceeds the distance, or limits are equal."""
 
     box: Interval
     active: Mask
@@ -41,7 +41,7 @@ class ProgramLimits:
     def from_values(
         cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]
     ) -> ProgramLimits:
-        """Tell the active limits from values and multipliers (densities)."""
+        """Return the limits with the active set determined from values and multipliers (densities)."""
         below = (multipliers < 0) & (values - box.lower < -multipliers)
         above = (multipliers > 0) & (box.upper - values < multipliers)
         active = box.fixed | below | above
@@ -49,34 +49,34 @@ class ProgramLimits:
         return cls(box, active, np.where(active, limit, 0.0), labels)
 
     def active_multipliers(self, multipliers: Array) -> Array:
-        """Multiplier of each active limit, > 0 if it points inwards (admissible sign); NaN elsewhere."""
+        """Return the inward multiplier of each active limit, > 0 for an admissible sign; NaN elsewhere."""
         upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
         push = np.where(upper, multipliers, -multipliers)
         return np.where(self.active & ~self.box.fixed, push, np.nan)
 
     def slack(self, values: Array) -> Array:
-        """Distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
+        """Return the distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
         room = np.minimum(values - self.box.lower, self.box.upper - values)
         return np.where(self.active, np.nan, room)
 
     def weakly_active(self, values: Array, multipliers: Array) -> Mask:
-        """Which limits are as good as reached without being needed, or needed without being reached."""
+        """Return which limits are weakly active: nearly reached with zero multiplier, or vice versa."""
         return np.asarray((self.active_multipliers(multipliers) < ACTIVE) | (self.slack(values) < ACTIVE))
 
 
 @dataclass(frozen=True, eq=False)
 class ProgramPoint:
-    """Variables and multipliers of a solution's program, scaled, and what is active there.
+    """Scaled variables and multipliers of a solution's program, with the active set.
 
     Attributes
     ----------
     x : array (n_variables,)
     lam : array (n_constraints,)
-        0 in rows that are not held.
+        Multipliers; 0 in inactive rows.
     variables, rows : ProgramLimits
         ``variables.active`` is the set P, ``rows.active`` the set C.
     rounding : float
-        Differences of the scaled cost below this are rounding.
+        Rounding error of the scaled cost.
     """
 
     problem: Problem
@@ -97,10 +97,10 @@ class ProgramPoint:
         rounding: float = 0.0,
         held: Callable[[Solution], Problem] = add_touch_points,
     ) -> ProgramPoint:
-        """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
+        """Return the point of a solution with its problem, on its own meshes or interpolated to others.
 
         ``scaled_by`` returns the scales (n_variables,); costs below ``rounding`` are rounding;
-        ``held`` returns the problem with the held state constraints.
+        ``held`` returns the problem with active state constraints.
         """
         problem = held(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
@@ -134,7 +134,7 @@ class ProgramPoint:
         )._with_junction_multipliers()
 
     def _with_junction_multipliers(self) -> ProgramPoint:
-        """Return the point with the multipliers of its junctions: what jumps of the costates leave of the gradient."""
+        """Return the point with the multipliers of its junctions, from the gradient without costate jumps."""
         if not self.transcription.junctions:
             return self
         met = [
@@ -151,7 +151,7 @@ class ProgramPoint:
         return replace(self, lam=lam)
 
     def take_step(self, step: Array) -> ProgramPoint:
-        """Return the point after a step of the free variables and of the multipliers of held rows, stacked."""
+        """Return the point after a step of the free variables and of the multipliers of active rows, stacked."""
         free, held = ~self.variables.active, self.rows.active
         x, lam, n = self.x.copy(), self.lam.copy(), int(np.sum(free))
         x[free] += step[:n]
@@ -179,22 +179,22 @@ class ProgramPoint:
 
     @property
     def row_jacobian(self) -> Any:
-        """Of all rows by all variables, sparse."""
+        """Jacobian of all rows in all variables, sparse."""
         return self._rows_and_jacobian[1]
 
     @cached_property
     def lagrangian_gradient(self) -> Array:
-        """Of the Lagrangian (n_variables,)."""
+        """Gradient of the Lagrangian (n_variables,)."""
         slope = self.transcription.nlp.grad_f(self.x, self.parameter_values)[1].full().ravel()
         return np.asarray(slope + self.row_jacobian.T @ self.lam)
 
     @cached_property
     def lagrangian_hessian(self) -> Any:
-        """Of the Lagrangian, sparse (n_variables, n_variables)."""
+        """Hessian of the Lagrangian, sparse (n_variables, n_variables)."""
         return self.evaluate_hessian(1.0, self.lam)
 
     def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
-        """Of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
+        """Return the Hessian of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
         upper = to_scipy_sparse(
             self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
         )
@@ -208,7 +208,7 @@ class ProgramPoint:
 
     @property
     def kkt_residual(self) -> Array:
-        """Of the first-order conditions: gradient with respect to the free variables, then held rows."""
+        """Residual of the first-order conditions: gradient in the free variables, followed by active rows."""
         held = self.rows.active
         return np.concatenate(
             [self.lagrangian_gradient[~self.variables.active], (self.row_values - self.rows.at)[held]]
@@ -216,18 +216,18 @@ class ProgramPoint:
 
     @cached_property
     def multiplier_densities(self) -> tuple[Array, Array]:
-        """Multipliers of the limits of variables and of rows, those along a phase as densities in its fraction."""
+        """Multipliers of the limits of variables and rows, those along a phase as densities in its fraction."""
         weights, row_weights = compute_quadrature_weights(self.transcription)
         return -self.lagrangian_gradient / weights, self.lam / row_weights
 
 
 def saddle_matrix(hessian: Any, jacobian: Any) -> Any:
-    """Return the symmetric matrix of a quadratic programme with equality constraints, sparse."""
+    """Return the symmetric matrix of a quadratic program with equality constraints, sparse."""
     return scipy.sparse.block_array([[hessian, jacobian.T], [jacobian, None]], format="csc")
 
 
 def compute_quadrature_weights(transcription: Transcription) -> tuple[Array, Array]:
-    """Weights (shares of the phase) of variables and rows along a phase, by which sums are integrals; 1 elsewhere."""
+    """Return quadrature weights (shares of the phase) of variables and rows along a phase; 1 elsewhere."""
     variables, rows = np.ones(transcription.n_variables), np.ones(transcription.n_constraints)
     for part in transcription.parts.values():
         collocation = part.collocation

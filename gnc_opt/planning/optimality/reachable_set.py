@@ -1,6 +1,6 @@
-"""Reach of the states: the ellipsoid of displacements that control deviations bring about.
+"""Reach of the states: ellipsoid of the displacements caused by control deviations.
 
-It is that of the weighted controllability Gramian, see the module `reference_scales`.
+It is derived from the weighted controllability Gramian, see the module `reference_scales`.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, STILL_STA
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, nonzero_magnitude
 
 CELLS = 40
-"""Cells of a phase, at least, in which its linearised dynamics are constant."""
+"""Smallest number of cells of a phase with constant linearised dynamics."""
 
 _EXPONENT = 25.0
-"""Largest entry of an exponent, against overflow along dynamics that are much faster than a cell."""
+"""Largest entry of a matrix exponent; avoids overflow for dynamics much faster than a cell."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """Displacements of the states that control variations bring about.
+    """Ellipsoid of state displacements caused by control variations.
 
     Attributes
     ----------
     radius : array (n,)
         Largest displacement of each state.
     axes : array (n, n)
-        Eigenvectors of the correlation matrix, in columns.
+        Eigenvectors of the correlation matrix, as columns.
     shares : array (n,)
         Square roots of its eigenvalues.
     """
@@ -49,7 +49,7 @@ class Ellipsoid:
 
     @classmethod
     def from_gramian(cls, gramian: Array, radius: Array, least: float = ROUNDING) -> Ellipsoid:
-        """Take the correlation, its eigenvalues at least ``least``, from a Gramian (n, n), the sizes as given (n,)."""
+        """Return the ellipsoid of a Gramian (n, n), with eigenvalues of at least ``least`` and given radii (n,)."""
         sizes = np.sqrt(np.maximum(np.diag(gramian), 0.0))
         reached = sizes > 0
         scale = np.where(reached, sizes, 1.0)
@@ -60,7 +60,7 @@ class Ellipsoid:
         return cls(radius, axes, np.sqrt(np.clip(values, least, None)))
 
     def normalise_displacement(self, moved: Array) -> Array:
-        """Return displacements (n, ...) in shares of the ellipsoid (...)."""
+        """Return displacements (n, ...) relative to the ellipsoid (...)."""
         parts = np.tensordot(self.axes.T, _divide_by_scale(moved, self.radius), 1)
         return np.asarray(np.linalg.norm(parts / _broadcast_scale(self.shares, parts), axis=0))
 
@@ -72,23 +72,23 @@ class Ellipsoid:
 
     @property
     def semi_axes(self) -> Array:
-        """Principal semi-axes (n, n), in columns."""
+        """Principal semi-axes (n, n), as columns."""
         return np.asarray(self.radius[:, None] * self.axes * self.shares)
 
     @property
     def nonzero_axes(self) -> Array:
-        """The same with 1 for states that nothing moves: derivatives exist there too."""
+        """Principal semi-axes with 1 for states without displacement, for derivatives."""
         radius = np.where(self.radius > 0, self.radius, 1.0)
         return np.asarray(radius[:, None] * self.axes * self.shares)
 
 
 Reach = tuple[Ellipsoid, Ellipsoid, Ellipsoid, Ellipsoid]
-"""At the start, along a phase, at its end; at its end with the integrals."""
+"""Ellipsoids at the start, along a phase, at its end, and at its end with the integrals."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Gramian:
-    """W at the start, its mean and W at the end of a phase (n, n); at its end with the integrals; decay of errors."""
+    """W at the start, its mean, and W at the end of a phase (n, n); at the end with integrals; decay of errors."""
 
     start: Array
     mean: Array
@@ -103,7 +103,7 @@ def compute_control_gramians(
     deviations: Mapping[str, Array],
     columns: Mapping[str, Array],
 ) -> dict[str, _Gramian]:
-    """Return the Gramian of every phase, in the order of their initial times."""
+    """Return the Gramian of every phase, in order of the initial times."""
     found: dict[str, _Gramian] = {}
     for s in samples:
         others = {name: row for name, row in links[s.leg.name].items() if name}
@@ -125,7 +125,7 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
         by_control = np.moveaxis(s.functions.input_jacobian(middles, x, u), 2, 0)
         integrands = [_integrand_gradients(s, middles, x, u, i) for i in range(n_integrals)]
     by_state, by_control = replace_nonfinite(by_state), replace_nonfinite(by_control)
-    if n_integrals:  # integrals are states that nothing depends on
+    if n_integrals:  # integrals are states without influence on others
         slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
         by_state = np.concatenate([by_state, replace_nonfinite(slopes[0])], axis=1)
         by_state = np.concatenate([by_state, np.zeros((*by_state.shape[:2], n_integrals))], axis=2)
@@ -154,7 +154,7 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
 
 
 def final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return derivatives of the end with respect to the controls (n, m, n_cells) at centres of cells, and these."""
+    """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
     edges = compute_cell_edges(s.leg.breaks)
     times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     at = times, s.leg.x(times), s.leg.applied(times)
@@ -170,41 +170,39 @@ def final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
 
 
 def matrix_exponentials(matrices: Array) -> Array:
-    """Return matrix exponentials (n_matrices, n, n); those of large norm, of matrices that are reduced to it."""
+    """Return matrix exponentials (n_matrices, n, n); matrices of large norm are scaled down."""
     sizes = np.max(np.abs(np.linalg.eigvals(matrices)), axis=1, initial=0.0)
     reduced = np.minimum(1.0, np.divide(_EXPONENT, sizes, out=np.ones_like(sizes), where=sizes > 0))
     return np.asarray(scipy.linalg.expm(matrices * reduced[:, None, None]))
 
 
 def compute_cell_edges(breaks: Array) -> Array:
-    """Return the edges of the cells of a phase with given mesh boundaries: segments in equal parts."""
+    """Return the cell edges of a phase with given mesh breaks: segments divided into equal parts."""
     parts = -(-CELLS // (breaks.size - 1))
     shares = np.arange(parts) / parts
     return np.append((breaks[:-1, None] + shares * np.diff(breaks)[:, None]).ravel(), breaks[-1])
 
 
 def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:
-    """Return derivatives of an integrand with respect to states and controls (n_times, n) and (n_times, m)."""
+    """Return the derivatives of an integrand in states and controls, (n_times, n) and (n_times, m)."""
     alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
     none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
     return alone.state_gradient(times, x, u, *none).T, alone.switching(times, x, u, none[0]).T
 
 
 def compute_phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
-    """Return the reach at the start, along the phase and at the end, there also with the integrals."""
+    """Return the reach at the start, along the phase, at the end, and at the end with the integrals."""
     size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
     moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     along, end, start = (
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
-    if not s.has_duration:  # nothing moves: sizes have to do
+    if not s.has_duration:  # without motion, magnitudes are used
         along = end = nonzero_magnitude(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)
-    if (
-        not s.has_fixed_duration
-    ):  # what controls do not reach is reached by the time at which the flow arrives
+    if not s.has_fixed_duration:  # uncontrollable states vary with the arrival time
         radius, final = (
             np.where(r > STILL_STATE_SHARE * moved, r, np.fmax(r, moved)) for r in (radius, final)
         )
@@ -224,7 +222,7 @@ def compute_phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
 def _initial_state_gramian(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
-    """Return W at the start of a phase: zero where given, by links to other phases, else by the size of the state."""
+    """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
     size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
     moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
@@ -239,7 +237,7 @@ def _initial_state_gramian(
 def link_initial_states(
     problem: Problem, solution: Solution, samples: list[PhaseSamples]
 ) -> dict[str, dict[str, Array]]:
-    """Return how the start of each phase follows the ends of earlier ones (n, n_other), by linear constraints."""
+    """Return the derivatives of the start of each phase in the ends of earlier ones (n, n_other)."""
     jacobians, found = boundary_constraint_jacobians(problem, solution), {}
     for k, s in enumerate(samples):
         leg = s.leg
@@ -268,7 +266,7 @@ def link_initial_states(
 
 
 def boundary_constraint_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
-    """Return boundary Jacobians with respect to initial and final states (n_constraints, n), by phase."""
+    """Return the boundary Jacobians in initial and final states (n_constraints, n), by phase."""
     function = problem.cache("end jacobians", lambda: _boundary_jacobian_function(problem))
     arguments = [value for leg in solution.phases.values() for value in leg.end_arguments]
     found = function(*arguments, solution.parameter_values)
@@ -289,7 +287,7 @@ def _broadcast_scale(scale: Array, values: Array) -> Array:
 
 
 def _divide_by_scale(values: Array, scale: Array) -> Array:
-    """Return values (n, ...) in shares of a scale (n,); zero stays zero, anything else over zero is infinite."""
+    """Return values (n, ...) divided by a scale (n,); 0/0 is 0, anything else over zero is infinite."""
     column = np.broadcast_to(_broadcast_scale(scale, values), np.shape(values))
     nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)
     return np.divide(values, column, out=nothing, where=column > 0)

@@ -1,28 +1,28 @@
 r"""Reference magnitudes of the optimality check: control deviation, reach of the states, cost scale.
 
-Every quantity that the check compares with its tolerance is a displacement, a gradient or a price, and is divided by
-what variations of the controls that are as large as the applied ones bring about.
+Every quantity that the check compares with its tolerance is a displacement, a gradient or a change of cost. It is
+divided by the value that control variations of the size of the applied controls cause.
 
-**Control deviation** :math:`q_k(t)`: how far the applied control is from its mean over the phase, at least a tenth of
-the mean deviation; or the distance :math:`|H_u| / \mathrm{rms}(H_{uu})` to the minimum of H if that is larger (at most
-ten deviations, and a finite range). A control that neither moves nor is pulled has its size, an idle one the deviation
-that costs as much as those of the others. Declared ranges do not enter.
+**Control deviation** :math:`q_k(t)`: the distance of the applied control from its mean over the phase, at least a tenth
+of the mean deviation; or the distance :math:`|H_u| / \mathrm{rms}(H_{uu})` to the minimum of H if that is larger (at
+most ten deviations, and a finite range). For a constant control at the minimum it is its magnitude; for an inactive one
+the deviation with the same cost as those of the others. Declared ranges have no influence.
 
-**Reach**: displacements by variations with :math:`\int \delta u_k^2 / q_k\,dt \le \int q_k\,dt` fill the ellipsoid of
+**Reach**: displacements by variations with :math:`\int \delta u_k^2 / q_k\,dt \le \int q_k\,dt` form the ellipsoid of
 
 .. math:: W(t) = \Phi W_0 \Phi^T
           + \sum_k \int q_k\,ds \int_0^t \Phi(t, s)\, b_k\, q_k\, b_k^T\, \Phi(t, s)^T ds,
 
 the weighted controllability Gramian (W. S. Levine, ed., The Control Handbook, 2011, ch. 5). :math:`W_0` is zero for
-given starts, the end of another phase for linked ones, and the size of the state for free ones; free parameters
-add their own columns. Displacements d count as :math:`|C^{-1/2}(d/r)|`, gradients g as :math:`|C^{1/2}(r g)|` with
-:math:`r_i = \sqrt{W_{ii}}` and the correlation matrix C of W.
+fixed initial states, the final value of another phase for linked ones, and the magnitude of the state for free ones;
+free parameters add their own columns. Displacements d are measured by :math:`|C^{-1/2}(d/r)|`, gradients g by
+:math:`|C^{1/2}(r g)|`, with :math:`r_i = \sqrt{W_{ii}}` and the correlation matrix C of W.
 
 **Cost scale**: :math:`\int \sum_k |H_{u_k}| q_k + \tfrac12 \sum_{kl} |H_{u_k u_l}| q_k q_l\,dt` over all phases, the
 second difference of the end cost over the reach, the duration times cost rates if it is free, and, without controls,
 :math:`\tfrac12 \sum_i |J_{p_i p_i}| p_i^2` of the free parameters.
 
-Measures do not depend on units, origins, moving frames, mixtures of states, declared ranges, or constants in the cost.
+The measures do not depend on units, origins, moving frames, mixtures of states, ranges or constants in the cost.
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
-"""Least scale of a control in which H is affine, or curves, in shares of the cost scale: below, it is rounding."""
+"""Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""
 
 ROUGH_SAMPLES = 5
-"""One of so many samples is used for a magnitude that need not be exact."""
+"""Interval of samples used for an approximate magnitude."""
 
 SECOND_DIFFERENCE_STEP_SHARE = 1e-4
-"""Step of second differences by parameters, in shares of their size."""
+"""Step of second differences in parameters, relative to their magnitude."""
 
 KINK_STEP_RATIO = 10.0
-"""Ratio of the steps whose second differences tell kinks from curvature."""
+"""Ratio of two steps whose second differences distinguish kinks from curvature."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +78,11 @@ class PhaseScales:
     Attributes
     ----------
     deviation : array (m, n_samples)
-        Of the controls.
+        Deviations of the controls.
     start, along, end : Ellipsoid
         Reach of the states at the start, in the mean along the phase, and at the end.
     control_cost : array (m,)
-        What deviations of each control cost, without those of the others.
+        Cost of the deviations of each control alone.
     """
 
     deviation: Array
@@ -99,13 +99,13 @@ class Scales:
     Attributes
     ----------
     cost : float
-        Positive.
+        Cost scale, positive.
     change_of_cost : float
-        What control deviations change the cost by, those included that cancel to first order.
+        Change of cost by control deviations, including those that cancel to first order.
     parameters : array (n_free_parameters,)
         Deviations of the free parameters.
     links : mapping from phase to mapping from phase to array
-        Derivatives of a phase's start with respect to earlier ends; under "" the projection on what is free there.
+        Derivatives of the start of a phase in earlier ends; under "" the projection onto its free directions.
     constraints : tuple of array (n_constraints,)
         First and second differences of the boundary constraints over the reach of the ends, and their terms.
     """
@@ -121,7 +121,7 @@ class Scales:
 
     @classmethod
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Scales:
-        """Measure a solution whose numbers are those of its problem."""
+        """Return the scales of a solution with data from its problem."""
         problem = solution.need_problem("verify")
         lasting = [s for s in samples if s.has_duration]
         ends, order = (
@@ -152,7 +152,7 @@ class Scales:
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
-            # Along singular arcs controls change the cost by way of the states only.
+            # Along singular arcs controls change the cost only through the states.
             cost = changed + sum(_cost_of_each_state(s, reach[s.leg.name][1]) for s in lasting)
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         curvatures = _parameter_curvatures(problem, solution, samples)
@@ -171,9 +171,9 @@ class Scales:
         )
 
     def estimate_cheap_control_error(self, s: PhaseSamples, gap: Array) -> float:
-        """Return by how much a gap of the costates (n,) at the end of a phase moves cheap controls, in deviations.
+        """Return the change of low-cost controls due to a costate gap (n,) at the end of a phase, in deviations.
 
-        Shares of the cost scale, which is that of all controls, hide the parts that cost little of it.
+        Relative to the cost scale of all controls, errors of low-cost controls are not visible.
         """
         own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
@@ -189,14 +189,14 @@ class Scales:
 
 
 def _cost_of_each_control(s: PhaseSamples, deviation: Array) -> Array:
-    """Return what deviations of each control alone cost (m,), to first and to second order."""
+    """Return the cost of the deviations of each control alone (m,), to first and second order."""
     first = np.abs(replace_nonfinite(s.switching)) * deviation
     second = 0.5 * np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
     return np.asarray((first + second) @ s.weights)
 
 
 def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
-    """Return what deviations of all controls cost; where H neither slopes nor curves, what their terms amount to."""
+    """Return the cost of the deviations of all controls; if slope and curvature of H vanish, the size of its terms."""
     bends = np.abs(replace_nonfinite(s.control_hessian))
     first = np.sum(np.abs(replace_nonfinite(s.switching)) * deviation, axis=0) @ s.weights
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
@@ -210,26 +210,26 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
 
 
 def _cost_of_states(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
-    """Return the largest half second difference of the integral of H over the reach of the states, roughly."""
+    """Return approximately the largest half second difference of the integral of H over the reach of the states."""
     return float(np.max(np.abs(_hamiltonian_differences(s, ellipsoid.semi_axes)), initial=0.0))
 
 
 def _cost_of_each_state(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
-    """Return the sum of the half second differences of the integral of H over the reach of each state alone."""
+    """Return the sum of the half second differences of the integral of H over the reach of each single state."""
     return float(np.sum(np.abs(_hamiltonian_differences(s, np.diag(ellipsoid.radius)))))
 
 
 def find_cost_curvature(s: PhaseSamples) -> Mask:
-    """Return along which controls the running cost curves by itself, without any multiplier (m,)."""
+    """Return which controls have curvature of the running cost itself, without multipliers (m,)."""
     none = np.zeros_like(s.lam), np.zeros_like(s.mu)
     bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
     return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
 
 
 def _hamiltonian_differences(s: PhaseSamples, moves: Array) -> Array:
-    """Return half second differences of the integral of H along moves (n,), by small steps.
+    """Return half second differences of the integral of H along moves (n,), for two small steps.
 
-    They grow with the step at a kink, and with its square elsewhere: ratios of two steps show which.
+    At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
     coarse, fine = (
@@ -242,7 +242,7 @@ def _hamiltonian_differences(s: PhaseSamples, moves: Array) -> Array:
 def hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
     """Return the central first and half the second difference per step of the integral of H along moves (2, n).
 
-    Of every sample, or of some of them only.
+    Every n-th sample is used.
     """
     x, u, lam, times = s.x[:, ::every], s.u[:, ::every], s.lam[:, ::every], s.times[::every]
     count, weights = 2 * moves.shape[1], every * s.weights[::every]
@@ -265,7 +265,7 @@ def _cost_of_free_duration(s: PhaseSamples, slope: float) -> float:
 
 
 def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
-    """Return the deviations of the free parameters (n,): what costs as much as the controls, else their size."""
+    """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
     size, found = _parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
     return np.asarray(np.where(np.isfinite(equal), equal, size))
@@ -277,7 +277,7 @@ def _parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
 
 
 def _parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
-    """Return the second derivatives of the Lagrangian with respect to the free parameters (n,), by differences."""
+    """Return the second derivatives of the Lagrangian in the free parameters (n,), by differences."""
     values, size = solution.parameter_values, _parameter_magnitudes(problem, solution)
     bends = np.zeros(values.size)
     for i in range(values.size):
@@ -291,7 +291,7 @@ def _parameter_curvatures(problem: Problem, solution: Solution, samples: list[Ph
 
 
 def _parameter_gradient(problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:
-    """Return the derivative of the Lagrangian with respect to the parameters at other values of them (n,)."""
+    """Return the derivative of the Lagrangian in the parameters at other parameter values (n,)."""
     ends = {}
     slope = np.zeros(q.size)
     for s in samples:
@@ -302,7 +302,7 @@ def _parameter_gradient(problem: Problem, solution: Solution, samples: list[Phas
 
 
 def _rate_parameter_derivatives(s: PhaseSamples) -> Array:
-    """Return rate derivatives with respect to the free parameters at centres of cells (n_cells, n_states, n)."""
+    """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
     edges = compute_cell_edges(leg.breaks)
     middles = 0.5 * (edges[:-1] + edges[1:])
@@ -330,9 +330,9 @@ class EndPoints:
     Attributes
     ----------
     values : list of array
-        States, times, integrals and parameters of every phase, then the free parameters.
+        States, times, integrals and parameters of every phase, followed by the free parameters.
     gradients : EndGradients
-        Without multipliers.
+        Gradients without multipliers.
     """
 
     solution: Solution
@@ -350,14 +350,14 @@ class EndPoints:
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
     def cost_of_end_times(self, s: PhaseSamples) -> float:
-        """Return the cost per second of moving the ends of a phase in time."""
+        """Return the cost per second of a time shift of the ends of a phase."""
         name = s.leg.name
         return float(abs(self.gradients.initial_time[name]) + abs(self.gradients.final_time[name]))
 
     def end_cost_curvature(self, reach: Mapping[str, Reach], *, constrained: bool = False) -> float:
         """Return the largest half second difference of the end cost over the reach of the ends.
 
-        If requested with the boundary constraints and their multipliers.
+        With ``constrained``, the boundary constraints and their multipliers are included.
         """
         found = self._difference_cost_and_constraints(self._principal_displacements(reach))
         if found is None:
@@ -369,7 +369,7 @@ class EndPoints:
         return 0.5 * float(np.max(np.abs(change), initial=0.0))
 
     def constraint_changes(self, reach: Mapping[str, Reach], parameters: Array) -> tuple[Array, Array, Array]:
-        """Return how far the reach moves each boundary constraint, to first and second order, and its terms."""
+        """Return the changes of each boundary constraint over the reach, to first and second order, and its terms."""
         n = self.solution.constraint_multipliers.size
         if not n:
             return np.zeros(0), np.zeros(0), np.zeros(0)
@@ -393,7 +393,7 @@ class EndPoints:
     def _principal_displacements(
         self, reach: Mapping[str, Reach], *, still: bool = False
     ) -> list[list[Array]]:
-        """Return moves of the ends along their principal axes; if ``still``, those that nothing moves have length 1."""
+        """Return moves of the ends along their principal axes; with ``still``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.leg.name]
@@ -411,7 +411,7 @@ class EndPoints:
         return [self._pad_displacement({len(self.values) - 1: row}) for row in np.diag(deviations)]
 
     def _time_shift_displacements(self, k: int, s: PhaseSamples) -> list[list[Array]]:
-        """Return moves of the ends of a phase along its flow, together with their times, by its duration."""
+        """Return moves of the ends of a phase along its flow, together with their times, over its duration."""
         moves = []
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
@@ -426,7 +426,7 @@ class EndPoints:
         return moves
 
     def difference_end_lagrangian(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
-        """Return slopes and half second differences of the Lagrangian per step over the reach, by directions (2, n)."""
+        """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = self._principal_displacements(reach, still=True)
         moves += self._parameter_displacements(parameters)
         for k, s in enumerate(self.samples):

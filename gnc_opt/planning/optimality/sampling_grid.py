@@ -1,7 +1,7 @@
-"""Times at which narrow features of a problem lie: where a time or a state equals a constant of its expressions.
+"""Sampling times that resolve narrow features at constants of a problem's expressions.
 
-A gust, price or window of any width w is a function of (t - t_c) / w or (x - x_c) / w: samples at log-uniform distances
-from where the difference vanishes resolve it, those at even distances do not.
+A gust, price or window of width w is a function of (t - t_c) / w or (x - x_c) / w. Samples at log-uniform distances
+from the zero of the difference resolve it for any w; equidistant samples do not.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
 
 MOST_CENTRES = 20
-"""Centres of features per phase, at most."""
+"""Largest number of feature centres per phase."""
 
 LEAST_DISTANCE, DISTANCES = 1e-10, 40
-"""Least distance from a centre at which the scan has cells, in shares of the phase, and the number of distances."""
+"""Smallest distance of cells from a centre, as a share of the phase, and number of distances."""
 
 
 def bisect_sign_changes(
     function: Callable[[Array], Array], rows: Indices, left: Array, right: Array
 ) -> tuple[Array, Array]:
-    """Narrow intervals of time (n,), in each of which one row of a function (n_rows, n_times) changes its sign.
+    """Return time intervals (n,), narrowed to rounding, in which one row of a function (n_rows, n_times) changes sign.
 
-    To rounding; ``rows`` (n,) are the rows.
+    ``rows`` (n,) are these rows.
     """
     if not rows.size:
         return left, right

@@ -1,4 +1,4 @@
-"""State constraints of a phase, path constraints and bounds of states, as functions with their derivatives in time."""
+"""State constraints of a phase (path constraints and state bounds) with their time derivatives."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SMALL
 
 TOUCH_MAX_ORDER = 3
-"""Orders of state constraints that are looked for."""
+"""Largest order of a state constraint."""
 
 
 @dataclass(frozen=True, eq=False)
 class StateConstraints:
-    """The path constraints and states of a phase as functions of the state, with their derivatives.
+    """Path constraints and states of a phase as functions of the state, with time derivatives.
 
-    Rows are path constraints, then states.
+    Rows are path constraints, followed by states.
     """
 
     problem: Problem
@@ -47,11 +47,11 @@ class StateConstraints:
 
     @property
     def row_scales(self) -> Array:
-        """How far each row moves."""
+        """Variation of each row along the phase."""
         return np.concatenate([self.samples.path_scale, self.samples.state_scale])
 
     def row_order(self, row: int) -> int:
-        """Return the order of a row whose contacts are looked for, else 0."""
+        """Return the order of a row with possible contacts, else 0."""
         if not self.row_bounds.lower[row] < self.row_bounds.upper[row]:
             return 0
         if not np.isfinite([self.row_bounds.lower[row], self.row_bounds.upper[row]]).any():
@@ -60,7 +60,7 @@ class StateConstraints:
         return order if order <= TOUCH_MAX_ORDER else 0
 
     def find_determining_controls(self, row: int) -> tuple[int, ...]:
-        """The controls that can hold a row on its limit, first the one that moves it most where it does least."""
+        """Return the controls that can keep a row at its limit, sorted by their smallest effect on it."""
         controls = self._constraint_order(row).controls
         if len(controls) < 2:
             return controls
@@ -69,12 +69,12 @@ class StateConstraints:
         )
 
     def control_effect_signs(self, row: int) -> tuple[int, ...]:
-        """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
+        """Return the sign of each control's effect on the first derivative with controls, or 0 if it varies."""
         moved = [self._control_effect(row, control) for control in self.find_determining_controls(row)]
         return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
     def _control_effect(self, row: int, control: int) -> Array:
-        """How a control moves the derivative of its order of a row, at the samples closest to its limits."""
+        """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
         s, order = self.samples, self.row_order(row)
         distance = np.min(
             [np.abs(self.evaluate_rows(s.times, s.x, s.u)[row] - at) for _, at in self.row_limits(row)],
@@ -92,16 +92,16 @@ class StateConstraints:
         return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
 
     def evaluate_rows(self, times: Array, x: Array, u: Array) -> Array:
-        """Return all rows, (n_rows, n_times)."""
+        """Return the values of all rows, (n_rows, n_times)."""
         return np.vstack([self.samples.functions.paths(times, x, u), x])
 
     def is_near_limits(self, values: Array) -> Mask:
-        """Whether rows are at their lower, and at their upper limit (2, n_rows, n_times)."""
+        """Return whether rows are at their lower and at their upper limit (2, n_rows, n_times)."""
         near = np.stack(self.row_bounds.near(values, AT_LIMIT * self.row_scales))
         return np.asarray(near & ~self.row_bounds.fixed[:, None])
 
     def costate_jumps(self, times: Array, x: Array, u: Array) -> Array:
-        """Jumps of costates along the gradient of each row, in units of the cost (n_rows, n_times)."""
+        """Return the costate jumps along the gradient of each row, in units of the cost (n_rows, n_times)."""
         s = self.samples
         units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
         by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])
@@ -118,7 +118,7 @@ class StateConstraints:
         return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
 
     def state_gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
-        """Return the derivative of a row with respect to the states, (n_states,)."""
+        """Return the gradient of a row in the states, (n_states,)."""
         n_paths = len(self.samples.leg.path_labels)
         if row < n_paths:
             return np.asarray(self.samples.functions.path_state_jacobian(time, x, u)[row])

@@ -1,4 +1,4 @@
-"""Switches of a bang-bang control: one unknown each, and the orders in which simultaneous ones may come."""
+"""Switches of a bang-bang control as unknowns, and the possible orders of simultaneous ones."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE
 
 @dataclass(frozen=True)
 class Switches:
-    """The switches of a phase, and those that begin or end just beyond it.
+    """Switches of a phase, including possible switches at its ends.
 
-    Where a switching function vanishes at an end of the phase, a switch may come in from there: it is an unknown like
-    all others, with an arc of no length.
+    If a switching function is zero at an end of the phase, a switch may enter from there; it is an unknown with an arc
+    of zero length.
 
     Attributes
     ----------
     times : array (n,)
-        Not decreasing, simultaneous ones equal (s).
+        Ascending, simultaneous ones equal (s).
     channels : int array (n,)
     first : array (n_controls,)
-        Controls before the first of them.
+        Controls before the first switch.
     ends : array (2,)
-        Of the phase (s).
+        Ends of the phase (s).
     toggled : array (n_controls,)
-        Lower and upper bound added up: less the control, this is the control after a switch.
+        Sum of lower and upper bound; minus the control it is the control after a switch.
     """
 
     times: Array
@@ -44,7 +44,7 @@ class Switches:
 
     @classmethod
     def from_samples(cls, s: PhaseSamples) -> Switches:
-        """Find the switches of a phase whose controls sit on their bounds everywhere."""
+        """Return the switches of a phase whose controls are at bounds everywhere."""
         leg = s.leg
         times, channels = find_inner_switches(s)
         ends = leg.breaks[[0, -1]]
@@ -69,7 +69,7 @@ class Switches:
 
     @property
     def simultaneous_groups(self) -> list[list[int]]:
-        """Switches that come at one time, in order."""
+        """Groups of simultaneous switches, in order."""
         found: list[list[int]] = []
         for k, t in enumerate(self.times):
             if found and self.times[found[-1][0]] == t:
@@ -84,18 +84,18 @@ class Switches:
 
     @property
     def n_orders(self) -> int:
-        """In how many orders the switches may come."""
+        """Number of possible orders of the switches."""
         return math.prod(math.factorial(len(group)) for group in self.simultaneous_groups)
 
     def list_orders(self) -> Iterator[tuple[int, ...]]:
-        """Every order in which the switches may come."""
+        """Yield all possible orders of the switches."""
         for choice in itertools.product(
             *(itertools.permutations(group) for group in self.simultaneous_groups)
         ):
             yield tuple(itertools.chain.from_iterable(choice))
 
     def piecewise_control(self, order: tuple[int, ...]) -> PiecewiseControl:
-        """The control piece by piece, with the switches in some order.
+        """Return the piecewise constant control for a given order of the switches.
 
         Unknowns are the start (0), the switches (1 to n) and the end (n + 1).
         """
@@ -108,7 +108,7 @@ class Switches:
         return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
 
     def order_constraints(self, order: tuple[int, ...]) -> Array:
-        """Which combinations of unknowns must not be negative for the order to hold, (n_conditions, n + 2)."""
+        """Return the combinations of unknowns that must be >= 0 for the order to hold, (n_conditions, n + 2)."""
         pieces = self.piecewise_control(order)
         rows = []
         for k in np.flatnonzero(np.diff(pieces.times) == 0):
@@ -119,7 +119,7 @@ class Switches:
 
 
 def find_inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
-    """Times (s) and controls of the jumps from bound to bound at the boundaries of segments."""
+    """Return times (s) and controls of the bound-to-bound jumps at segment boundaries."""
     leg = s.leg
     breaks = leg.breaks[1:-1]
     jumps = np.abs(leg.applied(breaks) - leg.applied(breaks, "left"))
@@ -138,7 +138,7 @@ def _controls_with_vanishing_switching(s: PhaseSamples, sample: int) -> Indices:
 
 
 def _merge_equal_times(times: Array, near: float, ends: Array) -> Array:
-    """Sorted times with those that are nearly equal made equal, at the ends too."""
+    """Return sorted times with nearly equal ones made equal, including the ends."""
     times = times.copy()
     for k in range(1, times.size):
         if times[k] - times[k - 1] < near:

@@ -1,9 +1,9 @@
-r"""The finite-dimensional problem that a bang-bang control induces.
+r"""Switching-time problem: finite-dimensional problem induced by a bang-bang control.
 
-Its unknowns :math:`\theta` are, phase by phase, the start, one time for every switch of a control, the end and the
-start values, and the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
+Its unknowns :math:`\theta` are, for each phase, the start, one time for every switch of a control, the end and the
+initial values, followed by the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
 :math:`\underline\psi \le \psi(\theta) \le \overline\psi` on end values, times, durations, parameters, boundary
-constraints and linkages. Only conditions at a limit count. Flows are integrated from switch to switch (module
+constraints and linkages. Only active conditions are used. Flows are integrated from switch to switch (module
 `integrate_bang_bang`). Unknowns and conditions are dimensionless.
 """
 
@@ -28,30 +28,29 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, SMALL, TINY
 
 GRIDS = (1, 2, 4, 8, 16, 32)
-"""By how much the steps of a flow may be refined until it ends near the solution's end: order and error of an
-integration are known where it resolves the dynamics only."""
+"""Largest refinement of the flow's steps until it reaches the final state of the solution. Order and error of an
+integration are known only if it resolves the dynamics."""
 
 NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to switch"
-"""Why a condition on the induced problem is not checked."""
+"""Reason why a condition on the induced problem is not checked."""
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Variables of the switching-time problem.
+    """Unknowns of the switching-time problem.
 
     Attributes
     ----------
     scale : array (n,)
         Scale of each variable.
     worth : array (n,)
-        Change of the cost for a change by the scale: the largest switching function, H or costate times the
-        scale.
+        Cost change for a change by the scale: the largest switching function, H or costate times the scale.
     places : mapping from phase to int array
-        Where the unknowns of its flow are: start, switches, end, free start values, free parameters.
+        Indices of the unknowns of the flow: start, switches, end, free initial values, free parameters.
     free_start : mapping from phase to int array
-        Rows of the free start values.
+        Rows of the free initial values.
     free : bool array (n,)
-        False for times and parameters that are given.
+        False for fixed times and parameters.
     """
 
     labels: tuple[str, ...]
@@ -65,7 +64,7 @@ class Unknowns:
     def from_switches(
         cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]
     ) -> Unknowns:
-        """Number the unknowns of all phases."""
+        """Return the unknowns of all phases."""
         labels: list[str] = []
         scale: list[float] = []
         worth: list[float] = []
@@ -103,7 +102,7 @@ class Unknowns:
 
 
 def _initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
-    """Scales of free start values, and the changes of the cost for them."""
+    """Return the scales of free initial values, and the cost changes for them."""
     scale = compute_state_variations(s)[rows]
     still = scale > s.state_scale[rows]
     return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))
@@ -111,13 +110,13 @@ def _initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions on the ends, those on end values first, then boundary constraints, then all others.
+    """End conditions: on end values, boundary constraints, then others.
 
     Attributes
     ----------
     values : array (k,)
     jacobian : array (k, n)
-        By the unknowns, each measured by its scale.
+        Jacobian in the scaled unknowns.
     multipliers : array (k,)
         Multipliers of the solution; zero for those without effect here.
     """
@@ -129,7 +128,7 @@ class Conditions:
 
     @classmethod
     def concatenate_conditions(cls, parts: list[Conditions]) -> Conditions:
-        """Put conditions below each other."""
+        """Return stacked conditions."""
         return cls(
             np.concatenate([rows.values for rows in parts]),
             stack_intervals([rows.limits for rows in parts]),
@@ -139,13 +138,13 @@ class Conditions:
 
     @property
     def active_limits(self) -> tuple[Mask, Mask]:
-        """Which of them are at their lower, and which at their upper limit."""
+        """Return which conditions are at their lower, and at their upper limit."""
         return self.limits.near(self.values, AT_LIMIT * np.sum(np.abs(self.jacobian), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class InducedProblem:
-    """The problem for one order of the switches; ``gradient`` (n,) of the cost by the scaled unknowns."""
+    """Switching-time problem for one order of the switches; ``gradient`` (n,): of the cost in the scaled unknowns."""
 
     unknowns: Unknowns
     gradient: Array
@@ -166,7 +165,7 @@ class InducedProblem:
         pieces: Mapping[str, PiecewiseControl],
         refinement: int = 1,
     ) -> InducedProblem:
-        """Integrate with the solution's controls (pieces by phase) and differentiate cost and conditions."""
+        """Return the problem, integrated with the solution's controls (pieces by phase) and differentiated."""
         problem = solution.need_problem("verify")
         flows = {}
         for s in samples:
@@ -192,13 +191,13 @@ class InducedProblem:
 
     @property
     def is_finite(self) -> bool:
-        """Whether the flow and what it changes are numbers: dynamics may be too fast for the finest steps."""
+        """Whether flow and derivatives are finite; dynamics may be too fast for the finest steps."""
         return bool(np.isfinite(self.gradient).all() and np.isfinite(self.conditions.jacobian).all())
 
     def lagrangian_hessian(self, multipliers: Array) -> tuple[Array, float]:
-        """Return the Hessian (n, n) of L = cost + multipliers @ values, and the size of its terms."""
+        """Return the Hessian (n, n) of L = cost + multipliers @ values, and the magnitude of its terms."""
         n_states = sum(s.leg.states.size for s in self._samples)
-        # Only end values and boundary constraints curve.
+        # Only end values and boundary constraints are nonlinear.
         on_states, nu = np.split(multipliers[: n_states + self._n_constraints], [n_states])
         slope, _, curvature = self._at_ends(nu)
         terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
@@ -218,7 +217,7 @@ class InducedProblem:
 def _choose_integration_grid(
     problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
 ) -> tuple[int, BangBangFlow]:
-    """Return into how many the steps of a flow are divided until it ends where the solution does, and that flow."""
+    """Return the refinement of the flow's steps at which it reaches the end of the solution, and that flow."""
     end = s.leg.x(s.leg.breaks[-1])
     flows = []
     for finer in GRIDS:
@@ -230,12 +229,12 @@ def _choose_integration_grid(
 
 
 def _count_flow_states(s: PhaseSamples) -> int:
-    """States, integrals and time."""
+    """Return the number of states, integrals and time."""
     return s.leg.states.size + s.leg.integrals.size + 1
 
 
 def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
-    """States, integrals and time at the start and at the end of a flow."""
+    """Return states, integrals and time at the start and at the end of a flow."""
     flow = flows[s.leg.name]
     return flow.initial[: _count_flow_states(s)], flow.final_state[: _count_flow_states(s)]
 
@@ -243,7 +242,7 @@ def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -
 def _boundary_state_derivatives(
     samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]
 ) -> Array:
-    """Derivatives of all starts and ends, and of the free parameters, with respect to the unknowns."""
+    """Return the derivatives of all starts and ends, and of the free parameters, in the unknowns."""
     rows = []
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
@@ -296,10 +295,10 @@ def _collect_boundary_conditions(
 
 
 def boundary_function_derivatives(problem: Problem) -> Any:
-    """Gradient of cost and constraints with multipliers, the constraints' Jacobian, and the Hessian.
+    """Return gradient of cost and constraints with multipliers, Jacobian of the constraints, and Hessian.
 
-    A CasADi Function of starts and ends of every phase, model parameters, q and nu; derivatives with respect to the
-    ends, then q.
+    The result is a CasADi Function of start and end of every phase, model parameters, q and nu; derivatives are in the
+    ends, followed by q.
     """
     ends = endpoint_function(problem)
     starts, finals, arguments, parameters = [], [], [], []

@@ -1,11 +1,11 @@
-r"""A trajectory known at samples, as piecewise polynomials: states by Hermite, controls by spline interpolation.
+r"""Piecewise polynomial fit of sampled trajectories: Hermite interpolation of states, splines of controls.
 
-Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)` there,
-fourth order in the sampling interval. Controls are interpolated between their jumps by a cubic spline or,
-next to kinks, by a modified Akima spline, which does not overshoot. Each interval uses the one for which the
-integrated dynamics are closer to the next sample. A jump is a repeated time with different values, or a
-change between samples ten times those before and after it; its time follows from the states in the same way.
-A kink is the same of slopes, and lies where the interpolants from both sides meet.
+Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)`, of fourth order in
+the sampling interval. Controls are interpolated between their jumps by a cubic spline or, near kinks, by a modified
+Akima spline, which does not overshoot. Each interval uses the one for which the integrated dynamics are closer to the
+next sample. A jump is a repeated time with different values, or a change between samples ten times the adjacent ones;
+its time is determined from the states in the same way. A kink is a jump of the slope, at the intersection of the
+interpolants from both sides.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""
 
 JUMP_MIN_RATIO = 10.0
-"""Smallest ratio of a control's change to the adjacent changes for which it is a jump."""
+"""Smallest ratio of a control's change to the adjacent changes at which it is a jump."""
 
 _KNOWN_BESIDE = 8
-"""Samples between jumps from which kinks are looked for."""
+"""Smallest number of samples between jumps for the detection of kinks."""
 
 _LOST = 1e3
-"""Error, relative to the state, in place of one that is not finite."""
+"""Error, relative to the state, that replaces a non-finite one."""
 
 _RUNGE_KUTTA_STEPS = 4
-"""Runge-Kutta steps from a sample to a jump, and from one jump to the next."""
+"""Number of Runge-Kutta steps from a sample to a jump, and from one jump to the next."""
 
 Rates = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A phase's trajectory at samples.
+    """Sampled trajectory of a phase.
 
     Attributes
     ----------
     t : array (n,)
-        s, not decreasing; a time given twice is a jump.
+        Times, s, ascending; a repeated time is a jump.
     x : array (n_states, n)
     u : array (n_controls, n)
     """
@@ -62,14 +62,14 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class FittedPhase:
-    """A phase's trajectory as polynomials, one per sampling interval, on a mesh whose movable breaks are the jumps."""
+    """Trajectory of a phase as one polynomial per sampling interval, on a mesh whose movable breaks are the jumps."""
 
     mesh: Mesh
     x: PiecewisePolynomial
     u: PiecewisePolynomial
 
     def split_segments(self, parts: int) -> FittedPhase:
-        """Return the same trajectory on a mesh whose segments are cut into so many equal parts."""
+        """Return the same trajectory on a mesh with segments divided into equal parts."""
         if parts == 1:
             return self
         shares = np.arange(parts) / parts
@@ -86,7 +86,7 @@ class FittedPhase:
 
 
 def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
-    """The same polynomials, with values at the nodes of every part of their segments."""
+    """Return the same polynomials with values at the nodes of every part of their segments."""
     nodes = tuple(n for n in whole.nodes for _ in range(parts))
     values = tuple(
         whole.values[k] @ interpolation_matrix(whole.nodes[k], (2 * part + 1 + whole.nodes[k]) / parts - 1).T
@@ -102,9 +102,9 @@ def fit_trajectory(samples: Samples, rates: Rates) -> FittedPhase:
     Parameters
     ----------
     samples : Samples
-        Two different times at least.
+        At least two different times.
     rates : callable
-        (times, x, u) -> dx/dt, (n_states, n_times).
+        Maps (times, x, u) to dx/dt, (n_states, n_times).
     """
     twice = np.flatnonzero(np.diff(samples.t) == 0)
     every = tuple(range(samples.u.shape[0]))
@@ -125,7 +125,7 @@ def fit_trajectory(samples: Samples, rates: Rates) -> FittedPhase:
 
 @dataclass
 class _Jump:
-    """Of some channels, or of their slopes, after a sample: at the time of it and the next one, or between them."""
+    """Jump of channels, or of their slopes, after a sample: at the time of it and the next one, or between them."""
 
     after: int
     time: float
@@ -134,7 +134,7 @@ class _Jump:
 
 
 def _is_control_jump(samples: Samples, i: int) -> bool:
-    """Whether a control jumps at a time given twice, or only its slope: then that time is not one to be optimised."""
+    """Return whether a control, and not only its slope, jumps at a repeated time."""
     size = np.abs(samples.u[:, i + 1] - samples.u[:, i])
     return bool(np.any(size > SMALL * np.ptp(samples.u, axis=1)))
 
@@ -147,7 +147,7 @@ def _find_unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
     before[:, 1:], after[:, :-1] = size[:, :-1], size[:, 1:]
     visible = size > SMALL * np.ptp(u, axis=1, keepdims=True)
     alone = visible & (size > JUMP_MIN_RATIO * np.maximum(before, after))
-    if t.size <= 3:  # nothing to compare with
+    if t.size <= 3:  # too few samples
         alone[:] = False
     return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
 
@@ -162,7 +162,7 @@ def _find_kinks(samples: Samples, jumps: list[_Jump]) -> list[_Jump]:
 
 
 def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
-    """Kinks of one control between two jumps: isolated intervals across which its slope changes."""
+    """Return the kinks of a control between two jumps: isolated intervals across which its slope changes."""
     if t.size < _KNOWN_BESIDE:
         return []
     slopes = np.diff(u) / np.diff(t)
@@ -173,9 +173,7 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
     )
     visible = turn[0] * np.diff(t)[3:-2] > SMALL * np.ptp(u)
     at = 3 + np.flatnonzero(visible & (turn[0] > JUMP_MIN_RATIO * np.maximum(turn[1], turn[2])))
-    at = at[
-        np.append(np.diff(at) > 1, True)[: at.size]
-    ]  # the second of two that have a kink at the sample between them
+    at = at[np.append(np.diff(at) > 1, True)[: at.size]]  # the second of two with a kink at the common sample
     found, start = [], 0
     for k in at:
         left, right = (
@@ -190,7 +188,7 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
 
 
 def _intersection_time(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
-    """Where two interpolants meet between two samples, if they do."""
+    """Return the intersection time of two interpolants between two samples, if there is one."""
 
     def interpolant_difference(time: float) -> float:
         return float(left(time) - right(time))
@@ -204,7 +202,7 @@ def _intersection_time(left: Any, right: Any, first: float, last: float, slack: 
 
 
 class _Controls:
-    """Controls at any time, between their jumps; ``kinked`` says in which sampling intervals by Akima splines."""
+    """Controls at any time, between their jumps; ``kinked``: sampling intervals with Akima splines."""
 
     def __init__(self, samples: Samples, jumps: list[_Jump]) -> None:
         self._jumps = [[j for j in jumps if c in j.channels] for c in range(samples.u.shape[0])]
@@ -216,7 +214,7 @@ class _Controls:
             self._pieces.append([_build_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs])
 
     def __call__(self, t: float | Array, middle: float | Array) -> Array:
-        """Controls (m, n_times) at times t that lie in a segment with the given middle."""
+        """Return the controls (m, n_times) at times t in the segment with the given middle."""
         times, middles = np.atleast_1d(t), np.broadcast_to(middle, np.shape(np.atleast_1d(t)))
         kinked = self._kinked[np.clip(np.searchsorted(self._times, middles) - 1, 0, self._kinked.size - 1)]
         values = np.empty((len(self._pieces), times.size))
@@ -229,7 +227,7 @@ class _Controls:
         return values
 
     def choose_interpolation(self, samples: Samples, rates: Rates) -> None:
-        """Take Akima splines where the states agree better with them."""
+        """Select Akima splines where the states agree better with them."""
         long = np.flatnonzero(np.diff(samples.t) > 0)
         size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]
         misses = []
@@ -241,7 +239,7 @@ class _Controls:
 
 
 def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
-    """A smooth interpolant and one without ripples."""
+    """Return a smooth interpolant and one without overshoot."""
     if t.size < 4:
         polynomial = np.polynomial.Polynomial.fit(t, u, t.size - 1, domain=[t[0] - 0.5, t[0] + 0.5])
         return polynomial, polynomial
@@ -250,7 +248,7 @@ def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
 
 
 def _locate_jump_times(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> None:
-    """Move the jumps between two samples to where the dynamics carry the states from one to the other."""
+    """Move jumps between two samples to the time at which the dynamics connect the states."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])
     size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
@@ -283,7 +281,7 @@ def _locate_jump_times(samples: Samples, controls: _Controls, jumps: list[_Jump]
 
 
 def _propagate_states(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) -> Array:
-    """States (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
+    """Return states (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
     h, middle = (b - a) / _RUNGE_KUTTA_STEPS, 0.5 * (a + b)
     for k in range(_RUNGE_KUTTA_STEPS):
         t = a + k * h
@@ -306,7 +304,7 @@ def _fit_polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], 
     inner = [j for j in jumps if not np.any(t == j.time)]
     times = np.unique([*t, *(j.time for j in inner)])
     before, after = np.empty((x.shape[0], times.size)), np.empty((x.shape[0], times.size))
-    before[:, np.searchsorted(times, t[::-1])] = x[:, ::-1]  # the earlier one of two at the same time
+    before[:, np.searchsorted(times, t[::-1])] = x[:, ::-1]  # the first one of a repeated time
     after[:, np.searchsorted(times, t)] = x
     for time in dict.fromkeys(j.time for j in inner):
         k = int(np.searchsorted(times, time))

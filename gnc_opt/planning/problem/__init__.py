@@ -1,4 +1,4 @@
-"""Problem and Phase: time, boundary conditions, bounds, constraints, linkages, cost and guess."""
+"""Statement of optimal control problems: phases, bounds, constraints, linkages, cost and guess."""
 
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval import Interval

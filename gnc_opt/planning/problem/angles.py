@@ -1,4 +1,4 @@
-"""Angles: periods of angular controls and the range in which their values are returned."""
+"""Angular controls: their periods, and the range of their returned values."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 
 PERIODS = np.pi, 180.0, 2 * np.pi, 360.0
-"""Turns in radians and degrees; half a turn where only its double counts, as with ``sin(2 u)``."""
+"""Candidate periods: a full turn in rad and deg; half a turn for functions such as ``sin(2 u)``."""
 
 ELSEWHERE = 0.37
-"""A share of a period by which a function of an angle changes."""
+"""Share of a period at which functions of an angle are compared."""
 
 
 @dataclass(frozen=True)
 class Turns:
-    """Angular controls without excluded directions, and the range of their returned values.
+    """Angular controls whose bounds exclude no direction, and the range of their returned values.
 
     Attributes
     ----------
     lower, upper : array (n_controls,)
-        One turn at least; infinite for other controls.
+        Range of at least one turn; infinite for other controls.
     periods : array (n_controls,)
         0 for controls that are not angles.
     pairs : tuple of (int, int)
-        In files of earlier versions: azimuths and elevations.
+        Azimuths and elevations in files of earlier versions.
     """
 
     lower: Array
@@ -40,18 +40,18 @@ class Turns:
 
     @property
     def free_controls(self) -> Array:
-        """Which controls have lost their bounds (n_controls,)."""
+        """Controls without bounds in the solver (n_controls,)."""
         return np.isfinite(self.lower)
 
     def solver_bounds(self, bounds: Interval) -> Interval:
-        """Return bounds for a solver: angles may leave their range by one turn, so that they can cross its ends."""
+        """Return bounds for the solver: angles may exceed their range by one turn, so that they can cross its ends."""
         return Interval(
             np.where(self.free_controls, self.lower - self.periods, bounds.lower),
             np.where(self.free_controls, self.upper + self.periods, bounds.upper),
         )
 
     def wrap_angles(self, u: Array) -> Array:
-        """Return controls (n_controls, ...) with angles moved into their range, except for rounding."""
+        """Return controls (n_controls, ...) with angles shifted by whole periods into their range."""
         u = u.copy()
         for i in np.flatnonzero(self.free_controls):
             low, high, period = self.lower[i], self.upper[i], self.periods[i]
@@ -63,7 +63,7 @@ class Turns:
 
 @dataclass(frozen=True)
 class AngleProbe:
-    """Finds which rows of u (n_controls, N) are angles, from functions (k, N) of them."""
+    """Detection of angles among the rows of u (n_controls, N), from functions (k, N) of them."""
 
     values: Callable[[Array], Array]
     u: Array
@@ -73,7 +73,7 @@ class AngleProbe:
         return self.values(self.u)
 
     def find_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
-        """Return the first candidate that is a period of the functions in a control, 0 if none is."""
+        """Return the first candidate that is a period of the functions in control i; 0 if there is none."""
         for period in candidates:
             turned, elsewhere = (
                 self.values(self._evaluate_shifted_angle(i, by)) for by in (period, ELSEWHERE * period)
@@ -83,7 +83,7 @@ class AngleProbe:
         return 0.0
 
     def is_mirrored(self, azimuth: int, elevation: int, half_turn: float, end: float) -> bool:
-        """Whether half a turn of the azimuth cancels a reflection of the elevation at an end of its range."""
+        """Return whether half a turn of the azimuth equals a reflection of the elevation at an end of its range."""
         away = self._evaluate_shifted_angle(azimuth, half_turn)
         reflected = away.copy()
         reflected[elevation] = 2.0 * end - reflected[elevation]
@@ -96,7 +96,7 @@ class AngleProbe:
 
 
 def is_periodic(here: Array, turned: Array, elsewhere: Array) -> bool:
-    """Whether values (n, N) are the same after a turn, which they are not elsewhere; unknown ones are not looked at."""
+    """Return whether values (n, N) are equal after a turn but differ elsewhere; NaN is ignored."""
     known = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
     here, turned, elsewhere = (np.where(known, values, 0.0) for values in (here, turned, elsewhere))
     changes = np.max(np.abs(elsewhere - here), axis=1)

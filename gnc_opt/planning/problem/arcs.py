@@ -1,4 +1,4 @@
-"""Arcs: intervals on which controls, path constraints and states are held at their limits, segment by segment."""
+"""Arcs: mesh segments on which controls, path constraints and states are at their limits."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from gnc_opt.planning.problem.interval import Interval
 
 
 class ArcKind(Enum):
-    """Where a control, path constraint or state is during an arc.
+    """Position of a control, path constraint or state relative to its limits on an arc.
 
-    A constrained control is within its bounds and follows from a state or path constraint at its limit. During the
-    solution only, a released control may leave its limits.
+    A constrained control is interior and determined by an active state or path constraint. A released control may
+    exceed its limits; this kind occurs only during a solve.
     """
 
     LOWER = "lower"
@@ -34,7 +34,7 @@ class ArcKind(Enum):
 
     @property
     def at_limit(self) -> bool:
-        """Whether the arc is at a limit."""
+        """Whether the constraint is active on the arc."""
         return self in _SIGNS
 
     @classmethod
@@ -49,14 +49,14 @@ _OF_SIGNS = {-1: ArcKind.LOWER, 0: ArcKind.INTERIOR, 1: ArcKind.UPPER}
 
 @dataclass(frozen=True)
 class Arc:
-    """One control between two of its switches, or a state or path constraint at its limit.
+    """Control between two of its switches, or an active state or path constraint.
 
     Attributes
     ----------
     phase, channel : str
     kind : ArcKind
     start, end : float
-        s.
+        Start and end time, s.
 
     Examples
     --------
@@ -74,15 +74,15 @@ class Arc:
 
 
 Kinds: TypeAlias = "tuple[tuple[ArcKind, ...], ...]"
-"""Rows of kinds, one per segment or piece."""
+"""Arc kinds, one tuple per row with one entry per segment."""
 
 MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
-"""Kinds of arc that a user may prescribe for a control, path constraint or state."""
+"""Arc kinds that a user may prescribe for a control, path constraint or state."""
 
 
 @dataclass(frozen=True)
 class Smooth:
-    """One polynomial of a degree for a control, by its row, over the segments ``first, ..., last - 1``."""
+    """Control (row index) that is one polynomial of the given degree on segments ``first, ..., last - 1``."""
 
     control: int
     first: int
@@ -92,22 +92,23 @@ class Smooth:
 
 @dataclass(frozen=True)
 class Junction:
-    """A mesh boundary at which a state constraint meets its limit.
+    """Mesh break at which a state constraint becomes active or inactive.
 
     Attributes
     ----------
     constraint : int
-        Row among the path constraints, then the states.
+        Row of the path constraints, followed by the states.
     boundary : int
-        Index of the mesh break; 0 and K are the phase's ends.
+        Index of the mesh break; 0 and K are the ends of the phase.
     kind : ArcKind
-        LOWER or UPPER: the limit that is met.
+        LOWER or UPPER: the active limit.
     conditions : int
-        So many conditions hold there: the constraint is at its limit, and its first ``conditions - 1`` derivatives
-        along the dynamics vanish.
+        Number of conditions: the constraint is at its limit, and its first ``conditions - 1`` derivatives along the
+        dynamics vanish.
     tangent : int
-        -1 or 1: the derivative in which controls appear vanishes, too, with those of the segment before or after; 0:
-        nothing is said of it. Of a path constraint with controls, order 0, that is its own value: it is at its limit.
+        -1 or 1: the first derivative that contains controls also vanishes, with the controls of the previous or next
+        segment; 0: not prescribed. For a mixed path constraint (order 0) it is the constraint itself that is at its
+        limit.
     """
 
     constraint: int
@@ -119,7 +120,7 @@ class Junction:
 
 @dataclass(frozen=True)
 class Held:
-    """Prescribed arcs, rows of K kinds each; interior means free within the limits."""
+    """Prescribed arcs: rows of K kinds; interior means free within the limits."""
 
     controls: Kinds
     paths: Kinds = ()
@@ -135,10 +136,10 @@ def read_arc_kinds(
     what: str,
     where: str,
 ) -> Kinds:
-    """Return kinds (n, K), given as kinds or as signs (-1 lower limit, 0 within, +1 upper limit); see `Phase.hold`."""
+    """Return kinds (n, K) from kinds or signs (-1 lower limit, 0 interior, +1 upper limit); see `Phase.hold`."""
     try:
         kinds = np.atleast_2d(np.asarray(given, dtype=object))
-    except (TypeError, ValueError):  # symbols, or objects that refuse
+    except (TypeError, ValueError):  # symbols, or objects without conversion
         kinds = np.empty((0, 0), dtype=object)
     read = [[_read_arc_kind(entry) for entry in row] for row in kinds] if kinds.ndim == 2 else []
     if len(read) != len(labels) or any(kind not in MAY_BE_TOLD for row in read for kind in row):

@@ -1,4 +1,4 @@
-"""Checks of every function of a problem at the guess: not finite, kinks and jumps, coarse tables, norms of controls."""
+"""Checks of a problem's functions at the guess: non-finite values, kinks, jumps, coarse tables, norms."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _IN_PHASES = "let a phase end there and link() the next one to it"
 _KINKS: dict[int, tuple[str, str]] = {
     ca.OP_FABS: (
         "fabs, which has a kink",
-        "use smooth_abs(), or split_control() for a control whose size costs",
+        "use smooth_abs(), or split_control() for a control whose absolute value is part of the cost",
     ),
     ca.OP_SIGN: ("sign, which jumps", f"use tanh(x / width), or {_IN_PHASES}"),
     ca.OP_FLOOR: ("floor (or %), which jumps", _IN_PHASES),
@@ -45,24 +45,24 @@ _KINKS: dict[int, tuple[str, str]] = {
         ("a comparison (if_else), which switches", f"{_IN_PHASES}, or blend with tanh"),
     ),
 }
-"""Effect of an operation on a trajectory, and its replacement."""
+"""Effect of each operation on a function, and its replacement."""
 
 _EXTREMA = (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX)
 _REMEDIES = {
     "the rate of state": "use smooth_abs() for states, bounds() for a control that saturates, split_control() for a "
     f"dead zone or an absolute value of a control; or {_IN_PHASES}",
-    "path constraint": "it is not convex, for it excludes values between others or has limits on both sides: state one "
+    "path constraint": "its feasible set is not convex (it has gaps, or limits on both sides): replace one "
     "side by bounds(), use smooth_abs(), or add a phase for each side",
     "integral": "it is not known to be convex in the cost: give bounds() that fix the signs of its factors, or use "
     "split_control() for a control, vector_control() for a norm, smooth_abs() for states",
 }
-"""Replacement for a kink that is not reformulated, by the kind of its expression."""
+"""Remedy for a kink that is not reformulated, by the kind of its expression."""
 
 _CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 
 def warn_of_kinks(problem: Statement, leg: Phase) -> None:
-    """Issue a `ProblemWarning` for each kind of operation without derivatives along a phase, and coarse tables."""
+    """Issue a `ProblemWarning` for each kind of nonsmooth operation along a phase, and for linear tables."""
     uses = table_calls(problem, leg)
     for table in dict.fromkeys(use.table for use in uses):
         if table.method == "linear":
@@ -82,7 +82,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
 
 
 def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:
-    """Raise `ProblemError` if the guess leaves a table that refuses it; warn, if wanted, where it leaves another."""
+    """Raise `ProblemError` if the guess leaves a table with outside="error"; optionally warn for other tables."""
     if not table_calls(problem, leg):
         return
     start = build_phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
@@ -95,15 +95,13 @@ def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None
                 f"the guess leaves a table ({found}): give another guess(), or a larger table."
             )
         if warn:
-            warn_user(
-                f"the guess leaves a table ({found}), which goes on there as '{found.table.outside}' says."
-            )
+            warn_user(f"the guess leaves a table ({found}), which is extrapolated ('{found.table.outside}').")
 
 
 def _find_first_kink_of_each_kind(
     problem: Statement, leg: Phase, looked_up: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
-    """Yield each meaning's first operation with the kind and name of its expression."""
+    """Yield the first operation of each kind of nonsmoothness, with kind and name of its expression."""
     t, x, u, _ = leg.model.arguments()
     free = [leg.model.symbol(name) for name in problem.parameters.names if name in leg.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
@@ -132,26 +130,26 @@ def warn_of_norms(problem: Statement, leg: Phase) -> None:
 
 
 def find_shifted_norms(leg: Phase) -> list[str]:
-    """Return which integrands contain a norm that has no derivative at controls other than zero: ``norm_2(u - v)``."""
+    """Return the integrands with a norm that is not differentiable at nonzero controls, such as ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
         vectors = (_vector_of_norm(node) for node in list_nodes(integrand) if node.op() in ROOTS)
         if any(v is not None and ca.depends_on(v, controls) and _is_shifted(v, controls) for v in vectors):
             texts.append(
-                f"integral '{name}' of {leg.label} contains a norm of controls less other terms, which has a kink "
+                f"integral '{name}' of {leg.label} contains a norm of controls minus other terms, which has a kink "
                 "where they are equal: let a vector_control() be the difference, equal to it by path()"
             )
     return texts
 
 
 def _is_shifted(vector: Any, controls: Any) -> bool:
-    """Whether a vector that depends on controls is not zero where all of them are."""
+    """Return whether a vector that depends on controls is nonzero at zero controls."""
     rest = ca.substitute(vector, controls, ca.SX.zeros(controls.numel()))
     return bool(np.any(draw_values(rest) != 0))
 
 
 def _vector_of_norm(root: Any) -> Any | None:
-    """Return the vector whose Euclidean norm a root is, if it has two or more components; else None."""
+    """Return the vector whose Euclidean norm a square root is, if it has at least two components; else None."""
     if root.op() == ca.OP_HYPOT:
         return ca.vertcat(root.dep(0), root.dep(1))
     waiting, components = [root.dep(0)], []
@@ -167,7 +165,7 @@ def _vector_of_norm(root: Any) -> Any | None:
 
 
 def singular_norms(problem: Statement, leg: Phase) -> list[str]:
-    """Return the functions whose derivatives fail or vanish at zero controls, and their replacements."""
+    """Return the functions whose derivatives fail or vanish at zero controls, with replacements."""
     start = build_phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()
@@ -182,14 +180,14 @@ def singular_norms(problem: Statement, leg: Phase) -> list[str]:
 
 
 def _find_undefined_values(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
-    """Yield rows with their faults at zero controls and at the guess."""
+    """Yield the rows with undefined or zero derivatives at zero controls and at the guess."""
     n = leg.model.states.size
     columns = slice(n, n + leg.model.controls.size)
     by_controls = tried.derivatives[:, columns]
     finite = np.all(np.isfinite(tried.values), axis=1)
     for row in np.flatnonzero(finite & ~np.all(np.isfinite(by_controls), axis=(1, 2))):
         yield int(row), "no derivative where controls are zero"
-    if tried.what != "path constraint":  # what follows is of limits
+    if tried.what != "path constraint":  # the following cases concern limits
         return
     box, controls = leg.path_interval(), leg.model.symbols("control")
     depends = np.array(ca.which_depends(leg.path_expression(), controls, 1, True))
@@ -205,19 +203,19 @@ def _find_undefined_values(leg: Phase, tried: Tried, guessed: Tried) -> Iterator
     for row in np.flatnonzero(stuck):
         yield (
             int(row),
-            "no slope at the guess, where controls are zero and its limits are left, so that nothing leads inside",
+            "no slope at the guess, where controls are zero and it is violated, so that the solver cannot reduce it",
         )
 
 
 _FRACTIONS = (np.arange(11) + 0.5) / 11
-"""Where functions are tried, as fractions of a phase: not at its ends, where Gauss has no points."""
+"""Fractions of a phase at which functions are evaluated; the ends are excluded, as by Gauss points."""
 
 _BOUND_OFFSET = 1e-2
-"""How far (scaled) the guess is moved off bounds before functions are tried; IPOPT does the same."""
+"""Scaled distance by which the guess is moved inside its bounds before the evaluation, as by IPOPT."""
 
 
 def check_values(problem: Statement) -> None:
-    """Raise `ProblemError` for a function or derivative that is not finite at the guess, and say where."""
+    """Raise `ProblemError` for a function or derivative that is not finite at the guess."""
     ends: list[Any] = []
     for leg in problem.phases.values():
         ends += _check_phase_functions(problem, leg)
@@ -241,7 +239,7 @@ class Tried:
         return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
 
     def find_nonfinite(self) -> tuple[str, int] | None:
-        """Return the quantity that is not finite and the index of the first time at which it is not."""
+        """Return the first quantity that is not finite, and the index of its time."""
         bad = np.argwhere(~np.isfinite(self.values))
         if bad.size:
             row, time = bad[np.argmin(bad[:, 1])]
@@ -258,7 +256,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class NotFinite:
-    """A function or derivative that is NaN or infinite: what, when (s), at which states and controls."""
+    """Function or derivative that is not finite: name, time (s), states and controls."""
 
     what: str
     time: float
@@ -268,7 +266,7 @@ class NotFinite:
 def find_nonfinite_function(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NotFinite | None:
-    """Return the first function along a trajectory (columns are times) that is not finite, or has such a derivative."""
+    """Return the first function along a trajectory (columns are times) that is not finite or has such a derivative."""
     for tried in evaluate_functions(problem, leg, times, states, controls, parameters).values():
         bad = tried.find_nonfinite()
         if bad:
@@ -281,7 +279,7 @@ def find_nonfinite_function(
 def evaluate_functions(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, Tried]:
-    """Return functions along a phase and their derivatives at the points of `find_nonfinite_function` by kind."""
+    """Return functions along a phase and their derivatives by kind; arguments as in `find_nonfinite_function`."""
     columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
     tried = {}
     for what, rows, function in _build_phase_functions(problem, leg):
@@ -291,13 +289,13 @@ def evaluate_functions(
 
 
 def find_nonfinite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
-    """Return the first function along the guess of a phase that is not finite, or has a derivative that is not."""
+    """Return the first function along the guess of a phase that is not finite or has such a derivative."""
     return _Guessed.from_phase(leg).find_nonfinite(problem, leg)
 
 
 @dataclass(frozen=True)
 class _Guessed:
-    """The guess of a phase at both ends and between, its state scales, and (times, states, controls) off its bounds."""
+    """Guess of a phase including its ends, its state scales, and (times, states, controls) inside the bounds."""
 
     start: PhaseStart
     scales: Array
@@ -305,7 +303,7 @@ class _Guessed:
 
     @classmethod
     def from_phase(cls, leg: Phase) -> _Guessed:
-        # The end points are included: messages there name the user's functions.
+        # The end points are included, since messages there name the user's functions.
         start = build_phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
         scales, control_scales = phase_magnitudes(leg)
         states = _move_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
@@ -318,7 +316,7 @@ class _Guessed:
 
 
 def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
-    """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
+    """Evaluate the functions along a phase; return its arguments of the cost and the boundary constraints."""
     numbers, guessed = leg.numbers, _Guessed.from_phase(leg)
     start = guessed.start
     bad = guessed.find_nonfinite(problem, leg)
@@ -339,7 +337,7 @@ def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
 
 
 def _check_end_functions(problem: Statement, ends: list[Any]) -> None:
-    """Try the cost and the boundary constraints at the end points of the guess."""
+    """Evaluate the cost and the boundary constraints at the end points of the guess."""
     for what, rows, columns, function in _build_end_functions(problem):
         tried = Tried.evaluate(what, rows, columns, function(*ends, problem.guessed_parameters()))
         bad = tried.find_nonfinite()
@@ -348,14 +346,14 @@ def _check_end_functions(problem: Statement, ends: list[Any]) -> None:
 
 
 def _move_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
-    """Move values (n, N) into the bounds (n,), slightly inside them if the bounds differ."""
+    """Return values (n, N) moved into the bounds (n,), to the interior if the bounds differ."""
     lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
     push = _BOUND_OFFSET * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
 
 
 def _build_phase_functions(problem: Statement, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
-    """Kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
+    """Return kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
 
@@ -374,7 +372,7 @@ def _build_phase_functions(problem: Statement, leg: Phase) -> list[tuple[str, tu
 
 
 def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
-    """Kind, names and expressions of what varies along a phase."""
+    """Return kind, names and expressions of all functions along a phase."""
     return (
         ("the rate of state", leg.model.states.labels, leg.model.derivative()),
         ("path constraint", leg.path_labels, leg.path_expression()),
@@ -383,7 +381,7 @@ def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], 
 
 
 def _build_end_functions(problem: Statement) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
-    """Kind, names, variables and function of the cost and of the boundary constraints."""
+    """Return kind, names, variables and function of the cost and of the boundary constraints."""
 
     def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         variables, columns = list[Any](), list[str]()

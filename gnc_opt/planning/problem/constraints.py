@@ -1,4 +1,4 @@
-"""Constraint: an expression between limits, along a phase or at the ends of phases."""
+"""Constraint: an expression with limits, along a phase or at the ends of phases."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from gnc_opt.planning.problem.interval import Interval, read_interval, read_rang
 
 @dataclass(frozen=True)
 class Constraint:
-    """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows.
+    """Constraint ``lower <= expression <= upper`` on an SX column vector of ``size`` rows.
 
     Attributes
     ----------
     expression : casadi.SX (size, 1)
     interval : Interval
-        Required limits.
+        Limits.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class Constraint:
 
 
 def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str) -> Constraint:
-    """Build a `Constraint`, refusing contradictory or missing limits; of ``a <= b`` that is ``a - b <= 0``."""
+    """Return a `Constraint`; raise an error for contradictory or missing limits. ``a <= b`` becomes ``a - b <= 0``."""
     value = as_expression(expression, what, None, ProblemError)
     if any(row.op() in _COMPARISONS for row in ca.vertsplit(value)):
         if not (lower is equals is upper is None):
@@ -67,12 +67,12 @@ _COMPARISONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
 
 
 def _read_comparisons(name: str, value: Any, what: str) -> Constraint:
-    """Read rows ``a <= b``, ``a < b`` (which is the same to an optimiser) or ``a == b``; numbers become the limits."""
+    """Return the constraint of rows ``a <= b``, ``a < b`` (equivalent) or ``a == b``; numbers become limits."""
     rows, ends = [], []
     for row in ca.vertsplit(value):
         if row.op() not in _COMPARISONS[:3]:
             remedy = "write all of its rows with <=, >= or =="
-            raise ProblemError(f"{what} has a row that is no inequality and no equation: {remedy}.")
+            raise ProblemError(f"{what} has a row that is neither an inequality nor an equation: {remedy}.")
         left, right = row.dep(0), row.dep(1)
         equal = row.op() == ca.OP_EQ
         if right.is_constant():

@@ -1,12 +1,13 @@
-r"""Controls as states of a phase: with limits of their rates, or as polynomials; bounds that are functions of time.
+r"""Controls as states of a phase: rate limits, polynomials in time; time-dependent bounds.
 
-A control a with a limited rate is a state with :math:`\dot a = r` and the control r. A polynomial of degree n over the
-phase is a state with constant coefficients c and, in Legendre polynomials of the fraction :math:`\tau` of the phase,
+A control a with a rate limit becomes a state with :math:`\dot a = r` and the control r. A polynomial of degree n over
+the phase becomes a state with constant coefficients c, in Legendre polynomials of the fraction :math:`\tau` of the
+phase,
 
 .. math:: \dot a = 2 \dot\tau \sum_{k=1}^n c_k P_k'(2 \tau - 1), \qquad \dot c = 0.
 
-The fraction follows :math:`\dot\tau = s, \dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`: s is the inverse of the duration.
-Polynomials and the fraction begin anew in each phase.
+The fraction obeys :math:`\dot\tau = s, \dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`, where s is the inverse of the
+duration. Polynomials and the fraction start again in each phase.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable, as_expression
 
 FRACTION, FRACTION_RATE = "fraction", "fraction_rate"
-"""Names of the states that tell the share of the phase that has passed, and its rate, 1/s."""
+"""Names of the states for the elapsed fraction of the phase and its rate, 1/s."""
 
 
 class StatedPhase(Protocol):
-    """Declarations of a phase that others are made of."""
+    """Interface of a phase for the declarations in this module."""
 
     model: Model
     own_states: frozenset[str]
@@ -57,7 +58,7 @@ class StatedPhase(Protocol):
 
 
 def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
-    """Make controls states of a phase, with rates in given ranges; see `Phase.rates`."""
+    """Convert controls to states of a phase, with rates in given ranges; see `Phase.rates`."""
     for name, limits in ranges.items():
         symbol = _get_control_symbol(leg, name, "rates")
         v = symbol.variable
@@ -67,7 +68,7 @@ def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
 
 
 def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
-    """Make controls polynomials of time over a phase; see `Phase.polynomials`."""
+    """Convert controls to polynomials of time over a phase; see `Phase.polynomials`."""
     for name, given in degrees.items():
         symbol = _get_control_symbol(leg, name, "polynomials")
         degree = read_integer(given, f"the degree of control '{name}' in {leg.label}", 0, ProblemError)
@@ -87,7 +88,7 @@ def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> No
 
 
 def add_phase_fraction(leg: StatedPhase) -> Any:
-    """Return the symbol of the fraction of a phase, a state that is added at the first call; see `Phase.fraction`."""
+    """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
         fraction, rate = _new_variable(leg, FRACTION, 1, ""), _new_variable(leg, FRACTION_RATE, 1, "1/s")
         leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
@@ -115,11 +116,11 @@ def _get_control_symbol(leg: StatedPhase, name: str, what: str) -> Symbol:
         )
     if name in leg.model.equations:
         raise ProblemError(
-            f"{what}() of {leg.label} got '{name}', which its equation determines: limit other controls."
+            f"{what}() of {leg.label} got '{name}', which is an algebraic variable: limit other controls."
         )
     if leg.is_linked:
         raise ProblemError(
-            f"{what}() of {leg.label} comes after link() or sequence(), which hand states over: call it before."
+            f"{what}() of {leg.label} is called after link() or sequence(), which link states: call it before."
         )
     if name not in layout:
         raise unknown_name("control", name, f"{what}() of {leg.label}", layout.names)
@@ -137,7 +138,7 @@ def _new_variable(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
 
 
 def split_time_bounds(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ranges with None for the ends that are functions of time, which become path constraints of a phase."""
+    """Return ranges with None in place of time-dependent ends, which become path constraints of a phase."""
     constant = dict(ranges)
     for name, value in ranges.items():
         for end in ("lower", "upper"):

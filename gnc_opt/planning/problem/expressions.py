@@ -1,4 +1,4 @@
-"""Symbols that may stand in which expression of a problem, and the tables in which a problem looks things up."""
+"""Expressions of a problem: checks of their symbols, and their table calls."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
 TABLE_EDGE_TOLERANCE = 1e-6
-"""Share of an axis by which a trajectory may be outside of a table: an optimum at its edge is there to rounding."""
+"""Share of an axis by which a trajectory may exceed a table; an optimum at its edge does so by rounding."""
 
 
 @dataclass(frozen=True)
 class OutsideTable:
-    """A trajectory leaves a table in an axis (from 0): extreme argument, its time, first and last time outside, s."""
+    """Interval (s) in which a trajectory exceeds axis ``axis`` (from 0) of a table, with extreme argument and time."""
 
     table: Table
     phase: str
@@ -51,14 +51,14 @@ def stack_terms(leg: Phase) -> Any:
 
 
 def build_phase_function(problem: Statement, leg: Phase, name: str, column: Any) -> Any:
-    """Return a column along a phase as CasADi Function of (t, x, u, p, q), q the free parameters."""
+    """Return a column along a phase as CasADi Function of (t, x, u, p, q), with the free parameters q."""
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     values = [ca.densify(problem.bind(leg, column))]
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
 
 def table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
-    """Return the calls of tables in what varies along a phase."""
+    """Return the table calls in the expressions along a phase."""
 
     def find() -> tuple[TableUse, ...]:
         known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
@@ -93,7 +93,7 @@ def find_table_exits(
 
 
 def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
-    """The function (t, x, u, p, q) -> all arguments of all tables."""
+    """Return the function (t, x, u, p, q) -> arguments of all table calls."""
     stacked = ca.vertcat(*(use.arguments for use in uses))
     return problem.cache(
         ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", stacked)
@@ -101,21 +101,21 @@ def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse,
 
 
 def end_arguments(problem: Statement) -> list[Any]:
-    """Return the symbols of a function of all end values: those of each phase and its parameters, free parameters."""
+    """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
     legs = problem.phases.values()
     own = zip(map(endpoint_symbols, legs), model_parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
 def bind_parameters(problem: Statement, expression: Any) -> Any:
-    """Replace the parameters of all models that the problem optimises by its own symbols."""
+    """Replace model parameters that the problem optimises by the symbols of the problem."""
     for leg in problem.phases.values():
         expression = problem.bind(leg, expression)
     return expression
 
 
 def model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
-    """Return the model parameters of each phase as arguments of one function; repeated ones are placeholders."""
+    """Return the model parameters of each phase as function arguments; repeated models get placeholders."""
     taken: set[int] = set()
     arguments = []
     for leg in phases:
@@ -127,7 +127,7 @@ def model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
 
 
 def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
-    """Raise `ProblemError` if a cost or boundary constraint uses a symbol other than values at phase ends."""
+    """Raise `ProblemError` if a cost or boundary constraint uses a symbol that is not an end value or parameter."""
     phases = list(phases)
     own = [s for leg in phases for s in (*endpoint_symbols(leg), leg.model.symbols("parameter"))]
     foreign = find_foreign_symbols(expression, [*own, free_parameters])
@@ -141,7 +141,7 @@ def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expres
                 f"{leg.name}.final_state(...), {leg.name}.initial_state(...) or {leg.name}.integral(...)."
             )
     raise ProblemError(
-        f"{what} uses '{name}', which belongs to no phase of this problem: use end points, times, integrals "
+        f"{what} uses '{name}', which is not a symbol of this problem: use end points, times, integrals "
         "and parameters of its own phases."
     )
 
@@ -149,7 +149,7 @@ def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expres
 def check_phase_symbols(
     leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
 ) -> None:
-    """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
+    """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
     foreign = find_foreign_symbols(expression, [*leg.model.arguments(), free_parameters])
     if not foreign:
         return
@@ -163,12 +163,12 @@ def check_phase_symbols(
         n for k in (leg.model.states, leg.model.controls, leg.model.parameters, parameters) for n in k.names
     ]
     raise ProblemError(
-        f"{what} uses '{name}', which is no symbol of model '{leg.model.name}': {suggest_symbol(name, known)}"
+        f"{what} uses '{name}', which is not a symbol of model '{leg.model.name}': {suggest_symbol(name, known)}"
     )
 
 
 def check_parameter_size(name: str, size: int, model: Model, problem: str) -> None:
-    """Raise `ProblemError` if a free parameter and the model's parameter of that name differ in size."""
+    """Raise `ProblemError` if a free parameter and the model parameter of the same name differ in size."""
     if name in model.parameters and model.parameters[name].size != size:
         raise ProblemError(
             f"parameter '{name}' of problem '{problem}' has {size} components, but in model '{model.name}' "

@@ -1,13 +1,13 @@
-r"""Numeric functions of a stated problem: dynamics, Hamiltonian and its derivatives, end-point functions.
+r"""Numerical functions of a problem: dynamics, Hamiltonian and its derivatives, end-point functions.
 
-This module owns the sign of the Hamiltonian. For the minimised functional J,
+This module defines the sign convention of the Hamiltonian. For the minimised functional J,
 
 .. math:: H = \sum_i w_i L_i + \lambda^T f, \qquad H_a = H + \mu^T c,
 
 with integrands L_i and their weights w_i = dJ/dI_i (1 for a plain Lagrange cost), path constraints c and
-multipliers mu. Along a minimum: :math:`\dot\lambda = -\partial H_a / \partial x`, the control minimises H,
-and :math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so
-they check it independently.
+multipliers mu. Along a minimum :math:`\dot\lambda = -\partial H_a / \partial x`, the control minimises H, and
+:math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so that the
+optimality check is independent of it.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ _JUMPS = (
 
 @dataclass(frozen=True)
 class PhaseFunctions:
-    """Functions of one phase; every method takes one time or many (time as the last axis).
+    """Functions of one phase; methods accept one time or many (time as the last axis).
 
     Attributes
     ----------
     p : array (n_model_parameters,)
-        Values of the model's parameters.
+        Model parameter values.
     q : array (n_free_parameters,)
-        Values of the problem's free parameters.
+        Free parameter values.
     weights : array (n_integrals,)
         dJ/dI of each integral.
     time_unit : str
-        Unit of the times in printed places.
+        Unit of times in the output.
     """
 
     functions: dict[str, Any]
@@ -70,7 +70,7 @@ class PhaseFunctions:
         return self._evaluate_function("rates", t, x, u)
 
     def fast_rates(self) -> Callable[[float, Array, Array], Array]:
-        """Return dx/dt as a function of (t, x, u) at one time without conversion overhead."""
+        """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
         return make_fast_call(function, costates, multipliers, self.weights, self.p, self.q)
@@ -84,7 +84,7 @@ class PhaseFunctions:
         return self._evaluate_function("integrands", t, x, u)
 
     def control_effects(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
-        """Return all that controls act on, (n + n_paths + n_integrals, ...): rates, path constraints and integrands."""
+        """Return rates, path constraints and integrands, (n + n_paths + n_integrals, ...)."""
         return np.concatenate([f(t, x, u) for f in (self.rates, self.paths, self.integrands)])
 
     def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
@@ -92,7 +92,7 @@ class PhaseFunctions:
         return np.asarray(self._evaluate_function("hamiltonian", t, x, u, lam)[0])
 
     def switching(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
-        """dH/du without path multipliers: the switching functions, shape of u."""
+        """Switching functions dH/du, without path multipliers, shape of u."""
         return self._evaluate_function("switching", t, x, u, lam)
 
     def control_gradient(
@@ -108,7 +108,7 @@ class PhaseFunctions:
         return self._evaluate_function("state_gradient", t, x, u, lam, mu)
 
     def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
-        """Partial derivative of H + mu.c with respect to time, shape (...)."""
+        """Partial derivative of H + mu.c in time, shape (...)."""
         return np.asarray(self._evaluate_function("time_gradient", t, x, u, lam, mu)[0])
 
     def parameter_gradient(
@@ -127,7 +127,7 @@ class PhaseFunctions:
 
     @property
     def separable_controls(self) -> Mask:
-        """Controls of which H is an affine function plus one of the others, and in no path constraint (n_controls,)."""
+        """Controls u_i with H = a u_i + b, b independent of u_i and a of all controls, and in no path constraint."""
         coupled = np.zeros(self.functions["switching"].size1_out(0), dtype=bool)
         for name in ("switching", "paths"):
             coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
@@ -135,13 +135,13 @@ class PhaseFunctions:
 
     @property
     def has_jumping_rates(self) -> bool:
-        """Whether dx/dt contains an operation whose value jumps."""
+        """Whether dx/dt contains a discontinuous operation."""
         function = self.functions["rates"]
         return any(function.instruction_id(i) in _JUMPS for i in range(function.n_instructions()))
 
     @property
     def coupled_controls(self) -> list[Indices]:
-        """Controls that are not separable, in groups that neither H nor a path constraint couples."""
+        """Groups of non-separable controls that are coupled by H or a path constraint."""
         by_slope, by_path = (self.functions[name].jac_sparsity(0, 2) for name in ("switching", "paths"))
         rows, columns = np.array(by_slope.row(), dtype=int), np.array(by_slope.get_col(), dtype=int)
         constraints, controls = np.array(by_path.row(), dtype=int), np.array(by_path.get_col(), dtype=int)
@@ -154,7 +154,7 @@ class PhaseFunctions:
         return [np.flatnonzero(labels == label) for label in np.unique(labels[coupled])]
 
     def is_quadratic_in(self, controls: Indices) -> bool:
-        """Whether H has constant second derivatives, and path constraints constant slopes, in some controls."""
+        """Return whether H has constant second derivatives, and path constraints constant slopes, in some controls."""
         m = self.functions["switching"].size1_out(0)
         bends = self.functions["control_hessian"].jac_sparsity(0, 2).row()
         slopes = self.functions["path_control_jacobian"].jac_sparsity(0, 2).row()
@@ -162,7 +162,7 @@ class PhaseFunctions:
 
     @property
     def mixed_paths(self) -> Mask:
-        """Path constraints in which a control occurs, whether or not its derivative vanishes somewhere (n_paths,)."""
+        """Path constraints that contain a control, even if its derivative vanishes somewhere (n_paths,)."""
         paths = self.functions["paths"]
         mixed = np.zeros(paths.size1_out(0), dtype=bool)
         mixed[paths.jac_sparsity(0, 2).row()] = True
@@ -270,7 +270,7 @@ class EndGradients:
         By phase: the weights of the integrals in the Hamiltonian.
     parameters : array (n_free_parameters,)
     cost : float
-        The cost as the user stated it.
+        Value of the cost as stated by the user.
     constraints : array (n_constraints,)
         Values of the boundary constraints psi.
     """
@@ -286,7 +286,7 @@ class EndGradients:
 
 
 def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
-    """Evaluate cost, boundary constraints and their gradients.
+    """Return cost, boundary constraints and their gradients.
 
     Parameters
     ----------
@@ -312,10 +312,10 @@ def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Ar
 
 
 def endpoint_function(problem: Problem) -> Any:
-    """Return the CasADi Function behind `end_gradients`.
+    """Return the CasADi Function of `end_gradients`.
 
-    Its inputs are, per phase, the six of ``ends`` there, then q and nu; its outputs the cost as stated, the
-    boundary constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
+    Its inputs are the six of ``ends`` per phase, q and nu. Its outputs are the cost as stated, the boundary
+    constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
     """
     return problem.cache("ends", lambda: _build_endpoint_function(problem))
 
@@ -342,7 +342,7 @@ def build_endpoint_values(problem: Problem) -> Any:
 
 
 def compile_expression(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
-    """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols or a declared output's name."""
+    """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols, or for an output given by name."""
     leg = problem.get_phase(phase)
     if isinstance(expression, str):
         expression = leg.model.output_expression(expression)

@@ -1,4 +1,4 @@
-"""Intervals: values and ranges as users write them, and ranges of states and controls by name."""
+"""Intervals: user input of values and ranges, and ranges of states and controls by name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gnc_opt.model.variables import Layout, as_vector
 
 
 def with_ranges(old: Interval, layout: Layout, values: Mapping[str, Any], what: str, where: str) -> Interval:
-    """Return an interval with the ranges of some names changed; ``what`` they are, and where, is for messages."""
+    """Return an interval with changed ranges of some names; ``what`` and ``where`` are for messages."""
     lower, upper = old.lower.copy(), old.upper.copy()
     for name, value in values.items():
         if name not in layout:
@@ -35,7 +35,7 @@ def by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
 
 
 def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
-    """Return ranges by name as one of all of a layout's variables, free where none is given."""
+    """Return named ranges stacked in the order of a layout; missing ones are free."""
     box = unbounded(layout.size)
     for name in layout.names:
         if name in boxes:
@@ -47,7 +47,7 @@ def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
 
 
 def default_control_bounds(model: Model) -> Interval:
-    """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""
+    """Return the default bounds of controls: parts of split controls and magnitudes are >= 0, others free."""
     box = unbounded(model.controls.size)
     for control in model.composed_controls.values():
         for part in control.parts if isinstance(control, SplitControl) else control.parts[:1]:
@@ -56,7 +56,7 @@ def default_control_bounds(model: Model) -> Interval:
 
 
 def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return ranges in which those of split controls are of their two parts: u = plus - minus."""
+    """Return ranges in which split controls are replaced by their two parts: u = plus - minus."""
     parts: dict[str, Any] = {}
     for name, value in ranges.items():
         composed = model.composed_controls.get(name)
@@ -71,7 +71,7 @@ def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) ->
         box = read_interval(value, composed.variable.size, what)
         if np.any(box.lower > 0) or np.any(box.upper < 0):
             raise ProblemError(
-                f"{what} leave out zero, which a split control needs: declare it with control()."
+                f"{what} exclude zero, which a split control requires: declare it with control()."
             )
         plus, minus = composed.parts
         parts[plus] = (np.zeros(box.upper.size), box.upper)
@@ -80,7 +80,7 @@ def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) ->
 
 
 def magnitude_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, tuple[float, float]]:
-    """Return ranges of the norms of vector controls as ranges of their magnitudes, which are >= 0."""
+    """Return norm ranges of vector controls as ranges of their magnitudes, which are >= 0."""
     parts = {}
     for name, value in ranges.items():
         what = f"the norm of '{name}' in {where}"
@@ -112,12 +112,12 @@ class Interval:
 
     @property
     def fixed(self) -> Any:
-        """Boolean array (n,): where lower equals upper."""
+        """Boolean array (n,): whether lower equals upper."""
         return self.lower == self.upper
 
     @property
     def midpoint(self) -> Array:
-        """A representative value (n,): the midpoint, the finite end, or zero when unbounded."""
+        """Representative value (n,): the midpoint, the finite end, or zero without bounds."""
         lower, upper = np.isfinite(self.lower), np.isfinite(self.upper)
         low = np.where(lower, self.lower, np.where(upper, self.upper, 0.0))
         high = np.where(upper, self.upper, low)
@@ -129,11 +129,11 @@ class Interval:
         return np.nan_to_num(self.upper - self.lower, posinf=0.0)
 
     def component(self, i: int) -> Interval:
-        """Return the bounds of one component, shape (1,)."""
+        """Return the interval of one component, shape (1,)."""
         return Interval(self.lower[i : i + 1], self.upper[i : i + 1])
 
     def near(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
-        """Return which values (n, ...) are at, or beyond, the lower and the upper limit up to a margin, () or (n,)."""
+        """Return which values (n, ...) are at or beyond the lower and the upper limit, with a margin () or (n,)."""
         shape = (-1, *(1,) * (values.ndim - 1))
         slack = np.broadcast_to(margin, self.lower.shape).reshape(shape)
         lower, upper = self.lower.reshape(shape), self.upper.reshape(shape)
@@ -153,15 +153,15 @@ def stack_intervals(boxes: Iterable[Interval]) -> Interval:
 
 
 def read_interval(value: Any, size: int, what: str) -> Interval:
-    """Read a value or range for a quantity of ``size`` components, called ``what`` in messages.
+    """Read a value or range of a quantity with ``size`` components; ``what`` is its name in messages.
 
-    ``None`` is free; a number, list or array is a fixed value, of which entries ``None`` are free; a tuple of two, or
-    for one component a list of two, is a range, each end a number, an array or ``None`` (no limit).
+    ``None`` is free. A number, list or array is a fixed value; entries ``None`` are free. A tuple of two (for one
+    component also a list of two) is a range; each end is a number, an array or ``None`` (no limit).
 
     Raises
     ------
     ProblemError
-        Wrong number of components, NaN, crossed bounds, or an ambiguous tuple.
+        Wrong number of components, NaN, lower limit above upper limit, or an ambiguous tuple.
     """
     if value is None:
         return unbounded(size)
@@ -197,7 +197,7 @@ def _range_limit(value: Any, none: float, size: int, what: str) -> Array:
 
 
 def check_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
-    """Raise `ProblemError` for two numbers given to a vector of two: its value, or something else?"""
+    """Raise `ProblemError` for a tuple of two numbers for a 2-vector: it may be a value or a range."""
     if (
         size == 2
         and all(np.ndim(end) == 0 and isinstance(end, numbers.Real) for end in value)
@@ -210,7 +210,7 @@ def check_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise
 
 
 def check_interval(interval: Interval, what: str) -> Interval:
-    """Return the interval; raise `ProblemError` for NaN, crossed limits and values at infinity."""
+    """Return the interval; raise `ProblemError` for NaN, crossed limits and infinite values."""
     for end, name in ((interval.lower, "lower"), (interval.upper, "upper")):
         if np.any(np.isnan(end)):
             raise ProblemError(
@@ -225,7 +225,7 @@ def check_interval(interval: Interval, what: str) -> Interval:
             f"above its upper limit {interval.upper[i]:g}: swap or correct them."
         )
     if np.any(np.isposinf(interval.lower)) or np.any(np.isneginf(interval.upper)):
-        raise ProblemError(f"{what} lies at infinity: give a finite number, or None where there is no limit.")
+        raise ProblemError(f"{what} is infinite: give a finite number, or None where there is no limit.")
     return interval
 
 

@@ -1,7 +1,7 @@
-"""Interval arithmetic: ranges and signs of expressions of a problem, as far as its numbers show.
+"""Interval arithmetic: ranges and signs of the expressions of a problem.
 
-After Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5, without outward rounding.
-Repeated terms count as independent, so a range may be wider than necessary.
+Source: Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5; without outward
+rounding. Repeated terms are treated as independent, so that ranges may be overestimated.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ANY: Range = (-math.inf, math.inf)
 
 
 def compute_ranges(function: Any, arguments: Sequence[Interval]) -> Interval:
-    """Return the range of every entry of an SXFunction's first output, for ranges of its dense arguments."""
+    """Return the range of every entry of an SXFunction's first output for ranges of its dense arguments."""
     size = function.size1_out(0)
     found, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
     work = [ANY] * function.sz_w()
@@ -58,7 +58,7 @@ def _negate_range(a: Range) -> Range:
 
 
 def _multiply_ranges(a: Range, b: Range) -> Range:
-    # Zero times infinity is zero: infinity stands for what has no limit, not for a value.
+    # Zero times infinity is zero: infinity means "no limit" here.
     products = [x * y if x and y else 0.0 for x in a for y in b]
     return min(products), max(products)
 
@@ -92,7 +92,7 @@ def _exponential_range(a: Range) -> Range:
 
 
 def _power_range(a: Range, b: Range) -> Range:
-    """Of a base that is not negative, with a constant exponent."""
+    """Return the range of a power with a base >= 0 and a constant exponent."""
     if a[0] < 0 or b[0] != b[1]:
         return ANY
     with np.errstate(all="ignore"):
@@ -121,21 +121,21 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_COS: lambda _: (-1.0, 1.0),
     ca.OP_TANH: lambda a: (math.tanh(a[0]), math.tanh(a[1])),
 }
-"""Ranges of the CasADi operations."""
+"""Range functions of the CasADi operations."""
 
 _RANGE_DRAWS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """Symbols, columns, and their ranges."""
+    """Symbols (columns) and their ranges."""
 
     symbols: tuple[Any, ...]
     boxes: tuple[Interval, ...]
 
     @classmethod
     def from_phase(cls, problem: Statement, leg: Phase) -> Domain:
-        """Of what varies along a phase."""
+        """Return the domain of the functions along a phase."""
         initial, final = leg.time_ranges()
         p = leg.model.parameter_values
         values = Interval(p.copy(), p.copy())
@@ -155,7 +155,7 @@ class Domain:
 
     @classmethod
     def from_boundary(cls, problem: Statement) -> Domain:
-        """Of end points, times, integrals and free parameters."""
+        """Return the domain of end points, times, integrals and free parameters."""
         symbols, boxes = [problem.parameter_symbols()], [problem.parameter_interval()]
         constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
         for leg in problem.phases.values():
@@ -172,14 +172,14 @@ class Domain:
 
     @property
     def cache_key(self) -> bytes:
-        """The same for the same numbers."""
+        """Key that is equal for equal ranges."""
         return b"".join(box.lower.tobytes() + box.upper.tobytes() for box in self.boxes)
 
     def evaluate_ranges(self, column: Any) -> Interval:
         return compute_ranges(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
 
     def monotone_directions(self, expression: Any, nodes: list[Any]) -> list[int]:
-        """Return 1 for nodes with which a scalar expression never falls, -1 if it never rises, else 0."""
+        """Return 1 for nodes in which a scalar expression is nondecreasing, -1 if it is nonincreasing, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
         of_z = replace_in(expression, place)
@@ -191,15 +191,13 @@ class Domain:
         ]
 
     def sign(self, expression: Any) -> int:
-        """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""
+        """Return 1 for a nonnegative scalar, -1 for a nonpositive one, else 0."""
         found = self.evaluate_ranges(expression)
         if found.lower[0] >= 0 or found.upper[0] <= 0:
             return 1 if found.lower[0] >= 0 else -1
         if expression.is_symbolic():
             return 0
-        for symbol in ca.symvar(
-            expression
-        ):  # a factor that occurs twice hides from intervals: v / 0.8 - 0.8 v
+        for symbol in ca.symvar(expression):  # intervals overestimate repeated factors: v / 0.8 - 0.8 v
             if is_affine(expression, symbol) and not np.any(
                 draw_values(ca.substitute(expression, symbol, 0.0))
             ):
@@ -212,7 +210,7 @@ def is_affine(column: Any, symbol: Any) -> bool:
 
 
 def draw_values(column: Any) -> Array:
-    """Return the values of a column, (n, n_draws), for some values of all of its symbols."""
+    """Return the values of a column, (n, n_draws), for several values of its symbols."""
     symbols = ca.vertcat(*ca.symvar(column))
     rng = np.random.default_rng(20)
     size = (symbols.numel(), _RANGE_DRAWS)

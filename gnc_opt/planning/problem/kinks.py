@@ -1,4 +1,4 @@
-"""Kinks and jumps along a phase: operations without derivatives in states or controls, and when they switch."""
+"""Kinks and jumps along a phase: nonsmooth operations in states or controls, and their switching arguments."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class Kinks:
-    """Operations that switch: their words, and ``(t, x, u, p, q)`` -> arguments that change sign."""
+    """Nonsmooth operations: descriptions, and ``(t, x, u, p, q)`` -> arguments whose sign changes are the kinks."""
 
     words: tuple[str, ...]
     arguments: Any
 
     @property
     def state_dependent(self) -> Mask:
-        """Which operations switch with states, (n_operations,); the others with controls alone."""
+        """Whether each operation depends on states, (n_operations,); the others depend on controls only."""
         found = np.zeros(len(self.words), dtype=bool)
         found[self.arguments.jac_sparsity(0, 1).row()] = True
         return found
 
 
 def has_kinks(expression: Any) -> bool:
-    """Whether an expression holds an operation whose value or slope jumps; its derivatives do not show."""
+    """Return whether an expression contains an operation with a jump or kink; its derivatives do not show it."""
     return bool(find_operations(expression) & _WORDS.keys())
 
 
 def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
-    """Return what switches along a phase, tables left out; None if nothing does."""
+    """Return the nonsmooth operations along a phase, except tables; None if there are none."""
 
     def find() -> Kinks | None:
         _, x, u, _ = leg.model.arguments()
@@ -72,9 +72,9 @@ def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
 
 
 def find_feature_centres(problem: Statement, leg: Phase) -> Any:
-    """Return ``(t, x, u, p, q)`` -> differences of a time or a state and a constant; None if nothing is compared so.
+    """Return ``(t, x, u, p, q)`` -> differences of time or a state and a constant that are compared; None if none are.
 
-    Narrow features, as gusts and windows, lie where they vanish.
+    Narrow features such as gusts or time windows are at their zeros.
     """
 
     def find() -> Any:

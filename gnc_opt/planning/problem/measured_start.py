@@ -1,4 +1,4 @@
-"""Measured starts: initial states that are slightly beyond a bound, as estimates along a limit are."""
+"""Measured initial states slightly beyond a bound, as estimated on an active state constraint."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.tolerances import ROUNDING
 
 START_EXCESS_MAX_SHARE = 0.02
-"""Share of the range of a state (of its bound, where there is only one) by which a start beyond it counts as on it."""
+"""Largest violation, as a share of the state's range (or of its single bound), that is moved to the bound."""
 
 
 def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
-    """Return a problem with given initial states that are slightly beyond a bound on it, and which they are.
+    """Return a problem with initial states slightly beyond a bound moved to it, and a description of these states.
 
     Parameters
     ----------
@@ -26,9 +26,9 @@ def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
     Returns
     -------
     Problem
-        The given one if no state is.
+        The given problem if no state is changed.
     str
-        Such as ``v = 0.7 (given 0.0003 beyond)``; empty if no state is.
+        For example ``v = 0.7 (given 0.0003 beyond)``; empty if no state is changed.
     """
     moved, texts = problem, list[str]()
     for name, leg in problem.phases.items():
@@ -44,9 +44,9 @@ def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
 
 
 def _clip_initial_states(leg: Phase) -> tuple[Array, list[int]]:
-    """Return lower limits of the initial states (n,) and which given ones were slightly beyond a bound, now on it.
+    """Return lower limits of the initial states (n,), and the indices of the states moved to a bound.
 
-    What exceeds a bound by rounding only is left as it is.
+    Violations at rounding level are not changed.
     """
     box, initial = leg.numbers.states, leg.numbers.initial
     width, size = box.upper - box.lower, np.where(np.isfinite(box.lower), box.lower, box.upper)

@@ -1,4 +1,4 @@
-"""Phase: one model over one span of time, with its boundary values, bounds and constraints."""
+"""Phase: a model over a time interval, with boundary values, bounds and constraints."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ _STATEMENTS = (
     "initial_state", "initial_time", "integral", "model", "name", "norm_bounds", "path", "polynomials",
     "rates", "scale", "time",
 )  # fmt: skip
-"""What users state or read of a phase; the rest serves the problem and the transcription."""
+"""Public names of a phase; other attributes are for the problem and the transcription."""
 
 
 class Phase(Strict):
-    """One span of time of a problem; made by ``Problem.phase``.
+    """Time interval of a problem with one model; created by ``Problem.phase``.
 
     In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and
-    ``None`` is free; of a scalar, a list of two is a range, too. Names are those of the model's variables.
+    ``None`` is free; for a scalar a list of two is also a range. Names are those of the model's variables.
 
     Examples
     --------
@@ -119,7 +119,7 @@ class Phase(Strict):
         self.follows: str | None = None
         self.told: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
-        # These begin anew in the next phase, unless a link names them.
+        # These states start again in the next phase, unless a link names them.
         self.own_states: frozenset[str] = frozenset()
         self._create_boundary_symbols()
         self._record_nonaffine_vectors(model.derivative())
@@ -144,31 +144,31 @@ class Phase(Strict):
 
     @property
     def duration(self) -> Any:
-        """The expression final_time - initial_time (s)."""
+        """Expression final_time - initial_time (s)."""
         return self.final_time - self.initial_time
 
     def initial_state(self, name: str | Symbol) -> Any:
-        """Return the symbol of a state at the phase's start, for costs and boundary constraints."""
+        """Return the symbol of a state at the start of the phase, for costs and boundary constraints."""
         return self._get_boundary_symbol("initial", name)
 
     def final_state(self, name: str | Symbol) -> Any:
-        """Return the symbol of a state at the phase's end, for costs and boundary constraints."""
+        """Return the symbol of a state at the end of the phase, for costs and boundary constraints."""
         return self._get_boundary_symbol("final", name)
 
     def end_states(self, end: str) -> Any:
-        """Return the stacked end-point states, ``end`` being "initial" or "final"."""
+        """Return the stacked end-point states; ``end`` is "initial" or "final"."""
         return ca.vertcat(*self._ends[end].values())
 
     # --- declarations -----------------------------------------------------------------------------
 
     def time(self, initial: Any = 0.0, final: Any = None, *, duration: Any = None) -> None:
-        """State when the phase starts and ends (s): values, ranges or ``None`` (free).
+        """Set initial and final time of the phase (s): values, ranges or ``None`` (free).
 
         Parameters
         ----------
         initial, final : float, tuple or None
         duration : tuple (lower, upper), optional
-            Range of ``final - initial``; its lower end defaults to 0.
+            Range of ``final - initial``; the default lower end is 0.
         """
         self._set_numbers(
             initial_time=read_interval(initial, 1, f"the initial time of {self.label}"),
@@ -178,17 +178,18 @@ class Phase(Strict):
         self._owner.forget_builds()
 
     def initial(self, **values: Any) -> None:
-        """State initial values by name, of states and of controls with `rates` or `polynomials`; others are free."""
+        """Set initial values by name, for states and for controls with `rates` or `polynomials`; others are free."""
         self._set_numbers(initial=self._replace_end_values(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
-        """State final values by name, of states and of controls with `rates` or `polynomials`; others are free."""
+        """Set final values by name, for states and for controls with `rates` or `polynomials`; others are free."""
         self._set_numbers(final=self._replace_end_values(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
-        """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
+        """Set bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
 
-        An end may be a function of time, a table of it, or an expression of ``model.time``, `fraction` and parameters:
+        An end may be a function of time, a table over time, or an expression of ``model.time``, `fraction` and
+        parameters, as in
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
         ranges = split_time_bounds(self, ranges)
@@ -201,15 +202,15 @@ class Phase(Strict):
         )
 
     def norm_bounds(self, **ranges: Any) -> None:
-        """State bounds of the Euclidean norm of vector controls over the whole phase: ``norm_bounds(T=(0.0, 5.0))``.
+        """Set bounds of the Euclidean norm of vector controls over the whole phase: ``norm_bounds(T=(0.0, 5.0))``.
 
-        A lower limit > 0 leaves an annulus, which is not convex; other than with ``T @ T >= lower**2`` its centre is
-        no place where derivatives vanish.
+        With a lower limit > 0 the feasible set is an annulus and not convex. Unlike with ``T @ T >= lower**2``, the
+        derivatives do not vanish at its centre.
 
         Raises
         ------
         ProblemError
-            The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
+            The name is not that of a ``Model.vector_control``, or the range contains no number >= 0.
         """
         self.bounds(**magnitude_ranges(self.model, split_time_bounds(self, ranges), self.label))
 
@@ -221,13 +222,13 @@ class Phase(Strict):
         Parameters
         ----------
         name : str
-            Unique in the phase; appears in reports and multipliers.
+            Unique in the phase; used in reports and for multipliers.
         expression : casadi.SX or list
-            In the symbols of the phase's model; or an inequality or equation, ``T.T @ T <= d**2``, without limits.
+            Expression of the model's symbols; or an inequality or equation, ``T.T @ T <= d**2``, without limits.
         lower, upper : float or array, optional
             At least one of them, unless ``equals`` is given.
         equals : float or array, optional
-            For an equality.
+            Value of an equality constraint.
         """
         read_label(name, f"path constraint of {self.label}", ProblemError)
         what = f"path constraint '{name}' of {self.label}"
@@ -242,13 +243,13 @@ class Phase(Strict):
 
     @property
     def is_linked(self) -> bool:
-        """Whether states of this phase are handed over, to it or from it."""
+        """Whether states of this phase are linked to another phase."""
         return bool(self.handed) or any(
             self.name in {f for f, _ in leg.handed.values()} for leg in self.all_phases
         )
 
     def drop_path(self, name: str) -> None:
-        """Remove a path constraint, if there is one of that name."""
+        """Remove the path constraint with this name, if it exists."""
         self._owner.refuse_if_frozen()
         if self.paths.pop(name, None) is not None:
             self._owner.forget_builds()
@@ -256,7 +257,7 @@ class Phase(Strict):
     def integral(self, integrand: Any, name: str | None = None) -> Any:
         """Return the symbol of the integral of ``integrand(t, x, u, p)`` over the phase.
 
-        Use it in the cost (a Lagrange term) or in constraints.
+        Use it in the cost (Lagrange term) or in constraints.
         """
         label = f"integral_{len(self.integrands) + 1}" if name is None else name
         remedy = 'its name comes last, write integral(expression, "name")'
@@ -274,16 +275,16 @@ class Phase(Strict):
         return symbol
 
     def guess(self, time: ArrayLike | None = None, **values: GuessValue) -> None:
-        """Give a starting trajectory; whatever is left out is guessed.
+        """Set the initial guess; omitted parts are generated.
 
         Parameters
         ----------
         time : array (n_times,), optional
-            Times of array-valued guesses; its ends are also the guess of initial and final time. Arrays that were
-            given before keep their own times if others come with new ones, and move to these if given alone.
+            Times of array-valued guesses; its ends are also the guess of initial and final time. Arrays of earlier
+            calls keep their times if new arrays are given, and get the new times if ``time`` is given alone.
         **values
-            By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
-            (n, n_times), or a function of time that returns the value.
+            By name of state or control: a constant, a tuple ``(start, end)`` (linear), an array (n, n_times), or a
+            function of time.
         """
         guess, known = self.numbers.guess, self.guessable_names
         sizes = {
@@ -293,9 +294,9 @@ class Phase(Strict):
         self._set_numbers(guess=guess.join_guess_values(time, values, sizes, self.label))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
-        """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
+        """Override the automatic scaling by typical magnitudes > 0 of states or controls by name.
 
-        Answers and costates do not depend on scales; convergence may.
+        Solutions and costates do not depend on scales; convergence may.
         """
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
@@ -304,34 +305,34 @@ class Phase(Strict):
         self._set_numbers(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
-        """State ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
+        """Set ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
 
-        The control is a state of the phase from then on, continuous, with values at both ends and a costate, and
-        ``a_rate`` is the control; see `gnc_opt.planning.problem.control_states`.
+        The control becomes a continuous state with boundary values and a costate; the new control is ``a_rate``, see
+        `gnc_opt.planning.problem.control_states`.
 
         Raises
         ------
         ProblemError
-            The name is that of no control, or of one that is made of others.
+            The name is not a control, or is a composed control.
         """
         limit_control_rates(self, ranges)
 
     def polynomials(self, **degrees: int) -> None:
         """Make controls polynomials of time of a given degree over the whole phase: ``polynomials(a=3)``.
 
-        The control is a state of the phase from then on, with values at both ends; the coefficients of its derivative,
-        constant states ``a_coefficients``, are optimised.
+        The control becomes a state with boundary values. The coefficients of its derivative, constant states
+        ``a_coefficients``, are optimised.
 
         Raises
         ------
         ProblemError
-            As in `rates`, or a degree that is no integer >= 0.
+            As in `rates`, or a degree that is not an integer >= 0.
         """
         make_polynomial_controls(self, degrees)
 
     @property
     def fraction(self) -> Any:
-        """The symbol of the share of the phase that has passed, from 0 to 1, for bounds and expressions along it."""
+        """Symbol of the elapsed share of the phase, from 0 to 1, for bounds and expressions along the phase."""
         return add_phase_fraction(self)
 
     def add_states(
@@ -340,7 +341,7 @@ class Phase(Strict):
         controls: Sequence[Symbol] = (),
         ends: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        """Add states, which may have been controls, with their rates and symbols at both ends; bounds stay by name."""
+        """Add states (possibly former controls) with their rates and end-point symbols; named bounds are kept."""
         old, box = self.model, self.numbers
         self._owner.refuse_if_frozen()
         model = old.with_states(rates, controls)
@@ -359,7 +360,7 @@ class Phase(Strict):
         self._owner.forget_builds()
 
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
-        """Return phases like this one, the last one with its final values, which it loses; see `Problem.divide`."""
+        """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
         final, none = self.numbers.final, unbounded(self.model.states.size)
         self._set_numbers(final=none)
         found = [self.clone() for _ in names]
@@ -379,22 +380,22 @@ class Phase(Strict):
         smooth: tuple[Smooth, ...] = (),
         junctions: tuple[Junction, ...] = (),
     ) -> None:
-        """Hold controls on their bounds, segment by segment, for a mesh of K segments.
+        """Prescribe arcs segment by segment, for a mesh of K segments.
 
         Parameters
         ----------
         arcs : array (n_controls, K) of ArcKind or int, or None
-            LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its
-            bounds, RELEASED: free of its bounds. With free breakpoints only the switch times remain to optimise.
+            LOWER (or -1): at the lower bound, UPPER (+1): at the upper bound, INTERIOR (0): free within the bounds,
+            RELEASED: free without bounds. With free breakpoints only the switching times are optimised.
             ``None`` releases all controls.
         paths : array (n_paths, K), optional
             The same for the rows of the path constraints.
         states : array (n_states, K), optional
-            LOWER or UPPER: on that bound, INTERIOR: within bounds, RELEASED: free of them. A bound of higher order (the
-            state's own derivative depends on no control) needs a junction where the arc begins.
+            LOWER or UPPER: at that bound, INTERIOR: within the bounds, RELEASED: without bounds. A bound of higher
+            order (the state's derivative contains no control) needs a junction at the start of the arc.
         smooth : tuple of Smooth
         smooth, junctions : tuple
-            Controls that are one polynomial over several segments; mesh boundaries where a state meets its bound.
+            Controls that are one polynomial over several segments; mesh breaks at which a state reaches its bound.
         """
         if arcs is None:
             self._set_numbers(arcs=None)
@@ -420,7 +421,7 @@ class Phase(Strict):
         return f"phase '{self.name}' of problem '{self._owner.name}'"
 
     def time_ranges(self) -> tuple[Interval, Interval]:
-        """Return the ranges of initial and final time; if one is a number, the duration narrows the other."""
+        """Return the ranges of initial and final time; if one is fixed, the duration narrows the other."""
         initial, final, span = self.numbers.initial_time, self.numbers.final_time, self.numbers.duration
         if initial is None or final is None:
             raise ProblemError(f"{self.label} has no times: call time(initial=..., final=...).")
@@ -432,7 +433,7 @@ class Phase(Strict):
 
     @property
     def guessable_names(self) -> dict[str, Variable]:
-        """All that a guess may name: states, controls, and the controls that are made of those."""
+        """All names that a guess may contain: states, controls and composed controls."""
         model = self.model
         composed = (control.variable for control in model.composed_controls.values())
         return {v.name: v for v in (*model.states.variables, *model.controls.variables, *composed)}
@@ -454,13 +455,13 @@ class Phase(Strict):
 
     @property
     def vector_controls(self) -> tuple[VectorControl, ...]:
-        """The vector controls of the model."""
+        """Vector controls of the model."""
         return tuple(c for c in self.model.composed_controls.values() if isinstance(c, VectorControl))
 
     def has_unit_direction(self, vector: VectorControl) -> bool:
-        """Whether the direction of a vector control has length 1 everywhere, instead of at most 1.
+        """Return whether the direction of a vector control has length 1, instead of at most 1.
 
-        It has where the norm is never zero, and where functions are not affine in the vector.
+        This is the case if the norm is never zero, or if functions are not affine in the vector.
         """
         if vector.name in self._told_on_sphere:
             return self._told_on_sphere[vector.name]
@@ -493,7 +494,7 @@ class Phase(Strict):
         return ca.vertcat(*[c.expression for c in self.paths.values()]) if self.paths else ca.SX(0, 1)
 
     def cache(self, key: str, build: Callable[[], Any]) -> Any:
-        """Return what was built for this phase, or its variations with other numbers, before."""
+        """Return a cached object of this phase, shared with variations of the problem."""
         return self._owner.cache((key, self.name), build)
 
     def integrand_expression(self) -> Any:
@@ -506,11 +507,11 @@ class Phase(Strict):
 
     @property
     def all_phases(self) -> tuple[Phase, ...]:
-        """All phases of the problem, this one among them."""
+        """All phases of the problem, including this one."""
         return tuple(self._owner.phases.values())
 
     def find_state_source(self, state: str) -> tuple[Phase, Array] | None:
-        """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
+        """Return the earlier phase that a state is linked to, and the jump (n,); None without a link."""
         if state not in self.handed:
             return None
         first, jump = self.handed[state]
@@ -518,7 +519,7 @@ class Phase(Strict):
         return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
 
     def clone(self, owner: Owner | None = None) -> Phase:
-        """Return a copy, for another problem maybe, which shares the symbols and owns its numbers."""
+        """Return a copy, optionally for another problem; it shares symbols and has its own numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
         twin._ends = {end: dict(symbols) for end, symbols in self._ends.items()}
@@ -535,8 +536,8 @@ class Phase(Strict):
         jumping = next((name for name in values if name in self.model.controls), None)
         if jumping is not None:
             raise ProblemError(
-                f"the {what} of control '{jumping}' in {self.label} changes nothing, because a control may jump there: "
-                f"limit its rate before, rates({jumping}=(-1.0, 1.0)), or leave it out."
+                f"the {what} of control '{jumping}' in {self.label} has no effect, because a control may jump there: "
+                f"limit its rate before, rates({jumping}=(-1.0, 1.0)), or remove it."
             )
         return with_ranges(old, self.model.states, values, what, self.label)
 

@@ -1,6 +1,6 @@
-"""Data of a phase: numbers that may change without a new transcription, its guess, and the map of its controls.
+"""Phase data: numbers that may change without a new transcription, initial guess, and reformulated controls.
 
-A reformulated phase is solved in other controls than those that were stated; a `Restatement` maps between them.
+A reformulated phase is solved with other controls than stated; a `Restatement` maps between them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.interval import Interval, read_interval
 
 @dataclass(frozen=True)
 class PhaseGuess:
-    """The user's guess of the trajectory: values by name and their times."""
+    """User's initial guess: values by name, and their times."""
 
     time: Array | None = None
     values: Mapping[str, GuessValue] = field(default_factory=dict)
@@ -32,21 +32,21 @@ class PhaseGuess:
     def join_guess_values(
         self, time: ArrayLike | None, values: Mapping[str, GuessValue], sizes: Mapping[str, int], where: str
     ) -> PhaseGuess:
-        """Return the guess that others, with their times, have joined; see `Phase.guess`.
+        """Return the guess extended by new values and times; see `Phase.guess`.
 
         Parameters
         ----------
         time : array (n_times,), optional
         sizes : mapping of str to int
-            Numbers of components by name, of all values.
+            Number of components of each value.
         where : str
-            For messages.
+            Location, for messages.
         """
         times = self.time if time is None else read_guess_times(time, where)
-        older = self.time if time is not None and values else None  # times of what is joined
+        older = self.time if time is not None and values else None  # times of the existing values
         merged, ends = {**self.values, **values}, np.array([0.0, 1.0])
         for name, value in (merged if older is None else values).items():
-            if not callable(value):  # those must wait until the phase's times are known
+            if not callable(value):  # functions need the phase's times
                 sample_guess(value, sizes[name], ends, ends, times, f"the guess of '{name}' in {where}")
         if older is not None and times is not None:
             kept = {name: value for name, value in self.values.items() if name not in values}
@@ -56,12 +56,12 @@ class PhaseGuess:
 
 @dataclass(frozen=True)
 class PhaseNumbers:
-    """The numbers of a phase; they may change without a new transcription.
+    """Numbers of a phase; they may change without a new transcription.
 
     Attributes
     ----------
     turns : Turns, optional
-        Angles that have lost their bounds, which left out no direction.
+        Angles whose bounds were removed because they excluded no direction.
     """
 
     initial_time: Interval | None
@@ -78,7 +78,7 @@ class PhaseNumbers:
 
 
 def read_duration(duration: Any, where: str) -> Interval:
-    """Return the range of a phase's duration (s), which is positive; ``None`` is any."""
+    """Return the range of a phase's duration (s), which is positive; ``None`` is free."""
     given = read_interval(duration, 1, f"the duration of {where}")
     if given.upper[0] <= 0:
         raise ProblemError(f"the duration of {where} is at most {given.upper[0]:g} s: give a positive one.")
@@ -87,18 +87,18 @@ def read_duration(duration: Any, where: str) -> Interval:
 
 @dataclass(frozen=True, eq=False)
 class Restatement:
-    """Controls that were reformulated, and the map between stated and solved ones.
+    """Reformulated controls, with the maps between stated and solved controls.
 
     Attributes
     ----------
     model : Model
-        As it was stated.
+        Model as stated.
     stated, solved : casadi.SX
-        The controls that were stated and are no more, (k, 1), and what they are in the controls that are solved for.
+        Stated controls that were replaced, (k, 1), and their expressions in the solved controls.
     values : casadi.SX
-        The controls that are solved for, in order, in those that were stated, (m, 1); NaN where any would do.
+        Solved controls, in order, as expressions of the stated ones, (m, 1); NaN if they are arbitrary.
     texts : tuple of str
-        What was reformulated.
+        Descriptions of the reformulations.
     """
 
     model: Model
@@ -109,16 +109,16 @@ class Restatement:
 
     @classmethod
     def from_limits(cls, model: Model, texts: tuple[str, ...]) -> Restatement:
-        """Return one that leaves the controls as they are."""
+        """Return a restatement that does not change the controls."""
         none = ca.SX(0, 1)
         return cls(model, none, none, model.symbols("control"), texts)
 
     def restate_expression(self, expression: Any) -> Any:
-        """Return an expression of the stated controls in the solved ones."""
+        """Return an expression of the stated controls in terms of the solved ones."""
         return ca.substitute(expression, self.stated, self.solved)
 
     def compose_after(self, earlier: Restatement | None) -> Restatement:
-        """Return this one and an earlier one, of whose controls it restates some, as one."""
+        """Return the composition with an earlier restatement."""
         if earlier is None:
             return self
         return Restatement(

@@ -1,4 +1,4 @@
-"""A phase divided at times, or at fractions of its duration, for constraints that hold during a window of it only."""
+"""Division of a phase at times or at fractions of its duration, for constraints during a time window."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 
 
 class Divisible(Owner, Protocol):
-    """What a problem has whose phases are divided."""
+    """Interface of a problem whose phases can be divided."""
 
     cost: Any
 
@@ -94,7 +94,7 @@ def _division_times(
 
 
 def _refuse_after_statements(problem: Divisible, leg: Phase) -> None:
-    """Raise `ProblemError` if something was stated that would have to be divided, too."""
+    """Raise `ProblemError` if a statement of the phase cannot be divided."""
     problem.refuse_if_frozen()
     stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
     if (
@@ -103,6 +103,6 @@ def _refuse_after_statements(problem: Divisible, leg: Phase) -> None:
         or ca.depends_on(stated, ca.vertcat(leg.end_states("final"), leg.final_time))
     ):
         raise ProblemError(
-            f"{leg.label} has an integral, a guess, or a cost or constraint at its end: call divide() before these, "
-            "and state them of its parts."
+            f"{leg.label} has an integral, a guess, or a cost or constraint at its end: call divide() first "
+            "and state them for its parts."
         )

@@ -1,4 +1,4 @@
-"""Problem: one or more phases, their cost, constraints, linkages and free parameters."""
+"""Problem: optimal control problem with phases, cost, constraints, linkages and free parameters."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from gnc_opt.text_formatting import html_heading, html_table
 
 
 def compute_fingerprint(problem: Statement) -> str:
-    """Return a hash of functions, names and numbers that define the problem, without guesses, scales and held arcs."""
+    """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
     digest = hashlib.sha256()
     digest.update(
         repr((problem.sense, _names_and_sizes(problem.parameters), problem.constraint_labels())).encode()
@@ -70,7 +70,7 @@ def _names_and_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
 
 
 def _fixed_parameter_values(problem: Statement, leg: Phase) -> Array:
-    """Values of the model's parameters; of those that are optimised, the values say nothing."""
+    """Return the values of the model parameters; the values of optimised parameters are ignored."""
     values = leg.model.parameter_values
     for name in problem.parameters.names:
         if name in leg.model.parameters:
@@ -79,7 +79,7 @@ def _fixed_parameter_values(problem: Statement, leg: Phase) -> Array:
 
 
 def _list_bound_arrays(box: Any) -> Iterable[Array]:
-    """Yield every float vector of a dataclass of intervals, depth first."""
+    """Yield all float vectors of a dataclass of intervals, depth first."""
     for value in vars(box).values():
         if isinstance(value, Interval):
             yield from (value.lower, value.upper)
@@ -93,7 +93,7 @@ def _serialise_phase(problem: Statement, leg: Phase) -> bytes:
 
 
 def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> bytes:
-    """Return expressions with the places of their symbols and every digit of their constants."""
+    """Return expressions as bytes, with the indices of their symbols and all digits of their constants."""
     return bytes(ca.Function("exact", arguments, expressions).serialize(), "ascii")
 
 
@@ -108,9 +108,7 @@ def build_linkages(
     """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``."""
     label = f"link_{first.name}_{second.name}"
     if time and first is second:
-        raise ProblemError(
-            f"{label} of problem '{problem}' takes no time: link a phase to itself with time=False."
-        )
+        raise ProblemError(f"{label} of problem '{problem}' joins a phase to itself: use time=False.")
     own = first.own_states | second.own_states
     shared = [name for name in first.model.states.names if name in second.model.states and name not in own]
     names = shared if states is None else _state_names(states, f"the states of {label}")
@@ -125,8 +123,8 @@ def build_linkages(
         units = [leg.model.states[name].unit for leg in (first, second)]
         if all(units) and units[0] != units[1]:
             warn_user(
-                f"{label} of problem '{problem}' hands '{name}' over from {units[0]} to {units[1]}, and nothing is "
-                "converted: use one unit, or leave it out of states=[...] and constrain() it with a factor."
+                f"{label} of problem '{problem}' links '{name}' in {units[0]} to {units[1]}, but units are not "
+                "converted: use one unit, or omit it in states=[...] and constrain() it with a factor."
             )
         value = as_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
         second.handed[name] = (first.name, value)
@@ -148,12 +146,12 @@ class Problem(Statement):
     Parameters
     ----------
     name : str
-        For messages and reports.
+        Name in messages and reports.
 
     Notes
     -----
-    The cost is an expression in end-point symbols, integrals and parameters. Costates follow Pontryagin's *minimum*
-    principle for the minimised functional; a maximised J is minimised as -J.
+    The cost is an expression of end-point symbols, integrals and parameters. Costates satisfy Pontryagin's *minimum*
+    principle for the minimised functional; maximising J is minimising -J.
 
     Examples
     --------
@@ -177,7 +175,7 @@ class Problem(Statement):
         return f"Problem({self.name!r}: {', '.join(map(repr, self.phases.values()))})"
 
     def _repr_html_(self) -> str:
-        """For notebooks: a row per phase."""
+        """Return an HTML table with one row per phase, for notebooks."""
         rows = [
             (
                 leg.name,
@@ -195,7 +193,7 @@ class Problem(Statement):
     # --- declarations -----------------------------------------------------------------------------
 
     def phase(self, name: str, model: Model) -> Phase:
-        """Add a phase that follows ``model`` and return it."""
+        """Add a phase with the given model and return it."""
         self.refuse_if_frozen()
         read_label(name, f"phase of problem '{self.name}'", ProblemError)
         if name in self.phases:
@@ -221,9 +219,9 @@ class Problem(Statement):
         guess: ArrayLike | None = None,
         unit: str = "",
     ) -> Symbol:
-        """Declare a static parameter to optimise and return its symbol.
+        """Declare a free (optimised) static parameter and return its symbol.
 
-        A model parameter of the same name becomes this free parameter, in every phase.
+        A model parameter of the same name is replaced by this free parameter in every phase.
 
         Parameters
         ----------
@@ -232,16 +230,16 @@ class Problem(Statement):
         size : int
             Number of components.
         lower, upper : float or array (size,), optional
-            Bounds; left out, there is none.
+            Bounds; default: none.
         guess : float or array (size,), optional
-            Starting value; default: the middle of the bounds.
+            Initial guess; default: the middle of the bounds.
         unit : str
-            For printing.
+            Unit, for printing.
 
         Raises
         ------
         ProblemError
-            Name taken or no identifier, size < 1, crossed bounds.
+            Name already declared or not an identifier, size < 1, crossed bounds.
         """
         self.refuse_if_frozen()
         read_name(name, f"parameter of problem '{self.name}'", ProblemError)
@@ -272,19 +270,19 @@ class Problem(Statement):
         Parameters
         ----------
         name : str
-            Unique in the problem; appears in reports and names the multiplier.
+            Unique in the problem; used in reports and for the multiplier.
         expression : casadi.SX or list
-            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters; or an inequality or
-            equation of these, ``leg.final_state("m") >= 300.0``, without limits.
+            Expression of end-point symbols (``leg.final_state("m")``), times, integrals and parameters; or an
+            inequality or equation, ``leg.final_state("m") >= 300.0``, without limits.
         lower, upper : float or array, optional
             At least one of them, unless ``equals`` is given.
         equals : float or array, optional
-            For an equality.
+            Value of an equality constraint.
 
         Raises
         ------
         ProblemError
-            Name taken, no limit or contradictory ones, or a symbol that varies along a phase.
+            Name already declared, missing or contradictory limits, or a symbol that varies along a phase.
         """
         self.refuse_if_frozen()
         read_label(name, f"constraint of problem '{self.name}'", ProblemError)
@@ -306,15 +304,15 @@ class Problem(Statement):
         time: bool = True,
         jump: Mapping[str, ArrayLike] | None = None,
     ) -> None:
-        """Continue ``second`` where ``first`` ends.
+        """Link the start of ``second`` to the end of ``first``.
 
         Parameters
         ----------
         first, second : Phase or str
         states : iterable of str, optional
-            The states to hand over; default: all that both models have, but for polynomials (`Phase.polynomials`).
+            Linked states; default: all states of both models, except polynomials (`Phase.polynomials`).
         time : bool
-            Whether the second phase starts when the first one ends.
+            Whether the second phase starts at the end of the first one.
         jump : mapping, optional
             Known jumps by state: x_second(start) - x_first(end), e.g. a dropped stage's mass.
         """
@@ -329,15 +327,15 @@ class Problem(Statement):
         start: Any = 0.0,
         drops: Mapping[str, Mapping[str, ArrayLike]] | None = None,
     ) -> None:
-        """Let phases follow each other: states and times handed over, masses dropped in between.
+        """Link phases in sequence, with states, times and mass drops.
 
         Parameters
         ----------
         *legs : Phase or str
-            In their order, two or more.
+            Phases in order, two or more.
         durations : mapping of str to float or tuple, optional
-            How long each phase takes, s: a number or a range ``(lower, upper)``; left out, any time. Ranges with both
-            ends make the better guess.
+            Duration of each phase, s: a number or a range ``(lower, upper)``; default: free. Ranges with both ends
+            improve the guess.
         start : float, tuple or None
             Initial time of the first phase, s, as in ``Phase.time``.
         drops : mapping of str to mapping, optional
@@ -346,7 +344,7 @@ class Problem(Statement):
         Raises
         ------
         ProblemError
-            Fewer than two phases, one of them twice, or an unknown name.
+            Fewer than two phases, a repeated phase, or an unknown name.
         """
         chain = [self.get_phase(leg) for leg in legs]
         names = [leg.name for leg in chain]
@@ -377,47 +375,47 @@ class Problem(Statement):
     def divide(
         self, phase: Phase | str, *, times: ArrayLike | None = None, fractions: ArrayLike | None = None
     ) -> tuple[Phase, ...]:
-        """Divide a phase into linked ones, for constraints that hold during a window of it only.
+        """Divide a phase into linked phases, for constraints during a time window.
 
-        The parts are named ``leg``, ``leg_2``, ``leg_3``, ... and have the bounds and path constraints of the phase;
-        initial values remain those of the first part, final values become those of the last one. Call it before
-        ``integral``, ``guess``, and costs or constraints at the phase's end.
+        The parts are named ``leg``, ``leg_2``, ``leg_3``, ... and have the bounds and path constraints of the phase.
+        The first part keeps the initial values, the last part gets the final values. Call it before ``integral``,
+        ``guess``, and costs or constraints at the end of the phase.
 
         Parameters
         ----------
         phase : Phase or str
         times : array (n,), optional
-            s.
+            Division times, s.
         fractions : array (n,), optional
-            Of the duration, instead of times.
+            Fractions of the duration, instead of times.
 
         Returns
         -------
         tuple of Phase
-            n + 1 parts.
+            The n + 1 parts.
 
         Raises
         ------
         ProblemError
-            Times or fractions that do not increase or lie outside of the phase, or a call too late.
+            Times or fractions that do not increase or are outside the phase, or a call after other statements.
         """
         return divide_phase(self, self.get_phase(phase), times, fractions)
 
     def minimize(self, cost: Any, *, unit: str = "") -> None:
-        """State the cost to minimise: an expression in end points, integrals and parameters.
+        """Set the cost to minimise: an expression of end points, integrals and parameters.
 
-        Without ``unit``, the unit is that of the times, end states or parameters of which the cost is a sum.
+        The default ``unit`` is that of the times, end states or parameters whose sum is the cost.
         """
         self._set_cost(cost, 1.0, unit)
 
     def maximize(self, payoff: Any, *, unit: str = "") -> None:
-        """State the payoff to maximise, and its unit as in `minimize`; costates belong to the minimised -payoff."""
+        """Set the payoff to maximise, with the unit as in `minimize`; costates belong to the minimised -payoff."""
         self._set_cost(payoff, -1.0, unit)
 
     # --- variations: new numbers, same structure ----------------------------------------------------
 
     def with_initial(self, phase: str | None = None, /, **values: Any) -> Problem:
-        """Return a copy with other initial values; ``phase`` may be left out when there is one."""
+        """Return a copy with other initial values; ``phase`` is optional for a single phase."""
         twin = self.clone()
         twin.get_phase(phase).initial(**values)
         return twin
@@ -463,7 +461,7 @@ class Problem(Statement):
         return twin
 
     def with_parameter_guess(self, **values: ArrayLike) -> Problem:
-        """Return a copy with other starting values of free parameters."""
+        """Return a copy with other guesses of free parameters."""
         twin = self.clone()
         for name, value in values.items():
             if name not in self._parameters:
@@ -489,13 +487,13 @@ class Problem(Statement):
         smooth: tuple[Smooth, ...] = (),
         junctions: tuple[Junction, ...] = (),
     ) -> Problem:
-        """Return a copy whose controls are held on their bounds segment by segment; see ``Phase.hold``."""
+        """Return a copy with prescribed arcs, segment by segment; see ``Phase.hold``."""
         twin = self.clone()
         twin.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth, junctions=junctions)
         return twin
 
     def with_parameters(self, **values: ArrayLike) -> Problem:
-        """Return a copy with other values of model parameters (in every model that has them)."""
+        """Return a copy with other values of model parameters, in all models that contain them."""
         twin = self.clone()
         for name in values:
             if not any(name in leg.model.parameters for leg in twin.phases.values()):
@@ -507,15 +505,15 @@ class Problem(Statement):
         return twin
 
     def check(self) -> None:
-        """Raise `ProblemError` for what a solver could only stumble over; `solve` runs it too.
+        """Raise `ProblemError` for mistakes in the problem statement; `solve` calls it too.
 
         Checks times, costs, boundary values, unused controls and parameters and foreign symbols, and evaluates every
-        function and Jacobian along the guess. Warns of kinks, jumps, linear tables and norms, and names a remedy.
+        function and Jacobian along the guess. Warns of kinks, jumps, linear tables and norms, with a remedy.
         """
         check_problem(self)
 
     def frozen(self) -> Problem:
-        """Return a copy that refuses to be changed, as solutions keep it; what was built serves both."""
+        """Return an immutable copy, as stored in solutions; it shares cached objects."""
         if self._frozen:
             return self
         twin = self.clone()
@@ -529,25 +527,25 @@ class Problem(Statement):
     # --- internals --------------------------------------------------------------------------------
 
     def refuse_if_frozen(self) -> None:
-        """Raise `ProblemError` if the problem is that of a solution."""
+        """Raise `ProblemError` if the problem belongs to a solution."""
         if self._frozen:
             raise ProblemError(
-                f"problem '{self.name}' is the one that a solution solves and cannot be changed any more: "
-                "make a variation with with_bounds(), with_initial() or their like, or state a new problem."
+                f"problem '{self.name}' belongs to a solution and cannot be changed: "
+                "create a variation with with_bounds(), with_initial() or similar, or a new problem."
             )
 
     def forget_builds(self) -> None:
-        """Forget what was built from earlier declarations."""
+        """Delete objects cached from earlier declarations."""
         self.builds = {}
 
     def check_foreign_symbols(self, leg: Phase, expression: Any, what: str) -> None:
-        """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
+        """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
         check_phase_symbols(
             leg, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
         )
 
     def clone(self) -> Problem:
-        """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
+        """Return a mutable copy with its own numbers and shared symbols and cache."""
         twin = copy.copy(self)
         twin._frozen = False
         twin.phases = {name: leg.clone(twin) for name, leg in self.phases.items()}

@@ -1,4 +1,4 @@
-"""Finding mistakes before the solver stumbles over them."""
+"""Checks of a problem statement before the solve."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
 
 OFF_LIMIT = 1e-5
-"""A constraint beyond its limit by less than this, relative to its size or 1, may be meant to be at it."""
+"""Violation, relative to magnitude or 1, up to which a constraint may be intended to be at its limit."""
 
 
 def check_problem(problem: Statement) -> None:
-    """Raise `ProblemError` at the first mistake; see ``Problem.check`` for what is looked at."""
+    """Raise `ProblemError` at the first mistake; ``Problem.check`` lists the checks."""
     check_bounds_and_times(problem)
     first = "checked" not in problem.builds
     solved = reformulate(problem)
@@ -52,14 +52,14 @@ def check_problem(problem: Statement) -> None:
     except ProblemError:
         check_values(
             with_curved_guess(solved)
-        )  # as the solver will start: most straight lines need no bending
+        )  # the same guess as the solver: most straight lines need no curvature
     if first:
         for leg in solved.phases.values():
             warn_of_norms(solved, leg)
 
 
 def check_bounds_and_times(problem: Statement) -> None:
-    """Raise `ProblemError` for missing declarations and for contradictory times, bounds and end values."""
+    """Raise `ProblemError` for missing declarations and contradictory times, bounds and end values."""
     if not problem.phases:
         raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
     if problem.cost is None:
@@ -112,7 +112,7 @@ def _check_boundary_values(leg: Phase) -> None:
 
 
 def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
-    """Refuse ends at which a path constraint cannot hold, whatever controls and free parameters are there."""
+    """Raise an error if a path constraint cannot hold at an end for any controls and free parameters."""
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
         return
@@ -133,7 +133,7 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
 
 
 def _warn_of_duplicate_bounds(problem: Statement, leg: Phase) -> None:
-    """Issue a `ProblemWarning` for rows of one state or control whose limit is that of its bounds already."""
+    """Issue a `ProblemWarning` for path constraint rows that repeat a bound of a state or control."""
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
         return
@@ -150,7 +150,7 @@ def _warn_of_duplicate_bounds(problem: Statement, leg: Phase) -> None:
         if len(symbols) == 1:
             warn_user(
                 f"path constraint '{leg.path_labels[k]}' of {leg.label} repeats a bound of '{symbols[0].name()}': "
-                "remove one of the two, for only the sum of their multipliers is determined."
+                "remove one of them, since only the sum of their multipliers is unique."
             )
 
 
@@ -167,19 +167,19 @@ def _build_path_function(problem: Statement, leg: Phase) -> Any:
 
 
 def _check_phase_order(problem: Statement, leg: Phase) -> None:
-    """Refuse a phase that starts when the one that it follows starts: ``time()`` alone fixes that at zero."""
+    """Raise an error for a phase that starts with its predecessor, because ``time()`` sets the start to 0."""
     if leg.follows is None:
         return
     before, start = problem.phases[leg.follows].time_ranges()[0], leg.time_ranges()[0]
     if start.upper[0] <= before.lower[0]:
         raise ProblemError(
-            f"{leg.label} follows phase '{leg.follows}' but starts at {_range_text(start, 0)} s, when that one starts: "
-            f"let its start be free, {leg.name}.time(initial=None, final=...)."
+            f"{leg.label} follows phase '{leg.follows}' but starts at {_range_text(start, 0)} s, its start: "
+            f"set a free start, {leg.name}.time(initial=None, final=...)."
         )
 
 
 def _check_constraints(problem: Statement) -> None:
-    """Refuse boundary constraints that cannot hold, whatever is free at the ends of the phases."""
+    """Raise an error for boundary constraints that cannot hold for any free end values."""
     box, legs = problem.constraint_interval(), problem.phases.values()
     if not box.lower.size:
         return
@@ -210,7 +210,7 @@ def _range_text(interval: Interval | None, i: int) -> str:
     return f"{lower:g}" if lower == upper else f"[{lower:g}, {upper:g}]"
 
 
-# --- what is used where -------------------------------------------------------------------------------
+# --- unused variables ---------------------------------------------------------------------------------
 
 
 def _collect_used_symbols(expressions: list[Any]) -> set[int]:
@@ -223,7 +223,7 @@ def _find_unused_components(variable: Variable, symbol: Any, used: set[int]) -> 
 
 
 def check_unused_controls(problem: Statement) -> None:
-    """Raise `ProblemError` for a control that neither dynamics nor limits nor an integral that counts depend on."""
+    """Raise `ProblemError` for a control without effect on dynamics, limits and integrals of the cost."""
     ends = _collect_used_symbols([ca.vertcat(problem.cost, problem.constraint_expression())])
     for leg in problem.phases.values():
         counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
@@ -272,7 +272,7 @@ def _check_unused_parameters(problem: Statement) -> None:
 
 
 def missing_bounds_text(problem: Statement) -> str:
-    """Return which controls lack bounds in a problem that costs time alone; empty if none does."""
+    """Return which controls lack bounds in a minimum-time problem; "" if none does."""
     times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
     if ca.symvar(apart):
@@ -282,13 +282,13 @@ def missing_bounds_text(problem: Statement) -> str:
         return ""
     names = ", ".join(dict.fromkeys(missing))
     return (
-        f"time is all that costs, and neither bounds nor path constraints limit {names} to both sides: give bounds(), "
-        "or flights may take as little time as states allow."
+        f"the cost is time only, but neither bounds nor path constraints limit {names} on both sides: give bounds(), "
+        "otherwise only the states limit the duration."
     )
 
 
 def _find_unbounded_controls(leg: Phase) -> list[str]:
-    """Return the controls of a phase that are affine in its dynamics, and that have neither limits nor a cost."""
+    """Return the controls of a phase that enter the dynamics affinely, without limits and without cost."""
     box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
     if leg.vector_controls:  # these are limited by their length
         return []

@@ -1,7 +1,7 @@
-"""Redundant bounds: of vectors of constant length, and of states that only rise or fall.
+"""Redundant bounds: bounds of components of constant-length vectors, and bounds of monotone states.
 
-At a unit quaternion (1, 0, 0, 0) the gradient of the bound 1 is that of the length. The bound of a budget at
-one end of a phase implies it in between, where its multiplier would not be unique.
+At the unit quaternion (1, 0, 0, 0) the bound 1 and the length have the same gradient. The bound of a monotone state at
+one end of a phase implies the bound in between, whose multiplier is then not unique.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
 
 LOOSE = 0.1
-"""Share of a state's bounds and start by which bounds are loosened that say nothing."""
+"""Share of a state's bounds and initial value by which redundant bounds are relaxed."""
 
 
 def loosen_bounds(leg: Phase) -> Interval:
-    """Return the bounds of the states of a phase, somewhat wider."""
+    """Return slightly relaxed bounds of the states of a phase."""
     bounds, initial = leg.numbers.states, leg.numbers.initial
     reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
     room = LOOSE * np.max(np.where(np.isfinite(reach), reach, 0.0), axis=0)
@@ -32,7 +32,7 @@ def loosen_bounds(leg: Phase) -> Interval:
 
 
 def find_monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which states with bounds never fall and which never rise, for controls and `loosen_bounds` of states."""
+    """Return which bounded states never decrease and which never increase, for all controls and `loosen_bounds`."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.cache(
@@ -69,11 +69,11 @@ def _control_dependent_rates(problem: Statement, leg: Phase) -> tuple[Array, Any
 
 
 NORM_BOUND_SLACK_SHARE = 1e-2
-"""Share of a length by which a bound of it may exceed it."""
+"""Share of a length by which an implied bound may exceed it."""
 
 
 def find_implied_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which lower and which upper bounds of states (n_states,) are the length that a vector of them keeps."""
+    """Return which lower and upper bounds of states (n_states,) are implied by the constant length of a vector."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
     for places in _find_state_vectors(leg):
@@ -87,7 +87,7 @@ def find_implied_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
 
 
 def _find_state_vectors(leg: Phase) -> list[Indices]:
-    """Return the places of the vectors among the states; of scalars those with the same bounds to both sides."""
+    """Return the indices of state vectors; scalar states with equal symmetric bounds form a vector."""
     states, bounds = leg.model.states, leg.numbers.states
     found, alike = [], dict[float, list[int]]()
     for variable in states.variables:
@@ -100,7 +100,7 @@ def _find_state_vectors(leg: Phase) -> list[Indices]:
 
 
 def _find_boundary_length(leg: Phase, places: Indices) -> float:
-    """Return the length that a vector begins or ends with; NaN if neither is given."""
+    """Return the length of a vector at a fixed end of the phase; NaN if neither end is fixed."""
     for value in (leg.numbers.initial, leg.numbers.final):
         if np.all(value.fixed[places]):
             return float(np.linalg.norm(value.lower[places]))
@@ -108,7 +108,7 @@ def _find_boundary_length(leg: Phase, places: Indices) -> float:
 
 
 def _conserves_length(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
-    """Whether a vector of a length has no rate along itself, whatever everything else is."""
+    """Return whether the length of a vector is constant for all values of the other variables."""
 
     def build() -> Any:
         rows = places.tolist()

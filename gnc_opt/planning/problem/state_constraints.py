@@ -1,11 +1,11 @@
-r"""The order of a pure state constraint: how often it is differentiated until a control appears.
+r"""Order of a pure state constraint: number of time derivatives until a control appears.
 
 Along :math:`\dot x = f(t, x, u)` a constraint S(t, x) has the derivatives (Bryson & Ho, Applied Optimal Control, 1975,
 section 3.11; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, section 2)
 
 .. math:: S^{(0)} = S, \qquad S^{(k+1)} = \frac{\partial S^{(k)}}{\partial t} + \frac{\partial S^{(k)}}{\partial x} f,
 
-and its order q is the first k for which :math:`S^{(k)}` depends on a control. A trajectory meets the limit with
+and its order q is the smallest k for which :math:`S^{(k)}` depends on a control. At the entry of an active arc
 :math:`\dot S = \dots = S^{(q-1)} = 0`.
 """
 
@@ -20,21 +20,21 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
 STATE_CONSTRAINT_MAX_ORDER = 4
-"""Orders that are looked for."""
+"""Largest order that is determined."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintOrder:
-    """A path constraint or a state with its derivatives along the dynamics.
+    """Path constraint or state with its derivatives along the dynamics.
 
     Attributes
     ----------
     order : int or None
-        q; 0 if a control enters the constraint itself, None if none appears up to `STATE_CONSTRAINT_MAX_ORDER`.
+        Order q; 0 if the constraint contains a control, None if none appears up to `STATE_CONSTRAINT_MAX_ORDER`.
     derivatives : tuple of casadi.SX
-        S and its derivatives up to the q-th (all that were taken if q is None).
+        S and its derivatives up to order q (all computed ones if q is None).
     controls : tuple of int
-        Controls on which the q-th derivative depends.
+        Controls in the q-th derivative.
     """
 
     label: str

@@ -1,4 +1,4 @@
-"""Statement: what an optimal control problem consists of, and what follows from it; `Problem` declares it."""
+"""Statement of an optimal control problem: its data and derived properties; `Problem` adds the declarations."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Statement(Strict):
     sense : float
         1 to minimise the cost, -1 to maximise it.
     stated_cost_unit : str
-        Empty if none was stated.
+        Unit given by the user; empty if none was given.
     parameter_bounds, parameter_guess : dict
-        Of the free parameters, by name.
+        Bounds and guesses of the free parameters, by name.
     builds : dict
-        What has been built from the declarations and serves every variation with other numbers.
+        Cache of objects built from the declarations, shared by variations with other numbers.
     """
 
     __slots__ = (
@@ -70,7 +70,7 @@ class Statement(Strict):
 
     @property
     def cost_unit(self) -> str:
-        """The stated unit of the cost, or that of the times, end states or parameters of which it is a sum, else ""."""
+        """Unit given for the cost; else that of the times, end states or parameters whose sum it is; else ""."""
         if self.stated_cost_unit or self.cost is None:
             return self.stated_cost_unit
         symbols, units = [self.parameter_symbols()], list(self.parameters.units)
@@ -88,7 +88,7 @@ class Statement(Strict):
 
     @property
     def time_unit(self) -> str:
-        """Unit of time: the stated unit of a cost that is a final time or duration, or a multiple of it, else s."""
+        """Unit of time: the given unit of a cost that is a (multiple of a) final time or duration, else s."""
         for leg in self.phases.values() if self.stated_cost_unit else ():
             factor = ca.jacobian(self.cost, leg.final_time)
             for t in (leg.final_time, leg.final_time - leg.initial_time) if factor.is_constant() else ():
@@ -99,7 +99,7 @@ class Statement(Strict):
         return "s"
 
     def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
-        """Let a symbol be a free parameter from now on."""
+        """Add a free parameter."""
         name = symbol.variable.name
         self._parameters[name] = symbol
         self.parameter_bounds[name] = bounds
@@ -126,7 +126,7 @@ class Statement(Strict):
         return stack_intervals(self.parameter_bounds.values())
 
     def get_phase(self, phase: Phase | str | None = None) -> Phase:
-        """Return a phase by name; ``None`` is the only one there is."""
+        """Return a phase by name; ``None`` for the only phase."""
         if isinstance(phase, Phase):
             own = self.phases.get(phase.name)
             if own is None or own.initial_time is not phase.initial_time:
@@ -145,7 +145,7 @@ class Statement(Strict):
         return self.phases[phase]
 
     def bind(self, phase: Phase, expression: Any) -> Any:
-        """Replace model parameters that the problem optimises by the problem's own symbols."""
+        """Replace model parameters that the problem optimises by the symbols of the problem."""
         for name, symbol in self._parameters.items():
             if name in phase.model.parameters:
                 expression = ca.substitute(expression, phase.model.symbol(name), symbol)
@@ -165,18 +165,18 @@ class Statement(Strict):
         return tuple(label for c in self.constraints.values() for label in c.labels)
 
     def clone(self: S) -> S:
-        """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
+        """Return a mutable copy with its own numbers and shared symbols and cache."""
         raise NotImplementedError
 
     def cache(self, key: Any, build: Callable[[], T]) -> T:
-        """Return what was built for this problem, or its variations with other numbers, before."""
+        """Return a cached object of this problem, shared with variations that have other numbers."""
         if key not in self.builds:
             self.builds[key] = build()
         built: T = self.builds[key]
         return built
 
     def has_variation(self, other: Statement) -> bool:
-        """Whether another problem is a variation of this one, or of what this one is restated as for other numbers."""
+        """Return whether another problem is a variation of this one or of its reformulation, with other numbers."""
         return other.builds is self.builds or _shares_build_cache(self.builds, other.builds)
 
 

@@ -16,23 +16,23 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.tolerances import ROUNDING
 
 UNBOUNDED_STATE_MAX_RATIO = 10.0
-"""How much larger than its guess a state without bounds may be taken to be."""
+"""Largest ratio of the magnitude of an unbounded state to its guess."""
 
 SAMPLES = np.linspace(0.0, 1.0, 9)
-"""Where guess and dynamics are looked at, as fractions of a phase."""
+"""Fractions of a phase at which guess and dynamics are evaluated."""
 
 CANCELLATION_SHARE = 1e-3
-"""Share of the effect of one control alone below which several, all at their bounds, cancel each other."""
+"""Share of the effect of a single control below which the effects of several controls at bounds cancel."""
 
 GUESS_OFFSET_SHARE = 0.01
-"""Displacement from the guess, as a share of each state's magnitude there."""
+"""Displacement from the guess, as a share of the magnitude of each state."""
 
 
 def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
-    The first of: the user's scale, the nominal value, finite bounds, the guess; for states, how far the dynamics move
-    them, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess.
+    The first available of: the user's scale, the nominal value, finite bounds, the guess. States may be larger by the
+    motion that the dynamics cause, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess.
     """
     start = build_phase_guess(leg, SAMPLES, perturbed=False)
     numbers = leg.numbers
@@ -55,7 +55,7 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
 
 
 def _estimate_state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
-    """Return how far the dynamics move each state: controls at their bounds, as guessed, or else of their magnitude."""
+    """Return the motion of each state with controls at their bounds, at the guess, or at their magnitudes."""
     bounds = leg.numbers.controls
     times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
     rates = [np.zeros(leg.model.states.size)]
@@ -71,7 +71,7 @@ def _estimate_state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> 
 
 
 def _rate_change_by_control(leg: Phase, start: PhaseStart, times: Array, magnitudes: Array) -> Array:
-    """Return by how much one control alone, of its magnitude, changes the rate of each state at most, (n,)."""
+    """Return the largest change of each state's rate by a single control of its magnitude, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
     f = evaluate(
@@ -86,7 +86,7 @@ def _rate_change_by_control(leg: Phase, start: PhaseStart, times: Array, magnitu
 
 
 def typical_magnitudes(interval: Interval, reach: Array) -> Array:
-    """Return typical magnitudes: the larger of two finite bounds, else the reach, else 1."""
+    """Return typical magnitudes: the larger of two finite bounds, else ``reach``, else 1."""
     bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
     limits = np.maximum(
         np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))

@@ -1,4 +1,4 @@
-"""Solution: piecewise polynomials, costates by covector mapping, verdict, warm starts, files."""
+"""Solutions: polynomials, costates, accuracy, verdict, warm starts, files."""
 
 from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal

@@ -1,9 +1,9 @@
-"""Accuracy of an answer in the user's units: objective, limits, ends.
+"""Accuracy of a solution in user units: objective, limits, final states.
 
 The applied (saturated) control is integrated from the initial state of every phase by DOP853, independently of the
-collocation. Limits are evaluated along that trajectory at Chebyshev's points between the jumps of the control; a peak
-between them is that of the polynomial through the points of its piece. The error of the objective is an estimate
-(module `objective_error`).
+collocation. Limits are evaluated along that trajectory at Chebyshev points between the jumps of the control; peaks
+between them are those of the interpolating polynomial. The error of the objective is an estimate (module
+`objective_error`).
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import ROUNDING
 
 POINTS_PER_PIECE = 12
-"""Points between two jumps of the control, ends included."""
+"""Number of points between two jumps of the control, including the ends."""
 
 PEAK_SEARCH_TIMES = 401
-"""Times between two jumps at which a peak is looked for."""
+"""Number of times between two jumps at which the polynomial is evaluated to find a peak."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far an answer is from the optimum, from its limits and from its ends.
+    """Error estimate of the objective, violation of limits, and error of the final states.
 
     Attributes
     ----------
     objective : float
     objective_error : float
-        Estimate, not a bound, in the unit of the objective: at least its rounding error (1e-15 of it); infinite if
-        it has no value.
+        Estimate, not a bound, in the unit of the objective: at least its rounding error (1e-15 of it); infinite without
+        a value.
     violation : float
-        Largest violation of a state limit or path constraint by the trajectory of the applied control, in the
-        limit's own unit; 0 if none exceeds rounding. Of several, the largest in shares of what the quantity moves.
+        Largest violation of a state limit or path constraint along the trajectory of the applied control, in the unit
+        of the limit; 0 at rounding level. The largest is selected relative to the variation of the quantity.
     violation_where : str
-        Its place, quantity and unit.
+        Location, quantity and unit of the violation.
     miss : float
-        Largest difference at the end of a phase between that trajectory and the solution's, in the state's unit;
-        infinite if there is no such trajectory. Of several, the largest in shares of what the state moves.
+        Largest difference between the final state of that trajectory and of the solution, over all phases, in the unit
+        of the state; infinite without a trajectory. The largest is selected relative to the variation of the state.
     miss_where : str
 
     Examples
@@ -64,7 +64,7 @@ class Accuracy:
 
     @property
     def text(self) -> str:
-        """Accuracy of ends and limits: "final state within 2e-12 m/s; limits satisfied"."""
+        """Accuracy of final states and limits: "final state within 2e-12 m/s; limits satisfied"."""
         ends = (
             f"final state within {self.miss:.1g}{_parse_unit(self.miss_where)}"
             if np.isfinite(self.miss)
@@ -102,7 +102,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
 
 
 def _find_largest_end_error(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
-    """Return share, size and place of the largest miss at the end of a phase."""
+    """Return relative size, size and location of the largest error at the end of a phase."""
     error = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
     if not np.all(np.isfinite(error)):
         return np.inf, np.inf, f"phase {s.leg.name}"
@@ -117,12 +117,12 @@ def _sample_control_pieces(s: PhaseSamples) -> Array:
     edges = s.leg.applied.jump_times
     shares = 0.5 * (1 - np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1)))
     times = edges[:-1, None] + shares * np.diff(edges)[:, None]
-    times[:, -1] = edges[1:]  # without rounding
+    times[:, -1] = edges[1:]  # exact
     return np.asarray(times)
 
 
 def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
-    """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the last point of a piece its value before it."""
+    """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the end of a piece with its left limit."""
     u = s.leg.applied(pieces.ravel())
     u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.applied(pieces[:, -1], "left")
     return np.asarray(u)
@@ -131,7 +131,7 @@ def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
 def _largest_violation(
     s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: list[str]
 ) -> tuple[float, float, str]:
-    """Return share, size and place of the largest violation of limits on values (n, n_pieces * POINTS_PER_PIECE)."""
+    """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
     if not labels:
         return 0.0, 0.0, ""
     with np.errstate(invalid="ignore"):
@@ -147,7 +147,7 @@ def _largest_violation(
 
 
 def _maximise_polynomial(excess: Array) -> float:
-    """Return the largest value of the polynomial through the points of a piece (POINTS_PER_PIECE,)."""
+    """Return the maximum of the polynomial through the points of a piece (POINTS_PER_PIECE,)."""
     if not np.all(np.isfinite(excess)):
         return float(np.max(excess, where=np.isfinite(excess), initial=-np.inf))
     places = np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1))
@@ -156,5 +156,5 @@ def _maximise_polynomial(excess: Array) -> float:
 
 
 def _parse_unit(where: str) -> str:
-    """Return " m" of "phase leg, q (m)"."""
+    """Return " m" from "phase leg, q (m)"."""
     return f" {where.rpartition('(')[2][:-1]}" if where.endswith(")") else ""

@@ -1,7 +1,7 @@
-"""Controls that are angles: the same turn of the problem's functions, unwound to the values nearest to each other.
+"""Unwrapping of angular controls: whole turns are removed so that consecutive values are nearest to each other.
 
-A solver that takes long steps leaves points that differ by whole turns: states, cost and multipliers are right, yet
-polynomials through the points are not. (a, e) and (a + half a turn, half a turn - e) are one direction, too.
+A solver with long steps may leave points that differ by whole turns. States, cost and multipliers are then correct, but
+interpolating polynomials are not. (a, e) and (a + half a turn, half a turn - e) are also the same direction.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from gnc_opt.planning.problem.interval import Interval
 
 
 def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
-    """Return controls (m, N) with angles moved by whole periods to be nearest to those before them.
+    """Return controls (m, N) with angles shifted by whole periods to be nearest to the previous values.
 
-    Angles that would leave their bounds are unchanged, and so are all angles without jumps.
+    Angles that would exceed their bounds, and angles without jumps, are unchanged.
 
     Parameters
     ----------
     bounds : Interval
-        Of the controls (m,).
+        Bounds of the controls (m,).
     t, x, u : array (N,), (n, N), (m, N)
-        Times, in order, states and controls.
+        Times in ascending order, states and controls.
     """
     room = bounds.upper - bounds.lower
     if u.shape[1] < 2 or not np.all(np.isfinite(u)):
@@ -50,7 +50,7 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
 
 
 def find_control_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask) -> Array:
-    """Return the periods of controls along a trajectory (m,); 0 for those without, or not among some (m,)."""
+    """Return the periods of controls along a trajectory (m,); 0 for other controls and outside the mask (m,)."""
     if not np.any(among):
         return np.zeros(u.shape[0])
     along = AngleProbe(lambda other: functions.control_effects(t, x, other), u)
@@ -58,25 +58,25 @@ def find_control_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array
 
 
 def _are_spherical(along: AngleProbe, pair: tuple[int, int], periods: dict[int, float]) -> bool:
-    """Whether two angles are azimuth and elevation, the latter within a quarter of a turn."""
+    """Return whether two angles are azimuth and elevation, the latter within a quarter of a turn."""
     azimuth, elevation = pair
     return along.is_mirrored(azimuth, elevation, 0.5 * periods[azimuth], 0.25 * periods[elevation])
 
 
 def _turns_into_bounds(angle: Array, lower: float, upper: float, period: float) -> float:
-    """Whole turns, as few as can be, that take angles (N,) between their bounds, 0 if none do."""
+    """Return the smallest number of whole turns that moves angles (N,) into their bounds; 0 if there is none."""
     least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
     return float(np.clip(0.0, least, most)) if least <= most else 0.0
 
 
 def _unwrap_angle(angle: Array, period: float) -> Array:
-    """Angles (N,), the first within half a period of zero, the others nearest to those before them."""
+    """Return angles (N,), the first within half a period of zero, the others nearest to the previous one."""
     steps = np.diff(angle, prepend=0.0)
     return np.cumsum(steps - period * np.round(steps / period))
 
 
 def _unwrap_directions(angles: Array, *periods: float) -> Array:
-    """Azimuths and elevations (2, N) of the same directions, each nearest to the one before it."""
+    """Return azimuths and elevations (2, N) of the same directions, each nearest to the previous one."""
     turn, found, last = np.array(periods), np.empty_like(angles), np.zeros(2)
     for k, (azimuth, elevation) in enumerate(angles.T):
         ways = np.array([[azimuth, elevation], [azimuth + 0.5 * turn[0], 0.5 * turn[1] - elevation]])

@@ -1,36 +1,36 @@
-r"""Covector mapping: from the multipliers of the program to costates, densities and impulses.
+r"""Covector mapping: costates, multiplier densities and impulses from the multipliers of the nonlinear program.
 
-The Lagrangian of the program is, up to terms that do not depend on the dynamics,
+Up to terms without dynamics, the Lagrangian of the program is
 
 .. math:: \mathcal L = \Phi + \dots + \sum_j m_j^T F_j, \qquad F_j = \Delta\, f(t_j, X_j, U_j),
 
-with :math:`m = W^T \Lambda` the multipliers that the constraint rows lay on the point values. A quadrature of
-:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the arc, sum 1) has the same form,
-hence in every scheme
+with the multipliers :math:`m = W^T \Lambda` of the point values. A quadrature of
+:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the arc, sum 1) has the same form, so that
+for every scheme
 
 .. math:: \lambda(t_j) = m_j / \omega_j .
 
-For LG this is :math:`-\Lambda_j / w_j`, Gauss weights w_j. At segment boundaries the costate is the
-derivative of the segment's part of the Lagrangian with respect to the shared boundary state, + at its start,
-- at its end, just as :math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem. They
-converge twice as fast as the values at the points (for LG all do).
+For LG this is :math:`-\Lambda_j / w_j` with Gauss weights w_j. At segment boundaries the costate is the derivative of
+the segment's part of the Lagrangian in the shared boundary state, with + at the start and - at the end of the segment,
+as :math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem. The boundary values converge twice as
+fast as those at the points (for LG all do).
 
-**Between the points** the costate is what its differential equation makes of them: from the segment's start,
-:math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt`, with the polynomial through the values of the
-integrand at the points. It meets the segment's end. For LG it also meets the point values; for LGR and LGL
-it is better than those by an order.
+**Between the points** the costate follows from its differential equation. From the start of a segment,
+:math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt`, with the interpolating polynomial of the integrand.
+This agrees with the value at the end of the segment, and for LG with the point values; for LGR and LGL it is more
+accurate than those by one order.
 
-**Active state constraints.** At a point on a segment boundary the multiplier of a bound, or of a path constraint
-without controls, is the sum of a density and an impulse (a jump of the costate). Next to a segment without an active
-constraint it counts as an impulse. Along an active segment the one-sided costates come from the points, and what is
-left in the stationarity of the boundary state is the density. LG has no such point: a bound active at every node makes
-the row of the end state redundant, with bound multipliers that oscillate by :math:`e_j` (the coefficients of the row).
-The costate without that oscillation continues the points.
+**Active state constraints.** At a collocation point on a segment boundary, the multiplier of a bound or of a pure state
+constraint is the sum of a density and an impulse (a jump of the costate). Next to a segment without an active
+constraint it is treated as an impulse. Along an active segment the one-sided costates are taken from the points, and
+the remainder in the stationarity of the boundary state is the density. LG has no such point: a bound active at every
+node makes the row of the end state redundant, and the bound multipliers oscillate like :math:`e_j` (the coefficients of
+the row). The costate is then extrapolated from the points without that oscillation.
 
-**Path constraints without controls.** Gauss collocation has no row for the atom of the measure at the end of an arc. It
-spreads over the multipliers of the points, which oscillate; the costates there are correct. One-sided costates at
-segment ends continue them as far as the gradient of the constraint explains the difference. The density is what the
-adjoint equation leaves along that gradient.
+**Pure state constraints as path constraints.** Gauss collocation has no row for the atom of the measure at the end of
+an arc. The atom is distributed over the multipliers of the points, which oscillate; the costates there are correct.
+One-sided costates at segment ends are extrapolated in the direction of the constraint gradient. The density is the
+residual of the adjoint equation along that gradient.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
 
 SIDES: tuple[Side, Side] = ("right", "left")
-"""From which side the start and the end of a segment belong to it."""
+"""Side from which the start and the end of a segment are evaluated."""
 
 
 def path_arc_costates(leg: PhaseSolution, held: Held | None, functions: PhaseFunctions) -> PhaseSolution:
-    """Return the solution of a phase with the costates and multipliers of what is held along its segments."""
+    """Return a phase solution with costates and multipliers corrected along active segments."""
     if held is None or not held.paths or leg.scheme != GAUSS:
         return leg
     at_limit = (
@@ -79,7 +79,7 @@ def path_arc_costates(leg: PhaseSolution, held: Held | None, functions: PhaseFun
 def _compute_path_densities(
     leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
 ) -> Array:
-    """The multipliers of path constraints, where they are at their limits what the adjoint equation leaves for them."""
+    """Return the path multipliers; at their limits they are the residual of the adjoint equation."""
     mu = leg.path_multipliers.copy()
     here = np.flatnonzero(np.any(at_limit, axis=0))
     times, others = leg.point_times[here], np.where(at_limit, 0.0, mu)[:, here]
@@ -93,7 +93,7 @@ def _compute_path_densities(
 
 
 def _fit_coefficients(directions: Array, vector: Array) -> Array:
-    """Least-squares coefficients of a vector (n,) by directions (n, n_rows)."""
+    """Return the least-squares coefficients of a vector (n,) in directions (n, n_rows)."""
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
 
@@ -113,13 +113,13 @@ class Costates:
     Attributes
     ----------
     start, end : array (n_states, K)
-        One-sided limits at each segment's start and end.
+        One-sided limits at the start and end of each segment.
     points : array (n_states, N)
-        At the collocation points, m_j / omega_j.
+        Values at the collocation points, m_j / omega_j.
     densities : array (n_states, N)
         State bound multipliers at the points, per second.
     impulses : array (n_states, K + 1)
-        State bound multipliers (and those of fixed end values) at the segment boundaries.
+        State bound multipliers (and those of fixed end values) at segment boundaries.
     """
 
     polynomial: PiecewisePolynomial
@@ -131,16 +131,16 @@ class Costates:
 
 
 def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
-    """Costates at the collocation points (n_states, N): m_j / omega_j."""
+    """Return the costates at the collocation points (n_states, N): m_j / omega_j."""
     pieces = []
     for k, rule in enumerate(collocation.rules):
-        # The factor w_k / 2 of both the multipliers and the quadrature weights cancels.
+        # The factor w_k / 2 of multipliers and quadrature weights cancels.
         pieces.append(-lam_g[collocation.dynamics_rows[k]] @ collocation.dynamics_matrix(k) / rule.weights)
     return np.hstack(pieces)
 
 
 def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
-    """Return multipliers of each segment's rows for costates (n_states, N) and end costates (n_states, K; LG)."""
+    """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.rules):
         wanted = -costates[:, _segment_points(collocation, k)] * rule.weights
@@ -160,7 +160,7 @@ def map_costates(
     gradient: Array,
     path_push: Array,
 ) -> Costates:
-    """Return costates and state bound multipliers of a phase.
+    """Return the costates and state bound multipliers of a phase.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def map_costates(
     gradient : array (n_states, N)
         d(H + mu.c)/dx at the points.
     path_push : array (n_states, N)
-        The part of it that comes from path constraints without controls.
+        Contribution of pure state path constraints to the gradient.
     """
     pieces = _CostatePieces.from_multipliers(collocation, iterate, weights, gradient, path_push)
     if collocation.family.has_end_row:
@@ -191,19 +191,19 @@ def map_costates(
 def split_duplicate_path_multipliers(
     collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask
 ) -> Array:
-    """Share out the multipliers of path constraints that LGL states twice.
+    """Distribute the multipliers of path constraints that LGL contains twice.
 
-    At a boundary of segments only the sum of both multipliers is determined. An active side takes all of it; two
-    active sides have one density.
+    At a segment boundary only the sum of both multipliers is unique. A single active side gets all of it; two active
+    sides get equal densities.
 
     Parameters
     ----------
     paths : array (n_paths, N)
-        Densities.
+        Multiplier densities.
     weights : array (N,)
         Quadrature weights of the points, s.
     mixed : bool array (n_paths,)
-        Which constraints depend on controls.
+        Whether each constraint depends on controls.
     """
     if not collocation.family.ends_at_point or not paths.size:
         return paths
@@ -224,18 +224,18 @@ def split_duplicate_path_multipliers(
 
 @dataclass(eq=False)
 class _CostatePieces:
-    """Costates under construction; the arrays change as the ambiguities of held segments are settled.
+    """Costates during the mapping; the arrays are modified until active segments are resolved.
 
     Attributes
     ----------
     pull : array (n_states, N)
         -d(lambda)/dt at the points, without impulses.
     held : bool array (n_states, K)
-        Segments along which an active bound or path constraint contributes to the costate rate.
+        Segments with a contribution of an active bound or path constraint to the costate rate.
     still : bool array (n_states, K)
-        Segments on which the state has the same value at every node.
+        Segments with equal state values at all nodes.
     pushed : bool array (n_states, N)
-        Points at which a bound or path constraint has a nonzero multiplier, segment boundaries included.
+        Points at which a bound or path constraint has a nonzero multiplier, including segment boundaries.
     bounded : bool array (n_states, N)
         Points at which a bound has a nonzero multiplier.
     """
@@ -267,7 +267,7 @@ class _CostatePieces:
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights
         densities = np.where(shared, 0.0, multipliers)
-        # At a phase's end a path constraint contributes its density; inside, see the module docstring.
+        # At the end of a phase a path constraint contributes its density; inside, see the module docstring.
         at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
         pull = gradient - np.where(at_break, path_push, 0.0) + densities
         start, end = _boundary_costates(collocation, lam_g, weights * pull)
@@ -285,7 +285,7 @@ class _CostatePieces:
         )  # fmt: skip
 
     def split_boundary_multipliers(self) -> None:
-        """LGR, LGL: end held segments with the costates of their points; take densities out of impulses."""
+        """LGR, LGL: use the costates of the points at the ends of active segments; separate densities from impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
             here = _segment_points(collocation, k)
@@ -296,8 +296,8 @@ class _CostatePieces:
     def _split_boundary_rows(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
         bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
         if boundary in (0, self.collocation.mesh.segments):
-            # A fixed end value has a multiplier too; it belongs to the bound if that is active up to the
-            # phase's end.
+            # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of
+            # the phase.
             bounded = self.still[:, k] & np.any(self.bounded[:, _segment_points(self.collocation, k)], axis=1)
             rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
@@ -307,15 +307,15 @@ class _CostatePieces:
         self.impulses[rows, boundary] -= gap[rows]
 
     def extrapolate_costates_along_bounds(self) -> None:
-        """LG: if a bound is active at every node of a segment, extrapolate the costate of the points."""
+        """LG: extrapolate the costate of the points if a bound is active at every node of a segment."""
         for k, rule in enumerate(self.collocation.rules):
             here = _segment_points(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
             densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
-            # The state is nearly constant on a segment with a touch point too; there the change would reverse
-            # multiplier signs.
+            # The state is nearly constant on a segment with a touch point too; there the correction would reverse the
+            # signs of multipliers.
             pushes = densities * self.weights[here]
             turned = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > SMALL * np.abs(change)
             change = np.where(turned, 0.0, change)
@@ -326,7 +326,7 @@ class _CostatePieces:
             self.impulses[:, k] -= change * rule.end_values[0]
 
     def build_polynomial(self, breaks: Array) -> PiecewisePolynomial:
-        """Costates between the points."""
+        """Return the costates between the points."""
         collocation = self.collocation
         nodes, values = [], []
         for k, rule in enumerate(collocation.rules):
@@ -351,12 +351,12 @@ def _segment_points(collocation: PhaseCollocation, k: int) -> slice:
 
 
 def _segment_durations(collocation: PhaseCollocation, weights: Array) -> Array:
-    """Durations of the segments, (K,): the sums of their quadrature weights."""
+    """Return the durations of the segments, (K,): the sums of their quadrature weights."""
     return np.add.reduceat(weights, collocation.mesh.offsets[:-1])
 
 
 def _segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
-    """Segments with a multiplier at an interior point, or (trapezoidal rule) at every point; (n_states, K)."""
+    """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
         inside, here = (
@@ -368,7 +368,7 @@ def _segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shar
 
 
 def _constant_segments(collocation: PhaseCollocation, x: Array) -> Mask:
-    """Segments on which a state has the same value at every node, (n_states, K)."""
+    """Return the segments with equal state values at all nodes, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
     return np.asarray(np.stack(spreads, axis=1) <= AT_LIMIT * size[:, None])
@@ -377,7 +377,7 @@ def _constant_segments(collocation: PhaseCollocation, x: Array) -> Mask:
 def _boundary_costates(
     collocation: PhaseCollocation, lam_g: Array, point_gradients: Array
 ) -> tuple[Array, Array]:
-    """Costates at each segment's start and end, (n_states, K) each."""
+    """Return the costates at the start and end of each segment, (n_states, K) each."""
     starts, ends = [], []
     for k in range(collocation.mesh.segments):
         derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)

@@ -1,4 +1,4 @@
-"""Time histories of a phase, for tables of other packages and files."""
+"""Time histories of a phase, for export to other packages and files."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> Re
     Parameters
     ----------
     times : array (n_times,), optional
-        s; default ten intervals of every segment. Where a control jumps, the value after the jump is given.
+        Times, s; default: ten intervals per segment. At a jump of a control its right limit is used.
     """
     t = leg.sample_times() if times is None else np.atleast_1d(read_numbers(times, "the times"))
     return Records(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
 
 
 def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
-    """Yield everything that has a time history with its values (size, n_times)."""
+    """Yield all variables with a time history and their values (size, n_times)."""
     x, lam = leg.x(t), leg.lam(t)
     for state in leg.states.variables:
         yield state, x[leg.states.slice(state.name)]

@@ -1,6 +1,6 @@
-"""The record of a mesh refinement.
+"""History of a mesh refinement: iterations, status and work.
 
-What a solve cost.
+Work is counted in iterations at one collocation point.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from gnc_opt.text_formatting import Printed
 
 @dataclass(frozen=True)
 class Statistics:
-    """What the solve cost.
+    """Iterations and times of a solve.
 
     Attributes
     ----------
     iterations : int
-        0 for a flight that is a solution as it is, of a bang-bang problem whose switches are found.
+        0 if the solution of a bang-bang problem comes from integration with known switching times.
     build_s, solve_s : float
         Wall time of transcription and of the solver.
     function_s, linear_solver_s : float
-        Shares of ``solve_s``: evaluating functions and derivatives; the rest.
+        Parts of ``solve_s``: evaluation of functions and derivatives; the remainder.
     compiled_before : bool
-        Whether an earlier transcription served again.
+        Whether an earlier transcription was reused.
 
     Examples
     --------
@@ -43,7 +43,7 @@ class Statistics:
 
     @property
     def text(self) -> str:
-        """In words, ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
+        """Text such as ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
         if self.iterations == 0 and self.solve_s == 0.0:
             return "Newton's method on the switching times"
         build = "build re-used" if self.compiled_before else f"build {self.build_s:.3f} s"
@@ -52,7 +52,7 @@ class Statistics:
         )
 
     def add_earlier(self, earlier: Statistics) -> Statistics:
-        """Return these together with what an earlier try of the same solve cost."""
+        """Return the sum with the statistics of an earlier attempt."""
         return replace(
             self,
             iterations=self.iterations + earlier.iterations,
@@ -64,7 +64,7 @@ class Statistics:
 
 
 class RefinementStatus(StatusWord):
-    """Status at the end of a refinement; `remedy` gives its meaning and what to do.
+    """Status at the end of a refinement; `remedy` contains its meaning and a remedy.
 
     Examples
     --------
@@ -84,7 +84,7 @@ class RefinementStatus(StatusWord):
 
     @property
     def remedy(self) -> str:
-        """What this ending means and what the user should do about it."""
+        """Meaning of the status, and a remedy."""
         return _REMEDIES[self]
 
 
@@ -130,11 +130,11 @@ _REMEDIES = {
 
 
 SOLVE_FIXED_COST_ITERATIONS = 15
-"""What a solve costs beside its iterations (derivatives, estimate of the error, the next mesh), in iterations."""
+"""Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""
 
 
 def compute_solve_work(points: int, iterations: int) -> float:
-    """Return what a solve costs, in iterations at one collocation point: the same on every machine."""
+    """Return the work of a solve, in iterations at one collocation point; independent of the machine."""
     return points * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
 
@@ -145,14 +145,14 @@ def count_affordable_iterations(work: float, points: int) -> int:
 
 @dataclass(frozen=True)
 class Actions:
-    """How many segments were treated in which way to get a mesh from the one before.
+    """Numbers of segments changed between two meshes.
 
     Attributes
     ----------
     raised : int
-        Segments whose degree went up.
+        Segments with increased degree.
     split : int
-        Segments cut into pieces.
+        Segments split into several.
     """
 
     raised: int = 0
@@ -168,26 +168,26 @@ class Actions:
 
 @dataclass(frozen=True)
 class RefinementIteration:
-    """One mesh and the solution on it.
+    """Refinement iteration: a mesh and the solution on it.
 
     Attributes
     ----------
     meshes : dict of Mesh
-        By phase.
+        Mesh of each phase.
     times : dict of tuple of float
-        Segment boundaries by phase, s.
+        Segment boundaries of each phase, s.
     error : float
         Largest estimated error; see `gnc_opt.planning.refinement.error_estimation`.
     where : str
-        Its place and kind.
+        Location and kind of the error.
     iterations : int
-        Of the solver, failed attempts included.
+        Solver iterations, including failed attempts.
     seconds : float
-        Solving and estimating.
+        Time of solve and error estimate.
     actions : Actions or str
-        Changes to the mesh before this solve; for a structure loop, the changes its solution requires.
+        Changes of the mesh before this solve; for a structure iteration, the changes that its solution requires.
     stage : str
-        Where in the sequence of meshes; see `gnc_opt.planning.refinement.staged_refinement`.
+        Stage of the refinement; see `gnc_opt.planning.refinement.staged_refinement`.
     """
 
     meshes: dict[str, Mesh]
@@ -203,23 +203,23 @@ class RefinementIteration:
 
     @property
     def points(self) -> int:
-        """Collocation points of all phases."""
+        """Number of collocation points of all phases."""
         return sum(mesh.size for mesh in self.meshes.values())
 
     @property
     def segments(self) -> int:
-        """Segments of all phases."""
+        """Number of segments of all phases."""
         return sum(mesh.segments for mesh in self.meshes.values())
 
     @property
     def work(self) -> float:
-        """What it cost, in iterations at one collocation point."""
+        """Work, in iterations at one collocation point."""
         return compute_solve_work(self.points, self.iterations)
 
 
 @dataclass(frozen=True)
 class History(Printed):
-    """Iterations and result of a refinement.
+    """History and result of a refinement.
 
     Attributes
     ----------
@@ -227,13 +227,13 @@ class History(Printed):
     tolerance : float
         Requested tolerance.
     passes : tuple of Pass
-        Refinement iterations, abandoned ones included. The first of an hp refinement is the given solution.
+        Refinement iterations, including abandoned ones. The first iteration of an hp refinement is the given solution.
     chosen : int
-        Index of the pass whose solution was returned.
+        Index of the iteration whose solution was returned.
     message : str
-        How it ended, in one or two sentences.
+        Description of the end of the refinement, one or two sentences.
     seconds : float
-        Total wall time: refinement iterations, structure search, verdicts.
+        Total wall time: refinement iterations, structure search, optimality checks.
 
     Examples
     --------
@@ -255,11 +255,11 @@ class History(Printed):
 
     @property
     def final(self) -> RefinementIteration:
-        """The pass whose solution was returned."""
+        """Iteration whose solution was returned."""
         return self.passes[self.chosen]
 
     def prepend_history(self, earlier: History) -> History:
-        """Return this record with the passes of an earlier attempt before its own."""
+        """Return this history with the iterations of an earlier attempt prepended."""
         return replace(
             self,
             passes=earlier.passes + self.passes,

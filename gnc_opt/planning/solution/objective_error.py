@@ -1,6 +1,6 @@
-r"""Estimated error of the objective: by how much a collocated answer may miss the optimum of its own valley.
+r"""Estimated error of the objective: difference between a collocation solution and its local optimum.
 
-With the costates :math:`\lambda = \partial J / \partial x` of the minimised functional, and along the polynomials
+Let :math:`\lambda = \partial J / \partial x` be the costates of the minimised functional. Along the polynomials
 :math:`x_h, u_h` of the mesh, every segment contributes three terms:
 
 .. math::
@@ -11,13 +11,13 @@ With the costates :math:`\lambda = \partial J / \partial x` of the minimised fun
          (\text{of an equation } c_j = c_{j,0}: \big|\int \mu_j (c_j - c_{j,0}) \, dt\big|), \\
     g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt.
 
-d is the value of the defects and of the difference between the integrals and the program's own quadrature Q; o that of
-limits exceeded between the points; g what H, path constraints included (mu of the right sign), gains by other controls:
-exact where H is affine in a control, one projected Newton step elsewhere. The estimate is
-:math:`A = \sum (|d| + o + |g|)`: errors cancel within a segment. J is stationary in free times and breakpoints.
+d is the first-order effect of the defects and of the difference between the integrals and the program's quadrature Q; o
+that of limits exceeded between the points; g the decrease of H (with path constraints, mu of the correct sign) by other
+controls: exact if H is affine in a control, else by one projected Newton step. The estimate is
+:math:`A = \sum (|d| + o + |g|)`; errors cancel within a segment only. J is stationary in free times and breakpoints.
 
-To first order it is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001):
-an estimate, no bound.
+To first order this is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001).
+It is an estimate, not a bound.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from gnc_opt.tolerances import NEGLIGIBLE
 
 @dataclass(frozen=True, eq=False)
 class PhaseObjectiveError:
-    """Error of the objective by the K segments of one phase, each in units of the objective.
+    """Contributions of the K segments of one phase to the error of the objective, in its unit.
 
     Attributes
     ----------
     defects : array (K,)
-        d: value of the defects, signed: positive where the objective of the exact trajectory is larger (minimised).
+        Signed effect d of the defects: positive if the objective of the exact trajectory is larger (minimised).
     exceeded : array (K,)
-        o >= 0: value of limits that are exceeded between the points.
+        Effect o >= 0 of limits exceeded between the points.
     suboptimal : array (K,)
-        g: gain of H by other controls; negative where a control beyond its bounds would have to come back.
+        Decrease g of H by other controls; negative if a control beyond its bounds would have to return.
     """
 
     defects: Array
@@ -61,43 +61,43 @@ class PhaseObjectiveError:
 
 @dataclass(frozen=True, eq=False)
 class ObjectiveError:
-    """Estimated error of the objective of a solution; ``scale`` is the magnitude of the objective."""
+    """Estimated error of the objective; ``scale`` is the magnitude of the objective."""
 
     phases: Mapping[str, PhaseObjectiveError]
     scale: float
 
     @property
     def value(self) -> float:
-        """A, in units of the objective; infinite where the functions of the problem have no value."""
+        """A, in units of the objective; infinite if a function of the problem is not finite."""
         return _replace_nan_by_infinity(float(sum(np.sum(phase.segments) for phase in self.phases.values())))
 
     @property
     def relative(self) -> float:
-        """A in shares of the objective."""
+        """A relative to the objective."""
         return self.value / self.scale
 
     @property
     def infeasible(self) -> float:
-        """Sum of |d| + o: the part of A that defects and exceeded limits contribute."""
+        """Sum of |d| + o: contribution of defects and exceeded limits to A."""
         parts = (np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values())
         return _replace_nan_by_infinity(float(sum(parts)))
 
     @property
     def suboptimal(self) -> float:
-        """Sum of |g|: the part of A that controls contribute."""
+        """Sum of |g|: contribution of the controls to A."""
         return _replace_nan_by_infinity(
             float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values()))
         )
 
 
 def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
-    """Estimate the error of an objective from a trajectory and its multipliers."""
+    """Return the estimated error of an objective from a trajectory and its multipliers."""
     scale = max([abs(objective), *(NEGLIGIBLE * s.cost_scale for s in samples.values())])
     return ObjectiveError({name: _estimate_phase_error(s) for name, s in samples.items()}, scale)
 
 
 def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
-    with np.errstate(all="ignore"):  # what has no value makes the estimate infinite
+    with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
         return PhaseObjectiveError(
             _marginal_defect_costs(s), _marginal_violation_costs(s), _compute_control_gains(s)
         )
@@ -108,12 +108,12 @@ def _replace_nan_by_infinity(value: float) -> float:
 
 
 def _segment_integrals(s: PhaseSamples, values: Array) -> Array:
-    """Integrate values (..., n_samples) over each segment (..., K); those at its ends, of weight 0, may be infinite."""
+    """Return the integrals of values (..., n_samples) over each segment (..., K); end values of weight 0 may be inf."""
     return s.segment_integrals(np.where(s.weights > 0, values, 0.0))
 
 
 def _marginal_defect_costs(s: PhaseSamples) -> Array:
-    """d of each segment (K,); a jump of the states at a boundary counts for the segment before it."""
+    """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
     rates = evaluate_within_bounds(s.functions.rates, *at, leg.control_bounds)
     total = _segment_integrals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
@@ -130,7 +130,7 @@ def _marginal_defect_costs(s: PhaseSamples) -> Array:
 
 
 def _collocation_quadratures(leg: PhaseSolution, s: PhaseSamples) -> Array:
-    """Return the weighted integrals of each segment by the collocation points' own quadrature (K,)."""
+    """Return the weighted integrals of each segment by the quadrature of the collocation points (K,)."""
     weights = np.concatenate([rule.weights for rule in leg.rules])
     weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
     at_end = np.concatenate([rule.points == 1.0 for rule in leg.rules])
@@ -141,7 +141,7 @@ def _collocation_quadratures(leg: PhaseSolution, s: PhaseSamples) -> Array:
 
 
 def _marginal_violation_costs(s: PhaseSamples) -> Array:
-    """o of each segment (K,)."""
+    """Return o of each segment (K,)."""
     leg = s.leg
     total = _weigh_violations(s, s.x, leg.state_bounds, s.state_multiplier)
     if leg.path_labels:
@@ -153,9 +153,9 @@ def _marginal_violation_costs(s: PhaseSamples) -> Array:
 
 
 def _weigh_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
-    """Return how far limits are exceeded times their multipliers, where these have the right sign (K,).
+    """Return exceeded limits times their multipliers, if these have the correct sign (K,).
 
-    Errors of equations have both signs: absolute values are taken after integrating over a segment.
+    Errors of equalities have both signs; their absolute value is taken after integration over a segment.
     """
     above = np.where(multipliers > 0, np.maximum(values - bounds.upper[:, None], 0.0), 0.0)
     below = np.where(multipliers < 0, np.maximum(bounds.lower[:, None] - values, 0.0), 0.0)
@@ -166,10 +166,10 @@ def _weigh_violations(s: PhaseSamples, values: Array, bounds: Interval, multipli
 
 
 def _compute_control_gains(s: PhaseSamples) -> Array:
-    """g of each segment (K,)."""
+    """Return g of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)
-    bounds = s.leg.path_bounds  # a polynomial of multipliers may have the wrong sign between the points
+    bounds = s.leg.path_bounds  # interpolated multipliers may have the wrong sign between the points
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
     at = s.times_within, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
@@ -184,7 +184,7 @@ def _compute_control_gains(s: PhaseSamples) -> Array:
 
 
 def _maximise_quadratic_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
-    """Return the largest -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
+    """Return the maximum of -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
 
     def gain(step: Array) -> Array:
         return np.asarray(-(slope + 0.5 * curvature * step) * step)

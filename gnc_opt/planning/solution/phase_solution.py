@@ -1,4 +1,4 @@
-"""The solution of one phase: numbers only, evaluable at any time."""
+"""PhaseSolution: numerical solution of one phase, evaluable at any time."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from gnc_opt.planning.transcription.scheme import Scheme
 
 @dataclass(frozen=True)
 class Signal:
-    """A named quantity over time.
+    """Named quantity over time.
 
-    ``signal(t)`` returns a float for a scalar quantity at one time, else an array: (n,) at one time,
-    (n_times,) for a scalar quantity at many times, (n, n_times) otherwise. ``side`` picks the left or right
-    limit exactly at a segment boundary.
+    ``signal(t)`` returns a float for a scalar quantity at one time; otherwise an array: (n,) at one time,
+    (n_times,) for a scalar quantity at many times, (n, n_times) else. ``side`` selects the left or right
+    limit at a segment boundary.
 
     Examples
     --------
@@ -44,7 +44,7 @@ class Signal:
     rows: slice
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
-        """Evaluate at time t (s)."""
+        """Return the value at time t (s)."""
         values = self.source(t, side)[self.rows]
         if len(self.labels) > 1:
             return values
@@ -53,27 +53,27 @@ class Signal:
 
 @dataclass(frozen=True)
 class ComposedSignal:
-    """A control over time that is made of others."""
+    """Composed control over time."""
 
     control: ComposedControl
     layout: Layout
     source: PiecewisePolynomial | SaturatedControl
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
+        """Return the values at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
         values = self.source(t, side)
         return np.asarray(self.control.compose(*(values[self.layout.slice(p)] for p in self.control.parts)))
 
 
 @dataclass(frozen=True)
 class TurnedSignal:
-    """Controls over time of which some are angles, moved by whole turns to be within one."""
+    """Controls over time with angles shifted by whole turns into their range."""
 
     source: PiecewisePolynomial | SaturatedControl
     turns: Turns
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
+        """Return the values at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
         return self.turns.wrap_angles(self.source(t, side))
 
 
@@ -81,7 +81,7 @@ class TurnedSignal:
 class PhaseSolution:
     """States, controls, costates and multipliers of one phase.
 
-    Multipliers follow L = J + multiplier * (constraint): >= 0 at an upper, <= 0 at a lower limit. Path and
+    Multipliers have the sign of L = J + multiplier * (constraint): >= 0 at an upper, <= 0 at a lower limit. Path and
     bound multipliers at collocation points are densities in time (multiplier per second).
 
     Attributes
@@ -94,31 +94,31 @@ class PhaseSolution:
     states, controls, model_parameters : Layout
     path_labels, integral_labels : tuple of str
     x, u, lam : PiecewisePolynomial
-        States, controls and costates by the scheme's own polynomials.
+        States, controls and costates as the polynomials of the scheme.
     lam_start, lam_end : array (n_states, K)
-        Costates at each segment's start and end: the one-sided limits of ``lam``, from the rows themselves
-        (along held segments of LGR and LGL from the points; see `gnc_opt.planning.solution.costates`).
+        Costates at the start and end of each segment: one-sided limits of ``lam`` from the program's rows (for LGR and
+        LGL along active segments from the points; see `gnc_opt.planning.solution.costates`).
     point_costates : array (n_states, N)
-        Costates at the collocation points for which the controls there minimise H: for LG those of ``lam``, for
-        LGR and LGL of lower order.
+        Costates at the collocation points for which the controls minimise H: for LG those of ``lam``, for LGR and LGL
+        of lower order.
     path_multipliers : array (n_paths, N)
     state_multipliers : array (n_states, N)
     control_multipliers : array (n_controls, N)
     state_impulses : array (n_states, K + 1)
-        Multipliers of bounds (and fixed end values) on the states at segment boundaries: jumps of the costate.
+        Multipliers of state bounds (and fixed end values) at segment boundaries: jumps of the costate.
     time_multipliers : array (2,)
-        Multipliers of the bounds on initial and final time (0 where the time is not a variable).
+        Multipliers of the bounds on initial and final time (0 for fixed times).
     duration_multiplier : float
     integrals, integral_weights : array (n_integrals,)
-        Values, and dJ/dI: the weights of the integrands in the Hamiltonian.
+        Values, and dJ/dI, the weights of the integrands in the Hamiltonian.
     parameters : array (n_model_parameters,)
-        Values of the model's parameters, optimised ones included.
+        Values of the model parameters, including optimised ones.
     state_bounds, control_bounds, path_bounds, initial_bounds, final_bounds : Interval
     initial_time_bounds, final_time_bounds, duration_bounds : Interval
     composed_controls : tuple of ComposedControl
-        Controls as they were declared that are made of two of ``controls``.
+        Declared controls that are composed of two of ``controls``.
     turns : Turns or None
-        Range in which angular controls are returned by name; ``u`` is continuous across turns.
+        Range of the angular controls returned by name; ``u`` is continuous across turns.
 
     Examples
     --------
@@ -175,7 +175,7 @@ class PhaseSolution:
 
     @property
     def vector_controls(self) -> tuple[VectorControl, ...]:
-        """Those of the composed controls that are magnitude and direction."""
+        """Composed controls that are products of magnitude and direction."""
         return tuple(c for c in self.composed_controls if isinstance(c, VectorControl))
 
     @property
@@ -185,7 +185,7 @@ class PhaseSolution:
 
     @property
     def end_arguments(self) -> list[Array | float]:
-        """Start, end, initial and final time, integrals and parameters: the arguments of end-point functions."""
+        """Initial and final state, initial and final time, integrals, parameters: arguments of end-point functions."""
         first, last = self.x(self.breaks[0]), self.x(self.breaks[-1], "left")
         return [first, last, self.initial_time, self.final_time, self.integrals, self.parameters]
 
@@ -198,7 +198,7 @@ class PhaseSolution:
 
     @cached_property
     def applied(self) -> SaturatedControl:
-        """The applied controls: a signal within the bounds."""
+        """Applied controls, within the bounds."""
         return SaturatedControl(self.u, self.control_bounds, self.rules)
 
     @cached_property
@@ -228,11 +228,11 @@ class PhaseSolution:
         )
 
     def control(self, name: str) -> Signal:
-        """Return a control over time by its collocation polynomial (it may leave its bounds between nodes)."""
+        """Return the collocation polynomial of a control (it may exceed its bounds between nodes)."""
         return self._control_signal(name, self.u)
 
     def saturated_control(self, name: str) -> Signal:
-        """Return an applied control over time: a signal within its bounds."""
+        """Return an applied control over time, within its bounds."""
         return self._control_signal(name, self.applied)
 
     def integral(self, name: str) -> float:
@@ -242,7 +242,7 @@ class PhaseSolution:
         return float(self.integrals[self.integral_labels.index(name)])
 
     def sample_times(self, per_segment: int = 10) -> Array:
-        """Return dense times, segment boundaries included."""
+        """Return dense times, including segment boundaries."""
         return self.x.sample_times(per_segment)
 
     def _control_signal(self, name: str, source: PiecewisePolynomial | SaturatedControl) -> Signal:
@@ -251,7 +251,7 @@ class PhaseSolution:
                 own, variable = ComposedSignal(composed, self.controls, source), composed.variable
                 return Signal(name, variable.unit, variable.labels, own, slice(None))
         if name in self.states and name not in self.controls:
-            return self.state(name)  # a control of which the rate is limited
+            return self.state(name)  # a control with limited rate
         signal = self._segment_signal(name, self.controls, source)
         return signal if self.turns is None else replace(signal, source=TurnedSignal(source, self.turns))
 

@@ -1,4 +1,4 @@
-"""Piecewise polynomials in time: what a collocation solution is between its points."""
+"""Piecewise polynomials in time: continuous representation of a collocation solution."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,26 +27,26 @@ END_TOLERANCE = ROUNDING
 MAX_NODES = 2 * MAX_POINTS
 
 CACHED_BASES, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
-"""Cache of bases: number of sets, times per set and grids; some 10 MB."""
+"""Size of the basis cache: number of sets, times per set and grids; about 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class PiecewisePolynomial:
-    """A vector of functions of time, one polynomial per segment; it may jump at the breaks.
+    """Vector function of time with one polynomial per segment; it may jump at the breaks.
 
     Parameters
     ----------
     breaks : Array, shape (K + 1,)
-        Ends of the K segments, strictly increasing, s.
+        Boundaries of the K segments, strictly increasing, s.
     nodes : tuple of K arrays, shape (m_k,)
         Interpolation nodes of each segment on [-1, 1], distinct, at most 128.
     values : tuple of K arrays, shape (n, m_k)
-        Values at the nodes. The arrays are copied and made read-only.
+        Values at the nodes. The arrays are copied and read-only.
 
     Raises
     ------
     ArgumentError
-        Breaks that do not increase, or shapes that do not fit together.
+        Breaks that do not increase, or inconsistent shapes.
     """
 
     breaks: Array
@@ -55,7 +55,7 @@ class PiecewisePolynomial:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "breaks", _freeze_array(self.breaks))
-        frozen = {id(x): _freeze_array(x) for x in self.nodes}  # most segments share theirs
+        frozen = {id(x): _freeze_array(x) for x in self.nodes}  # most segments share their nodes
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
         object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
         _check_break_times(self.breaks)
@@ -70,7 +70,7 @@ class PiecewisePolynomial:
         t : scalar or array, shape (m,)
             Times within the span; up to 1e-12 (relative) outside is rounding and is clamped.
         side : {"right", "left"}
-            Which segment answers exactly at an interior break: the one that starts, or ends, there.
+            Segment used at an interior break: the one that starts (right limit) or ends there (left limit).
 
         Returns
         -------
@@ -92,7 +92,7 @@ class PiecewisePolynomial:
         return result if np.ndim(t) else result[:, 0]
 
     def evaluate_in_segments(self, tau: ArrayLike) -> Array:
-        """Evaluate at the same places ``tau`` on [-1, 1] of all segments, from within each: (n, K, len(tau))."""
+        """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
         at = np.atleast_1d(read_numbers(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
         for alike in self._segments_by_grid:
@@ -101,7 +101,7 @@ class PiecewisePolynomial:
         return result
 
     def derivative(self) -> "PiecewisePolynomial":
-        """The time derivative, on the same nodes; per second."""
+        """Return the time derivative, on the same nodes; per second."""
         rates = 2.0 / np.diff(self.breaks)
         matrices = {id(x): differentiation_matrix(x, x).T for x in {id(x): x for x in self.nodes}.values()}
         pieces = zip(self.nodes, self.values, rates, strict=True)
@@ -109,13 +109,13 @@ class PiecewisePolynomial:
         return PiecewisePolynomial(self.breaks, self.nodes, values)
 
     def integral(self) -> Array:
-        """Integral over the whole span, exact for the polynomials, shape (n,); times seconds."""
+        """Return the exact integral over the whole interval, shape (n,); times seconds."""
         halves = np.diff(self.breaks) / 2.0
         pieces = zip(self.nodes, self.values, halves, strict=True)
         return np.asarray(sum(half * v @ _integrate_lagrange_basis(x) for x, v, half in pieces))
 
     def sample_times(self, per_segment: int) -> Array:
-        """Times cutting each segment in ``per_segment`` equal parts, breaks once: (K·per_segment + 1,)."""
+        """Return times that divide each segment into ``per_segment`` equal parts: (K·per_segment + 1,)."""
         parts = read_integer(per_segment, "per_segment", 1)
         times = np.linspace(self.breaks[:-1], self.breaks[1:], parts, endpoint=False, axis=1)
         return np.append(times.ravel(), self.breaks[-1])
@@ -123,7 +123,7 @@ class PiecewisePolynomial:
     def select_components(
         self, index: int | slice | Sequence[int] | NDArray[np.integer]
     ) -> "PiecewisePolynomial":
-        """Only some of the components; an integer selects one and keeps the vector shape, (1,)."""
+        """Return selected components; an integer selects one, with shape (1,)."""
         chosen = [index] if isinstance(index, (int, np.integer)) else index
         return PiecewisePolynomial(self.breaks, self.nodes, tuple(v[chosen, :] for v in self.values))
 
@@ -132,7 +132,7 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the time has the shape {times.shape}: give a scalar or a vector.")
         first, last = self.breaks[0], self.breaks[-1]
         slack = END_TOLERANCE * max(abs(first), abs(last), last - first)
-        outside = ~((times >= first - slack) & (times <= last + slack))  # true for NaN as well
+        outside = ~((times >= first - slack) & (times <= last + slack))  # also true for NaN
         if outside.any():
             raise ArgumentError(
                 f"time {times[outside][0]} is outside the span [{first}, {last}] of the phase: choose one within."
@@ -145,7 +145,7 @@ class PiecewisePolynomial:
 
     @cached_property
     def _segments_by_grid(self) -> tuple["_Alike", ...]:
-        """Segments with the same nodes, which share one interpolation matrix."""
+        """Groups of segments with equal nodes, which share one interpolation matrix."""
         return tuple(_Alike.from_segments(self, places) for places in self._cached_grid.places)
 
     def _shared_values(self) -> tuple[Array, ...]:
@@ -160,15 +160,15 @@ class PiecewisePolynomial:
 
 @dataclass(frozen=True, eq=False)
 class _Alike:
-    """Some segments with the same nodes.
+    """Group of segments with equal nodes.
 
     Attributes
     ----------
     nodes, weights : array (m,)
-        The latter barycentric.
+        Nodes and barycentric weights.
     values : array (m, n, n_alike)
     places : int array (K,)
-        Where each segment is among them, -1 for others.
+        Index of each segment in the group, -1 for other segments.
     """
 
     nodes: Array
@@ -185,7 +185,7 @@ class _Alike:
 
 
 class _Basis(NamedTuple):
-    """The times that fall into one group of segments: which, the place of each one's segment in it, its basis there."""
+    """Times in one group of segments: their indices, the index of each segment in the group, and the basis."""
 
     group: int
     here: Indices
@@ -194,14 +194,13 @@ class _Basis(NamedTuple):
 
 
 class _Grid:
-    """Breaks and nodes, which the signals of a solution share: the bases at some times are computed once for all.
+    """Breaks and nodes shared by the signals of a solution, with a cache of bases.
 
     Attributes
     ----------
     breaks : array (K + 1,)
     nodes, weights, places : list of arrays, by groups of segments with the same nodes
-        Nodes and their barycentric weights (m,), and the place of each segment (K,) in its group, -1 for those of
-        others.
+        Nodes and barycentric weights (m,), and the index of each segment (K,) in the group, -1 for other segments.
     kept : function
         `interpolation_bases`, which remembers those of the last `CACHED_BASES` sets of times.
     """
@@ -222,7 +221,7 @@ class _Grid:
         return _time_grid, self._given
 
     def interpolation_bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
-        """Return the bases at times within the span, by groups."""
+        """Return the bases at times within the interval, by group."""
         times, found = np.frombuffer(at), []
         segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, self.breaks.size - 2)
         initial, final = self.breaks[segment], self.breaks[segment + 1]
@@ -242,7 +241,7 @@ def _time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _Grid:
 
 
 def _integrate_lagrange_basis(nodes: Array) -> Array:
-    """Integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
+    """Return the integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
     gauss = gauss_rule((nodes.size + 1) // 2)
     return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
 
@@ -256,7 +255,7 @@ def _check_break_times(breaks: Array) -> None:
 def _check_segment_values(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
     if not count == len(nodes) == len(values):
         raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
-    good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have the nodes of others
+    good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have equal nodes
     for k, (x, v) in enumerate(zip(nodes, values, strict=True)):
         key = (x.shape, x.tobytes())
         vector = x.ndim == 1 and 1 <= x.size <= MAX_NODES

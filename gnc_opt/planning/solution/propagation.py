@@ -1,4 +1,4 @@
-"""Independent integration of the dynamics under a solution's control."""
+"""Propagation: integration of the dynamics with the controls of a solution, independent of the collocation."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import nonzero_magnitude
 
 RELATIVE_TOLERANCE = 1e-11
-"""Of integrations that check a solution."""
+"""Relative tolerance of integrations that check a solution."""
 
 
 @dataclass(frozen=True)
 class Propagation:
-    """States that follow from the initial state and the control alone.
+    """States integrated from the initial state with given controls.
 
     Attributes
     ----------
     times : array (n_times,)
     states : array (n_states, n_times)
-        NaN after the propagation ended.
+        NaN after an early end.
     error : array (n_states,)
-        Final state minus the solution's final state; infinite if the propagation ended early.
+        Final state minus the final state of the solution; infinite after an early end.
     ended : str
-        Why and where it ended early, e.g. ``"the rate of state 'h' is nan at t = 2.5 s"``; else empty.
+        Cause and time of an early end, e.g. ``"the rate of state 'h' is nan at t = 2.5 s"``; else empty.
     """
 
     times: Array
@@ -49,16 +49,16 @@ def integrate_dynamics(
     control: Literal["flown", "polynomial"] = "flown",
     rtol: float = RELATIVE_TOLERANCE,
 ) -> Propagation:
-    """Integrate the dynamics over a phase by DOP853, restarting at every discontinuity of the control.
+    """Return the integrated states of a phase (DOP853), restarted at every discontinuity of the control.
 
     Parameters
     ----------
     functions : PhaseFunctions
-        Of the same phase.
+        Functions of the phase.
     control : {"flown", "polynomial"}
-        The applied control within its bounds, or the unmodified collocation polynomial.
+        Applied control within its bounds, or collocation polynomial.
     rtol : float
-        Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
+        Relative tolerance; the absolute one is ``rtol`` times the magnitude of each state.
     """
     signal, edges = (leg.applied, leg.applied.jump_times) if control == "flown" else (leg.u, leg.breaks)
     states, ended = _integrate_pieces(leg, functions, edges, signal, rtol)
@@ -67,9 +67,9 @@ def integrate_dynamics(
 
 
 def integrate_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
-    """Return the states (n_states, n_times) to which the applied control leads from the start of a phase.
+    """Return the states (n_states, n_times) of a phase integrated with the applied control.
 
-    Times do not decrease; NaN from where the trajectory ends early.
+    Times must not decrease; states are NaN after an early end.
     """
     edges = np.union1d(leg.applied.jump_times, times)
     states, _ = _integrate_pieces(leg, functions, edges, leg.applied)
@@ -77,9 +77,9 @@ def integrate_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Arr
 
 
 def compute_segment_errors(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
-    """Return by how much segments miss the end to which the applied control leads from their start (n_states, n).
+    """Return the propagation errors of segments, integrated with the applied control (n_states, n).
 
-    Infinite where there is no such trajectory.
+    Infinite if the integration fails.
     """
     misses, jumps = np.empty((leg.states.size, segments.size)), leg.applied.jump_times
     for column, k in enumerate(segments):
@@ -97,9 +97,10 @@ def _integrate_pieces(
     signal: Callable[..., Array],
     rtol: float = RELATIVE_TOLERANCE,
 ) -> tuple[Array, str]:
-    """Return the states at the edges of pieces on which the control is smooth, and why the integration ended early.
+    """Return the states at the edges of pieces with smooth control, and the cause of an early end.
 
-    It starts from the trajectory's state at the first edge; states (n_states, n_edges) are NaN after it ended.
+    The integration starts at the trajectory's state at the first edge; states (n_states, n_edges) are NaN after an
+    early end.
     """
     tolerance, budget = Tolerance(rtol, compute_state_magnitudes(leg)), Budget(leg.states.labels)
     states = np.full((leg.states.size, edges.size), np.nan)
@@ -116,13 +117,13 @@ def _integrate_pieces(
 
 
 def _build_controlled_rates(functions: PhaseFunctions, controls: Controls) -> Callable[[float, Array], Array]:
-    """Return dx/dt (n,) as a function of time and state under some controls."""
+    """Return dx/dt (n,) as a function of time and state for given controls."""
     rates = functions.fast_rates()
     return lambda t, x: rates(t, x, controls(np.array([t]))[:, 0])
 
 
 def compute_state_magnitudes(leg: PhaseSolution) -> Array:
-    """Return the largest magnitude of each state along the phase (n,), shared by the components of a vector."""
+    """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
     largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
     for variable in leg.states.variables:
         rows = leg.states.slice(variable.name)
@@ -131,7 +132,7 @@ def compute_state_magnitudes(leg: PhaseSolution) -> Array:
 
 
 def _find_largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
-    """The largest number of points of the segments that a time span has a part in: more than their controls' degree."""
+    """Return the largest number of points of the segments in an interval, an upper bound of the control degree."""
     inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
     return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
 
@@ -141,13 +142,13 @@ def _interpolate_controls(signal: Callable[..., Array], left: float, right: floa
     tau, to_coefficients = _chebyshev_fit_matrix(degree)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     values = signal(middle + half * tau)
-    if np.all(values == values[:, :1]):  # on a bound, say: no polynomial to evaluate
+    if np.all(values == values[:, :1]):  # constant, e.g. at a bound
         return lambda times: np.broadcast_to(values[:, :1], (values.shape[0], times.size))
     coefficients = values @ to_coefficients
     orders = np.arange(degree + 1.0)[:, None]
 
     def controls(times: Array) -> Array:
-        # Chebyshev's polynomials in one call; Runge-Kutta stages may round beyond the ends.
+        # One call of Chebyshev polynomials; Runge-Kutta stages may be beyond the ends by rounding.
         angles = np.arccos(np.minimum(np.maximum((times - middle) / half, -1.0), 1.0))
         return np.asarray(coefficients @ np.cos(orders * angles))
 
@@ -156,7 +157,7 @@ def _interpolate_controls(signal: Callable[..., Array], left: float, right: floa
 
 @cache
 def _chebyshev_fit_matrix(degree: int) -> tuple[Array, Array]:
-    """Chebyshev's points on [-1, 1], and what makes coefficients of the values there: exact up to a degree."""
+    """Return Chebyshev points on [-1, 1], and the map from values there to coefficients, exact up to a degree."""
     tau = chebyshev.chebpts1(degree + 1)
     sizes = np.where(np.arange(degree + 1) > 0, 2.0, 1.0) / (degree + 1)
     return tau, chebyshev.chebvander(tau, degree) * sizes

@@ -1,7 +1,7 @@
-r"""Accuracy of a trajectory between its nodes: three figures independent of the solver.
+r"""Quality of a trajectory between its nodes: defect, violation of limits and propagation error.
 
-A violation is a distance, to first order along the constraint's gradient, with states and controls scaled by
-their sizes. Controls beyond their bounds between nodes are put on the bound.
+A violation is a distance, to first order along the gradient of the constraint, with states and controls scaled by their
+magnitudes. Controls beyond their bounds between nodes are clipped to the bound.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
 PEAK_RISE_RATIO = 10.0
-"""A peak beside a sample is looked for unless it had to rise above it by more than this many times the change
-to the neighbouring samples."""
+"""A peak next to a sample is located unless it would exceed the sample by more than this multiple of the difference to
+the adjacent samples."""
 
 _TRIED = np.linspace(-7 / 8, 7 / 8, 15)
-"""Where a bracket [-1, 1] is looked at before it is narrowed to the neighbours of the highest, eight times less."""
+"""Points in a bracket [-1, 1], which is then reduced to the neighbours of the highest one, by a factor of 8."""
 
 _LIMITS_ROUNDS = 6
 
 PEAKS_PER_LIMIT = 5
-"""So many peaks per limit are looked for, the most promising ones, and so many violations per limit are returned."""
+"""Largest number of peaks located per limit, and of violations returned per limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The finite limits of an interval on quantities of (t, x, u), one side each.
+    """One-sided finite limits of quantities of (t, x, u).
 
     Attributes
     ----------
     quantities : function of t (m,), x (n_states, m) and u (n_controls, m)
         The quantities (n_rows, m).
     rows : int array (n,)
-        Whose limit it is.
+        Row of the quantity of each limit.
     sides : array (n,)
         1 for an upper limit, -1 for a lower one.
     values : array (n,)
@@ -57,31 +57,31 @@ class Limits:
         return cls(quantities, finite % max(n, 1), np.where(finite < n, -1.0, 1.0), both[finite])
 
     def select_limits(self, chosen: Indices) -> Limits:
-        """Return some of the limits, in the order given; any may come several times."""
+        """Return selected limits in the given order, possibly with repetitions."""
         return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
 
     def compute_excess(self, t: Array, x: Array, u: Array) -> Array:
-        """Return the excess of each quantity beyond its limit (n, m); infinite for NaN."""
+        """Return the excess of each quantity over its limit (n, m); infinite for NaN."""
         excess = self.quantities(t, x, u)[self.rows] - self.values[:, None]
         return np.where(np.isnan(excess), np.inf, self.sides[:, None] * excess)
 
     def excess_pairwise(self, t: Array, x: Array, u: Array) -> Array:
-        """Return how far the i-th quantity is beyond its limit at the i-th time (n,)."""
+        """Return the excess of quantity i over its limit at time i (n,)."""
         excess = self.quantities(t, x, u)[self.rows, np.arange(t.size)] - self.values
         return np.where(np.isnan(excess), np.inf, self.sides * excess)
 
 
 @dataclass(frozen=True, eq=False)
 class Violations:
-    """Points of a phase beyond a limit, farthest among their neighbours.
+    """Local maxima of limit violations in a phase.
 
     Attributes
     ----------
     limits : Limits
-        The limit of each point, m in all.
+        Limit of each of the m points.
     times, excess : array (m,)
     x, u : array (n_states, m), (n_controls, m)
-        Controls by their polynomial.
+        Controls as collocation polynomials.
     """
 
     limits: Limits
@@ -91,7 +91,7 @@ class Violations:
     u: Array
 
     def describe_value(self, i: int) -> str:
-        """Return the quantity and its limit: "81 (at least 100)", "1 + 2e-08 (at most 1)"."""
+        """Return a quantity and its limit: "81 (at least 100)", "1 + 2e-08 (at most 1)"."""
         limit, side = self.limits.values[i], self.limits.sides[i]
         text, allowed = f"{limit + side * self.excess[i]:.6g}", f"{limit:.6g}"
         if text == allowed:
@@ -100,7 +100,7 @@ class Violations:
 
 
 def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
-    """Return the times and amounts by which the polynomials of a phase, or its applied controls, exceed limits."""
+    """Return times and amounts by which the polynomials of a phase, or its applied controls, exceed limits."""
     if not limits.rows.size:
         leg, nothing = samples.leg, np.zeros(0)
         x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
@@ -129,7 +129,7 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
 
 
 def _find_highest_peaks(groups: Indices, values: Array) -> Indices:
-    """Return where the `PEAKS_PER_LIMIT` highest values of each group are."""
+    """Return the indices of the `PEAKS_PER_LIMIT` highest values of each group."""
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
     return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])
@@ -142,13 +142,13 @@ class _Tops:
     Attributes
     ----------
     limits, samples : int array (m,)
-        Which.
+        Indices of the limit and of the sample.
     excess, swing : array (m,)
-        Excess there, and its difference to the lower neighbour.
+        Excess, and its difference to the lower neighbour.
     left, right : array (m,)
-        Times of the neighbours.
+        Times of the adjacent samples.
     room : array (m,)
-        The limit's usual distance along the phase.
+        Typical distance from the limit along the phase.
     """
 
     limits: Indices
@@ -178,7 +178,7 @@ class _Tops:
 def _locate_peaks(
     samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
 ) -> tuple[Array, Array]:
-    """Return times and heights of the peaks between left and right, one per limit, all narrowed at once."""
+    """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
     leg, columns = samples.leg, np.arange(left.size)
     times, best = left, np.full(left.size, -np.inf)
     all_limits = limits.select_limits(np.tile(columns, _TRIED.size))
@@ -197,7 +197,7 @@ def _locate_peaks(
 def evaluate_within_bounds(
     function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
 ) -> Array:
-    """Return a function's values (n, n_times), of controls within their bounds where others have none."""
+    """Return the values of a function (n, n_times), with controls clipped to their bounds if it is not finite."""
     values = function(times, x, u)
     lost = np.any(np.isnan(values), axis=0)
     if np.any(lost):
@@ -209,21 +209,21 @@ def evaluate_within_bounds(
 
 @dataclass(frozen=True)
 class Quality:
-    """Independent figures of a trajectory.
+    """Quality figures of a trajectory, independent of the solver.
 
     Attributes
     ----------
     max_defect : float
-        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, as a share
-        of the state's span.
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, including the jump to the next segment, relative to the
+        variation scale of the state.
     max_bound_violation : float
-        Largest distance beyond a bound or path constraint, at nodes and between, as a share of the trajectory's size
-        (docs/theory/scales.md, "Distance from a limit").
+        Largest distance beyond a bound or path constraint, at nodes and between, relative to the magnitude of the
+        trajectory (docs/theory/scales.md, "Distance from a limit").
     propagation_error : float
-        Largest propagation error at the end of a phase, with the applied control integrated from the initial
-        state, as a share of the state's span.
+        Largest error of the final state of a phase, integrated with the applied control, relative to the variation
+        scale of the state.
     defect_location, bound_location, propagation_location : str
-        Places of the three.
+        Locations of the three values.
 
     Examples
     --------
@@ -241,7 +241,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class Worst:
-    """A number and where it occurs."""
+    """Value and its location."""
 
     value: float
     where: str
@@ -264,7 +264,7 @@ def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
 
 
 def find_worst_defect(samples: PhaseSamples) -> Worst:
-    """Return the worst defect, or jump between segments."""
+    """Return the largest defect, or jump between segments."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
     rates = evaluate_within_bounds(
         samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
@@ -277,7 +277,7 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
 
 
 def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
-    """Return the worst overshoot of state and control bounds by their polynomials, between samples too."""
+    """Return the largest overshoot of state and control bounds by their polynomials, also between samples."""
     leg, worst = samples.leg, NOTHING
     for limits, scale, labels in (
         (Limits.from_interval(lambda _, x, __: x, leg.state_bounds), samples.state_scale, leg.states.labels),
@@ -297,7 +297,7 @@ def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
 
 
 def worst_path_violation(samples: PhaseSamples) -> Worst:
-    """Return the worst violation of a path constraint, between samples too."""
+    """Return the largest violation of a path constraint, also between samples."""
     leg = samples.leg
     if not leg.path_labels:
         return NOTHING
@@ -311,12 +311,12 @@ def worst_path_violation(samples: PhaseSamples) -> Worst:
 
 
 def _distances_to_path_limits(found: Violations, samples: PhaseSamples) -> Array:
-    """Return first-order distances (m,) from path limits in shares of the trajectory's size."""
+    """Return first-order distances (m,) from path limits, relative to the magnitude of the trajectory."""
     at, rows, columns = (found.times, found.x, found.u), found.limits.rows, np.arange(found.times.size)
     by_state = samples.functions.path_state_jacobian(*at)[rows, :, columns] * samples.state_scale
     by_control = samples.functions.path_control_jacobian(*at)[rows, :, columns] * samples.control_scale
     slope = np.linalg.norm(np.hstack([by_state, by_control]), axis=1)
-    # Where the gradient vanishes, as in the centre of a sphere, the excess counts by what the value changes.
+    # At a zero gradient, as at the centre of a sphere, the excess is scaled by the variation of the value.
     return np.asarray(found.excess / np.where(slope > 0, slope, samples.path_scale[rows]))
 
 
@@ -333,7 +333,7 @@ def find_worst_terminal_error(samples: PhaseSamples) -> Worst:
 
 
 def find_worst_index(values: Array) -> tuple[int, int]:
-    """Return row and column of the largest entry; NaN counts as largest."""
+    """Return row and column of the largest entry; NaN is treated as largest."""
     flat = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     row, column = np.unravel_index(flat, values.shape)
     return int(row), int(column)

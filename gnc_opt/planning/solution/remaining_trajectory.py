@@ -1,4 +1,4 @@
-"""The part of a solution after a time: it solves the same problem from there on (principle of optimality)."""
+"""Remainder of a solution after a given time, which solves the remaining problem (principle of optimality)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from gnc_opt.tolerances import SAME_TIME
 
 
 def truncate_solution_before(solution: Solution, time: float) -> Solution:
-    """Return what of a solution of one phase lies after a time, which begins there with the state it had.
+    """Return the part of a one-phase solution after a given time, with the state at that time as initial state.
 
-    Costates and multipliers go with it; integrals, cost and bounds remain those of the whole, arcs are left out.
+    Costates and multipliers are included; integrals, cost and bounds are those of the whole solution; arcs are omitted.
 
     Parameters
     ----------
     time : float
-        s, at or after the beginning and before the end.
+        Time, s, not before the start and before the end.
     """
     ((name, leg),) = solution.phases.items()
     return replace(solution, phases={name: _truncate_phase(leg, time)}, structure=())
@@ -50,7 +50,7 @@ def _truncate_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
 
     lam_start, impulses = leg.lam_start[:, first:].copy(), leg.state_impulses[:, first:].copy()
     lam_start[:, 0] = leg.lam(time)
-    impulses[:, 0] = -lam_start[:, 0]  # what holds a given start: L = J + multiplier (x - x0), dJ/dx0 = lam
+    impulses[:, 0] = -lam_start[:, 0]  # fixed initial state: L = J + multiplier (x - x0), dJ/dx0 = lam
     return replace(
         fresh,
         lam_start=lam_start,
@@ -64,7 +64,7 @@ def _truncate_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
 
 
 def _truncate_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> PiecewisePolynomial:
-    """Return the segments from ``first`` on, that one from the first of the breaks on: the same polynomials."""
+    """Return the segments from ``first`` on, with the first one starting at the first break: the same polynomials."""
     left, right = signal.breaks[first], signal.breaks[first + 1]
     nodes = signal.nodes[first]
     places = breaks[0] + 0.5 * (breaks[1] - breaks[0]) * (1 + nodes)

@@ -1,4 +1,4 @@
-"""A phase sampled densely in time, between and at the nodes, from model and trajectory alone."""
+"""Dense samples of a phase, at and between the nodes, from model and trajectory."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, nonzero_magnitude
 
 SAMPLES_BEYOND_POINTS = 9
-"""Samples per segment beyond the number of collocation points; segment ends come on top."""
+"""Samples per segment in addition to the number of collocation points; segment ends are added."""
 
 EVEN_STEPS_PER_SEGMENT = 32
-"""Steps in every segment, however short, where a phase is looked at evenly in time: what is fast is in short ones."""
+"""Smallest number of steps per segment for even sampling; short segments contain fast motion."""
 
 COSTATE_MIN_SHARE_OF_COST = 1e-4
-"""Costates below this share of the cost scale are rounding and do not set the scale."""
+"""Share of the cost scale below which costates are rounding and do not affect the scale."""
 
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
 """Cached properties of samples that depend on the cost magnitude."""
@@ -40,19 +40,19 @@ _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
 
 @dataclass(frozen=True, eq=False)
 class PhaseSamples:
-    """Everything the conditions need, at the times of a fine quadrature in every segment and at its ends.
+    """Data of the optimality conditions at the times of a fine quadrature in every segment, including segment ends.
 
     Attributes
     ----------
     times : array (n_samples,)
-        Sorted; segment boundaries appear twice, as the end of one and the start of the next segment.
+        Ascending; segment boundaries appear twice, as end and start of adjacent segments.
     segments : int array (n_samples,)
     weights : array (n_samples,)
         Quadrature weights in s; zero at segment ends.
     cost_magnitude : float
-        What the cost amounts to (module `nonzero_magnitude`); 0 if unknown.
+        Magnitude of the cost (module `cost_scale`); 0 if unknown.
     feature_edges : array (n,)
-        Edges of further cells of finer samples (s).
+        Edges of additional cells of finer samples (s).
     """
 
     leg: PhaseSolution
@@ -71,11 +71,11 @@ class PhaseSamples:
         halves = 0.5 * np.diff(leg.breaks)[segments]
         times = leg.breaks[segments] + halves * (1 + tau)
         ends = np.append(np.flatnonzero(np.diff(segments)), segments.size - 1)
-        times[ends] = leg.breaks[1:]  # without rounding
+        times[ends] = leg.breaks[1:]  # exact
         return cls(leg, functions, times, segments, halves * weights)
 
     def with_cost_magnitude(self, amount: float, feature_edges: Array | None = None) -> PhaseSamples:
-        """Return the same samples with another cost magnitude, and what is known already that does not depend on it."""
+        """Return the same samples with another cost magnitude; cached values that do not depend on it are kept."""
         edges = self.feature_edges if feature_edges is None else feature_edges
         other = replace(self, cost_magnitude=amount, feature_edges=edges)
         cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
@@ -83,9 +83,9 @@ class PhaseSamples:
         return other
 
     def resample_evenly(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
-        """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends.
+        """Return samples at ``count`` or more evenly spaced times, two Gauss points per step, and at segment ends.
 
-        With ``least`` steps per segment at least.
+        Every segment has at least ``least`` steps.
         """
         breaks = self.leg.breaks
         widths = np.diff(breaks)
@@ -111,9 +111,9 @@ class PhaseSamples:
 
     @cached_property
     def times_within(self) -> Array:
-        """The times (n_samples,); where the dynamics jump, those of segment ends moved inwards by `GONE`.
+        """Times (n_samples,); with discontinuous dynamics, segment ends are moved inwards by `GONE`.
 
-        A jump with a state that ends there, as that of friction at rest, must not depend on how the end is rounded.
+        The value at a jump due to a final state, such as friction at rest, must not depend on rounding.
         """
         if not self.functions.has_jumping_rates:
             return self.times
@@ -121,7 +121,7 @@ class PhaseSamples:
         return np.clip(self.times, starts + GONE * (ends - starts), ends - GONE * (ends - starts))
 
     def sample_signal(self, signal: Callable[..., Array]) -> Array:
-        """Evaluate a signal (of times and a side) at the samples, with the limit from inside each segment."""
+        """Return a signal (of times and a side) at the samples, with the limit from inside each segment."""
         values = signal(self.times_within, "right")
         values[:, self.is_segment_end] = signal(self.times_within[self.is_segment_end], "left")
         return values
@@ -138,7 +138,7 @@ class PhaseSamples:
 
     @cached_property
     def u_polynomial(self) -> Array:
-        """Controls by their collocation polynomials (m, n_samples)."""
+        """Controls as collocation polynomials (m, n_samples)."""
         return self.sample_signal(self.leg.u)
 
     @cached_property
@@ -148,7 +148,7 @@ class PhaseSamples:
 
     @cached_property
     def inactive_controls(self) -> Mask:
-        """Where a control does nothing (m, n_samples), as the direction of a vector whose magnitude is zero."""
+        """Whether a control has no effect (m, n_samples), such as the direction of a vector of magnitude zero."""
         layout, bounds = self.leg.controls, self.leg.control_bounds
         vectors = self.leg.vector_controls
         rows = {label: row for row, label in enumerate(self.leg.path_labels)}
@@ -169,7 +169,7 @@ class PhaseSamples:
 
     @cached_property
     def at_control_bounds(self) -> Mask:
-        """Whether controls are on their lower, and on their upper bound (2, m, n_samples)."""
+        """Whether controls are at their lower and at their upper bound (2, m, n_samples)."""
         return np.stack(self.leg.control_bounds.near(self.u, AT_LIMIT * self.control_scale))
 
     @cached_property
@@ -209,12 +209,12 @@ class PhaseSamples:
 
     @cached_property
     def state_scale(self) -> Array:
-        """How far each state moves along the phase (n,); see module `spans`."""
+        """Variation scale of each state along the phase (n,); see module `variation_scales`."""
         return state_spans(self.leg, self.functions, self.control_span, lasting=self.has_duration)
 
     @cached_property
     def control_span(self) -> Array:
-        """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
+        """Variation scale of each control, from its own variation or from the costates (m,); see module `variation_scales`."""
         terms = np.abs(self.switching - self.cost_gradient)
         most = float(np.nanmax(self._costate_terms, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)
@@ -228,7 +228,7 @@ class PhaseSamples:
         return control_spans(self.leg, self.u, terms, curvature, most, asked)
 
     def _keeps_curvature(self, i: int, span: float, curvature: Array) -> bool:
-        """Whether H changes over a control's span by a fair share of what its largest curvature predicts."""
+        """Return whether H changes over the control's scale about as its largest curvature predicts."""
         at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
         step = np.zeros((self.u.shape[0], 1))
         step[i] = 0.5 * span
@@ -238,7 +238,7 @@ class PhaseSamples:
 
     @cached_property
     def control_periods(self) -> Array:
-        """Periods of all that controls act on (m,); 0 for those that are no angles, or have bounds."""
+        """Periods of controls (m,); 0 for controls that are not angles or have bounds."""
         bounds = self.leg.control_bounds
         unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
         return find_control_periods(
@@ -252,7 +252,7 @@ class PhaseSamples:
 
     @cached_property
     def cost_gradient(self) -> Array:
-        """The part of dH/du that the integrands contribute, (m, n_samples)."""
+        """Contribution of the integrands to dH/du, (m, n_samples)."""
         return self.functions.switching(self.times, self.x, self.u, np.zeros_like(self.lam))
 
     @cached_property
@@ -266,18 +266,18 @@ class PhaseSamples:
 
     @cached_property
     def _slopes_of_cancelling_costates(self) -> Array:
-        """Slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel."""
+        """Return slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel."""
         leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
         at = middles, leg.x(middles), leg.applied(middles)
         none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
         by_cost = np.abs(self.functions.state_gradient(*at, *none))
         by_state = np.abs(self.functions.state_jacobian(*at))
-        # Costates add up what their rates are for no longer than the quickest of them takes to answer.
+        # Costates integrate their rates over at most the shortest response time.
         steepest = np.max(np.where(np.isfinite(by_state), by_state, 0.0), axis=2)
         lasting = self.span / max(1.0, self.span * float(np.max(np.abs(np.linalg.eigvals(steepest)))))
         flown = np.max(np.abs(self.lam), axis=1)
         before, balanced, size = np.full_like(flown, np.nan), np.zeros_like(flown), np.abs(leg.lam(middles))
-        for _ in range(flown.size):  # costates along a chain may all vanish
+        for _ in range(flown.size):  # costates in a chain may all vanish
             if np.array_equal(before, balanced):
                 break
             costates, before = np.maximum(size, balanced[:, None]), balanced
@@ -288,17 +288,17 @@ class PhaseSamples:
 
     @property
     def joint_hamiltonian_change(self) -> float:
-        """Largest change of H along the phase for half the spans of all controls, cost per second.
+        """Largest change of H along the phase for half the scales of all controls, cost per second.
 
-        By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's
-        curvature; where costates vanish, by the terms that cancel in their rates. Constant states, and drift
-        without the controls, do not count.
+        It is determined from the slope of the integrands or of the costate terms, which cancel at a minimum, or from
+        the curvature of H; for vanishing costates, from the terms that cancel in their rates. Constant states, and
+        drift without controls, are excluded.
         """
         return max(float(np.sum(self._hamiltonian_changes)), self.rounding_gain)
 
     @property
     def control_gain(self) -> Array:
-        """The same of each control, shared by components of a vector; at least `NOTABLE` of the sum (m,)."""
+        """The same for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
             equalise_components(self._hamiltonian_changes, self.leg.controls),
             NOTABLE * self.joint_hamiltonian_change,
@@ -313,7 +313,7 @@ class PhaseSamples:
 
     @cached_property
     def control_scale(self) -> Array:
-        """Range of each control's bounds, or its magnitude along the phase where unbounded (m,)."""
+        """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
         reach = np.max(np.abs(self.u), axis=1, initial=0.0)
@@ -321,7 +321,7 @@ class PhaseSamples:
 
     @cached_property
     def cost_scale(self) -> float:
-        """Largest |lambda_i| x_i along the phase: the states' sizes in units of the cost."""
+        """Largest |lambda_i| x_i along the phase: magnitudes of the states in units of the cost."""
         worth = float(np.max(np.abs(self.lam) * self.state_scale[:, None], initial=0.0))
         worth = max(worth, COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude)
         return worth if worth > 0 else 1.0
@@ -333,17 +333,16 @@ class PhaseSamples:
 
     @cached_property
     def hamiltonian_terms(self) -> Array:
-        """Sum of the magnitudes of H's terms (n_samples,)."""
+        """Sum of the magnitudes of the terms of H (n_samples,)."""
         integrands = self.functions.integrands(self.times, self.x, self.u)
         terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
         return np.asarray(self._costate_terms + terms)
 
     @cached_property
     def hamiltonian_scale(self) -> float:
-        """Largest sum of the magnitudes of H's terms along the phase (cost per second).
+        """Largest sum of the magnitudes of the terms of H along the phase (cost per second).
 
-        Where the duration is given, integrands count by what they are above their least value: a constant means
-        nothing.
+        For a fixed duration, integrands are taken relative to their minimum, since constants have no effect.
         """
         terms = self._costate_terms
         integrands = self.functions.integrands(self.times, self.x, self.u)
@@ -354,19 +353,19 @@ class PhaseSamples:
 
     @property
     def has_fixed_duration(self) -> bool:
-        """Whether the phase's initial and final time, or its duration, are given."""
+        """Whether initial and final time of the phase, or its duration, are fixed."""
         leg = self.leg
         ends = leg.initial_time_bounds.fixed[0] and leg.final_time_bounds.fixed[0]
         return bool(ends or leg.duration_bounds.fixed[0])
 
     @property
     def span(self) -> float:
-        """Duration between the first and last sample, s; positive even for a phase without length."""
+        """Duration between the first and last sample, s; positive even for an empty phase."""
         return float(self.times[-1] - self.times[0])
 
     @property
     def has_duration(self) -> bool:
-        """Whether the phase lasts: its duration does not sit on a lower bound of zero."""
+        """Whether the phase is not empty: its duration is not at a lower bound of zero."""
         leg = self.leg
         least = max(
             leg.duration_bounds.lower[0], leg.final_time_bounds.lower[0] - leg.initial_time_bounds.upper[0]
@@ -385,13 +384,13 @@ class PhaseSamples:
 
     @cached_property
     def state_range(self) -> tuple[Array, Array]:
-        """Least and largest states within their spans, so wide that they hold the flight (n,) each."""
+        """Smallest and largest states (n,) of the trajectory, extended by the variation scales."""
         least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
         return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
 
     @cached_property
     def path_reach(self) -> Array:
-        """How far the spans of states and controls could move each path constraint (n_paths,)."""
+        """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
         at = self.times, self.x, self.u
         by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
         by_control = np.einsum(
@@ -401,7 +400,7 @@ class PhaseSamples:
 
     @cached_property
     def path_scale(self) -> Array:
-        """How far each path constraint moves along the phase (n_paths,), or the spans of states and controls could."""
+        """Variation of each path constraint along the phase, or over the scales of states and controls (n_paths,)."""
         values = self.functions.paths(self.times, self.x, self.u)
         scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_reach)
         size = np.max(np.abs(values), axis=1, initial=0.0)
@@ -425,7 +424,7 @@ class PhaseSamples:
         return f"phase {self.leg.name}, segment {segment + 1} ({times}), {what}"
 
     def integrate_magnitudes(self, values: Array) -> Array:
-        """Integrate |values| (n, n_samples) over each segment: (n, K)."""
+        """Return the integrals of |values| (n, n_samples) over each segment: (n, K)."""
         return self.segment_integrals(np.abs(values))
 
     @cached_property
@@ -434,11 +433,11 @@ class PhaseSamples:
         return np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
 
     def segment_integrals(self, values: Array) -> Array:
-        """Integrate values (..., n_samples) over each segment: (..., K)."""
+        """Return the integrals of values (..., n_samples) over each segment: (..., K)."""
         return np.asarray(np.add.reduceat(values * self.weights, self.segment_starts, axis=-1))
 
     def running_integrals(self, values: Array) -> Array:
-        """Integrate values (n, n_samples) from the start of each sample's segment to it (n, n_samples)."""
+        """Return the integrals of values (n, n_samples) from the start of the segment to each sample (n, n_samples)."""
         parts = values * self.weights
         running = np.cumsum(parts, axis=1)
         return np.asarray(running - (running - parts)[:, self.segment_starts][:, self.segments])
@@ -450,15 +449,15 @@ class PhaseSamples:
 
 @cache
 def choose_sample_points(degree: int) -> tuple[Array, Array]:
-    """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
+    """Return the positions of a segment's samples on [-1, 1], including its ends, and their weights."""
     n = min(
         degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
-    )  # the rule's other tables take as long and are not used here
+    )  # the other tables of the rule are expensive and not needed
     return np.pad(collocation_points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(
         quadrature_weights(GAUSS, n), 1
     )
 
 
 def _find_largest_finite(values: Array) -> Array:
-    """Largest number of each row, 0 if there is none."""
+    """Return the largest finite number of each row, 0 if there is none."""
     return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))

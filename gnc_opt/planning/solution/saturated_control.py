@@ -1,4 +1,4 @@
-"""The applied (saturated) control: between nodes it respects its bounds."""
+"""Applied (saturated) control: control signal within its bounds, also between nodes."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _SATURATION_SAMPLES = 33
 
 @dataclass(frozen=True, eq=False)
 class SaturatedControl:
-    """A control signal that never leaves its bounds.
+    """Control signal within its bounds.
 
-    Where a channel's collocation polynomial stays within its bounds over a segment, it is applied as it is.
-    Where it overshoots (it does through bang-bang nodes), each node's value is held over a cell as long as
-    the node's quadrature weight: within bounds, and with the same impulse as the polynomial.
+    If the collocation polynomial of a channel stays within its bounds over a segment, it is used unchanged. If it
+    overshoots (as at bang-bang nodes), the value of each node is constant over a cell as long as the quadrature weight
+    of the node: within the bounds, and with the same impulse as the polynomial.
 
     Attributes
     ----------
     rules : tuple of CollocationRule
-        One per segment; their points are the polynomial's nodes.
+        Rule of each segment; its points are the nodes of the polynomial.
     tolerance : float
-        Overshoot, relative to the range of the bounds (to the value of a fixed control), that still counts as rounding
-        and is clipped.
+        Overshoot relative to the range of the bounds (to the value of a fixed control) that is treated as rounding and
+        clipped.
     """
 
     polynomial: PiecewisePolynomial
@@ -42,7 +42,7 @@ class SaturatedControl:
 
     @cached_property
     def is_piecewise_constant(self) -> Mask:
-        """Which channel is held piecewise constant in which segment, shape (m, K)."""
+        """Whether each channel is piecewise constant in each segment, shape (m, K)."""
         values = self.polynomial.evaluate_in_segments(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
         slack = self.tolerance * _bound_ranges(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
@@ -51,7 +51,7 @@ class SaturatedControl:
 
     @cached_property
     def _segment_cells(self) -> tuple[Array, ...]:
-        """Cell edges of each segment (n_k + 1,), in time."""
+        """Cell edges of each segment (n_k + 1,), s."""
         edges = []
         for k, rule in enumerate(self.rules):
             left, right = self.polynomial.breaks[k], self.polynomial.breaks[k + 1]
@@ -61,19 +61,19 @@ class SaturatedControl:
 
     @cached_property
     def jump_times(self) -> Array:
-        """Times at which the signal may be discontinuous, ends included; increasing."""
+        """Times of possible discontinuities, including the ends, in ascending order."""
         pieces = [self.polynomial.breaks]
         pieces += [self._segment_cells[k] for k in np.flatnonzero(self.is_piecewise_constant.any(axis=0))]
         return np.unique(np.concatenate(pieces))
 
     def evaluate_clipped(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Evaluate the polynomial, clipped to the bounds: for guesses, not for flying."""
+        """Return the polynomial clipped to the bounds; for guesses, not for propagation."""
         values = self.polynomial(t, side)
         lower, upper = (b if np.ndim(t) == 0 else b[:, None] for b in (self.bounds.lower, self.bounds.upper))
         return np.clip(values, lower, upper)
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Evaluate at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
+        """Return the values at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
         times = np.atleast_1d(read_numbers(t, "the time"))
         values = self.evaluate_clipped(times, side)
         breaks = self.polynomial.breaks
@@ -88,7 +88,7 @@ class SaturatedControl:
 
 
 def _bound_ranges(bounds: Interval) -> Array:
-    """Return the ranges of bounds; of fixed controls their size, and 1 where there is neither."""
+    """Return the ranges of bounds; for fixed controls their magnitude; 1 if both are zero or infinite."""
     span = bounds.upper - bounds.lower
     fixed = nonzero_magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))
     return np.where(np.isfinite(span) & ~bounds.fixed, span, fixed)

@@ -1,4 +1,4 @@
-"""Solution: the result of `solve`, to be evaluated, verified, saved and used as a guess."""
+"""Solution: result of `solve`, for evaluation, verification, storage and use as a guess."""
 
 from __future__ import annotations
 
@@ -51,41 +51,40 @@ from gnc_opt.text_formatting import Printed
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Printed):
-    """A trajectory with its costates and multipliers.
+    """Trajectory with costates and multipliers.
 
-    With a single phase, the phase argument of every method may be left out.
+    For a single phase, the phase argument of all methods is optional.
 
     Attributes
     ----------
     problem_name : str
     status : Status
     objective : float
-        As stated (not negated when maximised).
+        Value as stated (not negated for a maximum).
     maximised : bool
     phases : dict of PhaseSolution
     free_parameters : Layout
-        Names of the optimised parameters.
+        Layout of the optimised parameters.
     parameter_values, parameter_multipliers : array (n_parameters,)
         Values, and multipliers of their bounds.
     constraint_labels : tuple of str
     constraint_values, constraint_multipliers : array (n_constraints,)
         Boundary constraints and their multipliers nu.
     violations : tuple of Violation
-        Worst first; empty when solved.
+        In descending order of severity; empty if solved.
     statistics : Statistics
     structure : tuple of Arc
-        Arcs of the controls on and between their bounds, from a refinement that optimised switch times; else
-        empty.
+        Arcs of the controls at and between their bounds, from a refinement with optimised switching times; else empty.
     history : History or None
-        Record of the refinement.
+        History of the refinement.
     provenance : dict of str
-        Versions, options, scheme, mesh and the problem's fingerprint.
+        Versions, options, scheme, mesh and fingerprint of the problem.
     problem : Problem or None
-        Immutable copy of the solved problem; None after loading without it.
+        Immutable copy of the solved problem; None if loaded without it.
     bound : LowerBound or None
         Lower bound of the cost of all trajectories, from `lower_bound`; not saved to files.
     verdict : Verdict or None
-        Result of `verify` at its default tolerance, once computed. A copy made by `dataclasses.replace` has none.
+        Result of `verify` with its default tolerance, once computed. Copies by `dataclasses.replace` have none.
 
     Examples
     --------
@@ -115,20 +114,19 @@ class Solution(Printed):
 
     @property
     def scheme(self) -> Scheme:
-        """Of the collocation: LG, LGR or LGL."""
+        """Collocation scheme: LG, LGR or LGL."""
         return next(iter(self.phases.values())).scheme
 
     @property
     def converged(self) -> bool:
-        """Whether a refinement reached its tolerance and the verdict."""
+        """Whether a refinement reached its tolerance and passed the optimality check."""
         return self.history is not None and self.history.converged
 
     @property
     def gap(self) -> float | None:
-        """Distance of the objective from its bound, relative to the objective; None where no bound is known.
+        """Distance of the objective from its lower bound, relative to the objective; None without a bound.
 
-        Accurate to the tolerances of both solves, which may make it negative; see ``bound.certified`` for its
-        validity.
+        Accurate to the tolerances of both solves, so that it may be negative; see ``bound.certified`` for its validity.
         """
         if self.bound is None:
             return None
@@ -138,7 +136,7 @@ class Solution(Printed):
     # --- evaluation -------------------------------------------------------------------------------
 
     def phase(self, name: str | None = None) -> PhaseSolution:
-        """Return the solution of a phase; the name may be left out when there is only one."""
+        """Return the solution of a phase; the name is optional for a single phase."""
         if name is None:
             if len(self.phases) != 1:
                 raise ProblemError(
@@ -155,11 +153,11 @@ class Solution(Printed):
         return self.phase(phase).state(name)
 
     def control(self, name: str, phase: str | None = None) -> Signal:
-        """Return a control over time by its polynomial, which may leave its bounds between nodes."""
+        """Return the collocation polynomial of a control, which may exceed its bounds between nodes."""
         return self.phase(phase).control(name)
 
     def saturated_control(self, name: str, phase: str | None = None) -> Signal:
-        """Return an applied control over time: a signal within its bounds."""
+        """Return an applied control over time, within its bounds."""
         return self.phase(phase).saturated_control(name)
 
     def costate(self, name: str, phase: str | None = None) -> Signal:
@@ -189,7 +187,7 @@ class Solution(Printed):
     def switching_function(
         self, name: str, t: ArrayLike, phase: str | None = None, side: Side = "right"
     ) -> Array | float:
-        """Return dH/du of a control at time(s) t: a bounded control sits low where it is positive."""
+        """Return dH/du of a control at time(s) t; positive values imply the lower bound."""
         leg = self.phase(phase)
         values = self.functions(leg.name).switching(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))
         rows = values[leg.controls.slice(name)]
@@ -200,7 +198,7 @@ class Solution(Printed):
     def evaluate(
         self, expression: Any, t: ArrayLike, phase: str | None = None, side: Side = "right"
     ) -> Array | float:
-        """Return any expression in the model's symbols (or a declared output's name) at time(s) t.
+        """Return an expression in the model's symbols, or an output given by name, at time(s) t.
 
         Parameters
         ----------
@@ -216,32 +214,32 @@ class Solution(Printed):
         return float(values[0]) if np.ndim(t) == 0 else np.asarray(values[0])
 
     def functions(self, phase: str) -> PhaseFunctions:
-        """Return dynamics, Hamiltonian and derivatives of a phase at this solution's parameters."""
+        """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
         leg = self.phase(phase)
         problem = self.need_problem("evaluate functions of")
         return phase_functions(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
 
     def samples(self) -> dict[str, PhaseSamples]:
-        """Return every phase sampled densely in time, from model and trajectory alone; needs the problem."""
+        """Return dense samples of every phase, from model and trajectory; needs the problem."""
         return dict(self._samples)
 
     @cached_property
     def _samples(self) -> dict[str, PhaseSamples]:
-        """Cached: refinement evaluates derived quantities repeatedly."""
+        """Cached samples; refinement evaluates derived quantities repeatedly."""
         return {name: PhaseSamples.from_phase(leg, self.functions(name)) for name, leg in self.phases.items()}
 
     # --- quality ----------------------------------------------------------------------------------
 
     @cached_property
     def quality(self) -> Quality:
-        """Between-node defect, bound violation and propagation error, computed from the model alone."""
+        """Defect between nodes, violation of bounds and propagation error, computed from the model."""
         return measure_quality(self.samples().values())
 
     @cached_property
     def accuracy(self) -> Accuracy:
-        """Estimated error of the objective, violation of limits, and miss at the ends, in their units.
+        """Estimated error of the objective, violation of limits and error of the final states, in their units.
 
-        The applied control is integrated independently. Needs the problem.
+        The applied control is integrated independently of the collocation. Needs the problem.
         """
         return measure_accuracy(self.samples().values(), self.objective, self.objective_error.value)
 
@@ -251,7 +249,7 @@ class Solution(Printed):
         return estimate_objective_error(self.samples(), self.objective)
 
     def outside_tables(self) -> list[OutsideTable]:
-        """Return where the trajectory is outside of the tables of its models; needs the problem."""
+        """Return where the trajectory is outside the tables of its models; needs the problem."""
         problem = self.need_problem("look for the tables of")
         found: list[OutsideTable] = []
         for name, leg in problem.phases.items():
@@ -269,20 +267,20 @@ class Solution(Printed):
         control: Literal["flown", "polynomial"] = "flown",
         rtol: float = 1e-11,
     ) -> Propagation:
-        """Integrate the dynamics under this solution's control, independently of collocation.
+        """Return the dynamics integrated with the control of this solution, independently of the collocation.
 
         Parameters
         ----------
         phase : str, optional
         control : {"flown", "polynomial"}
-            The applied control within its bounds, or the unmodified collocation polynomial.
+            Applied control within its bounds, or collocation polynomial.
         rtol : float
             Relative tolerance of the integrator (DOP853).
 
         Returns
         -------
         Propagation
-            Times, states and the final miss of each state.
+            Times, states and the error of each final state.
         """
         leg = self.phase(phase)
         return integrate_dynamics(leg, self.functions(leg.name), control=control, rtol=rtol)
@@ -299,36 +297,36 @@ class Solution(Printed):
     # --- files and tables -------------------------------------------------------------------------
 
     def to_pandas(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
-        """Return states, applied controls and costates as a table, one column per component, by time (s).
+        """Return states, applied controls and costates as a table, one column per component, over time (s).
 
         Parameters
         ----------
         phase : str, optional
-            May be left out when there is only one.
+            Optional for a single phase.
         times : array (n_times,), optional
-            s; default ten intervals of every segment. Where a control jumps, the value after the jump is given.
+            Times, s; default: ten intervals per segment. At a jump of a control its right limit is used.
 
         Returns
         -------
         pandas.DataFrame
-            Columns such as ``r[0]`` and ``lam_r[0]``; ``attrs["units"]`` holds the unit of each.
+            Columns such as ``r[0]`` and ``lam_r[0]``; ``attrs["units"]`` contains their units.
 
         Raises
         ------
         GncOptError
-            pandas is not installed; it comes with the extra ``data``.
+            pandas is not installed; it is part of the extra ``data``.
         """
         return build_time_history(self.phase(phase), times).to_pandas()
 
     def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
-        """Return states, applied controls and costates as variables over time (s), each with its unit.
+        """Return states, applied controls and costates as variables over time (s), with units.
 
         Parameters
         ----------
         phase : str, optional
-            May be left out when there is only one.
+            Optional for a single phase.
         times : array (n_times,), optional
-            As for `to_pandas`.
+            See `to_pandas`.
 
         Returns
         -------
@@ -338,7 +336,7 @@ class Solution(Printed):
         Raises
         ------
         GncOptError
-            xarray is not installed; it comes with the extra ``data``.
+            xarray is not installed; it is part of the extra ``data``.
         """
         told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
         return (
@@ -351,33 +349,33 @@ class Solution(Printed):
         Parameters
         ----------
         path : str or Path
-            ``.csv`` (which `guess_from_data` reads), ``.json`` or ``.mat``, with all digits. `save` keeps the whole.
+            ``.csv`` (readable by `guess_from_data`), ``.json`` or ``.mat``, with all digits. `save` stores everything.
         phase : str, optional
-            May be left out when there is only one.
+            Optional for a single phase.
         times : array (n_times,), optional
-            As for `to_pandas`.
+            See `to_pandas`.
 
         Raises
         ------
         ArgumentError
-            Another suffix.
+            Unknown suffix.
         """
         return build_time_history(self.phase(phase), times).write(path)
 
     def save(self, path: str | Path) -> Path:
-        """Write the numbers to a file that `load` reads without the model.
+        """Write the solution to a file that `load` reads without the model.
 
         Parameters
         ----------
         path : str or Path
-            ``.npz`` is appended if it has no suffix. An existing file is replaced, and only once the new one is
+            ``.npz`` is appended to a path without suffix. An existing file is replaced when the new one is
             complete.
 
         Returns
         -------
         Path
-            The file written. It holds the quality figures too: computed now, or copied if this solution was
-            itself loaded without its problem.
+            Path of the file. It also contains the quality figures: computed now, or copied if this solution was loaded
+            without its problem.
 
         Raises
         ------
@@ -389,12 +387,12 @@ class Solution(Printed):
         return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known, history=self.history)
 
     def with_problem(self, problem: Problem) -> Solution:
-        """Return this solution joined to its problem, e.g. after `load`.
+        """Return this solution with its problem, e.g. after `load`.
 
         Raises
         ------
         ProblemError
-            If the problem is not the one that was solved (its fingerprint differs).
+            The problem is not the solved one (its fingerprint differs).
         """
         expect(problem, Problem, "what with_problem() got", "give the problem that was solved")
         problem = reformulate(problem)
@@ -406,7 +404,7 @@ class Solution(Printed):
         return replace(self, problem=problem.frozen())
 
     def trajectory_phases(self) -> tuple[TrajectoryPhase, ...]:
-        """Return states and saturated controls by phase, in the controls as they were stated.
+        """Return states and applied controls by phase, in the controls as stated.
 
         Raises
         ------
@@ -418,12 +416,12 @@ class Solution(Printed):
         problem = self.need_problem("follow")
         if not self.status.solved:
             raise ArgumentError(
-                f"the solution of '{self.problem_name}' ended as {self.status.value}: follow one that is solved."
+                f"the solution of '{self.problem_name}' ended as {self.status.value}: use a solved solution."
             )
         return tuple(_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
 
     def with_verdict(self, verdict: Verdict | None) -> Solution:
-        """Return a copy that holds a verdict on it."""
+        """Return a copy with a verdict."""
         copy = replace(self)
         object.__setattr__(copy, "verdict", verdict)
         return copy
@@ -434,12 +432,12 @@ class Solution(Printed):
         Parameters
         ----------
         action : str
-            What it is needed for, a verb whose object is the solution: ``"refine"``.
+            Purpose for the message, a verb with the solution as object: ``"refine"``.
 
         Raises
         ------
         GncOptError
-            The solution was loaded without it.
+            The solution was loaded without its problem.
         """
         if self.problem is None:
             raise GncOptError(
@@ -486,20 +484,20 @@ SOLUTION_FILES = FileFormat(
         ),
         left_out={Solution: ("problem", "history", "bound", "verdict")},
     ),
-    alike=(1, 2),  # have no turns, 1 no composed controls
+    alike=(1, 2),  # without turns; 1 also without composed controls
 )
-"""Solutions on disk: numbers and text, no code. Raise the version whenever a stored class changes its fields."""
+"""File format of solutions: numbers and text only. Raise the version if a stored class changes its fields."""
 
 
 def load(path: str | Path, problem: Problem | None = None) -> Solution:
-    """Read a solution that `Solution.save` wrote.
+    """Return a solution from a file written by `Solution.save`.
 
     Parameters
     ----------
     path : str or Path
     problem : Problem, optional
-        The problem that was solved, built again. Without it states, controls, costates, multipliers and the
-        quality figures of saving time are there; Hamiltonian, expressions and the optimality check need it.
+        Solved problem, built again. Without it states, controls, costates, multipliers and the stored quality figures
+        are available; Hamiltonian, expressions and the optimality check need the problem.
 
     Returns
     -------
@@ -508,12 +506,12 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     GncOptError
-        The file is damaged, no solution of gnc_opt, or of another format version.
+        The file is damaged, not a solution of gnc_opt, or of another format version.
     ProblemError
-        ``problem`` is not the one that was solved. (Functions are compared as CasADi writes them down, which
-        may change with a new CasADi.)
+        ``problem`` is not the solved one. (Functions are compared in CasADi's serialised form, which
+        may change with the CasADi version.)
 
     Examples
     --------
@@ -527,5 +525,5 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     if problem is not None:
         return solution.with_problem(problem)
     if more.get("quality") is not None:
-        vars(solution)["quality"] = more["quality"]  # what the cached property would hold
+        vars(solution)["quality"] = more["quality"]  # value of the cached property
     return solution

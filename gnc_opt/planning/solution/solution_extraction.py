@@ -1,4 +1,4 @@
-"""From the solver's vectors to a solution: points in time, integrals, and the covector mapping by phase."""
+"""Conversion of solver results to solutions: times, integrals and covector mapping."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gnc_opt.tolerances import ROUNDING, SHORTEST
 
 
 def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
-    """Return a phase's model parameters, optimised ones replaced by their values in q (n,) or (n, n_columns)."""
+    """Return the model parameters of a phase, with optimised ones from q (n,) or (n, n_columns)."""
     p = leg.model.parameter_values
     p = p if q.ndim == 1 else np.repeat(p[:, None], q.shape[1], axis=1)
     for name in problem.parameters.names:
@@ -38,14 +38,14 @@ def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
 
 
 def phase_functions_at(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
-    """Return the functions of a phase for values of the free parameters; without ``weights`` no integral counts."""
+    """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
     leg = problem.phases[name]
     weights = np.zeros(len(leg.integrands)) if weights is None else weights
     return phase_functions(problem, name, model_parameters(problem, leg, q), q, weights)
 
 
 def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
-    """Return what the solution of a phase keeps of its problem: names, limits, parameters."""
+    """Return the data of the problem in the solution of a phase: names, limits, parameters."""
     initial_time, final_time = leg.time_ranges()
     return {
         "states": leg.model.states,
@@ -68,7 +68,7 @@ def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
 def extract_phases(
     transcription: Transcription, problem: Problem, iterate: Iterate
 ) -> tuple[dict[str, PhaseSolution], EndGradients]:
-    """Return the solution of every phase, and the end-point gradients at the solution."""
+    """Return the solution of every phase, and the end-point gradients."""
     q = iterate.x[transcription.parameter_places]
     nu = iterate.lam_g[transcription.constraint_rows]
     extended = np.concatenate([iterate.x, transcription.fixed_times(problem)])
@@ -90,7 +90,7 @@ def extract_phases(
 
 
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
-    """Return the variables with angles among the controls unwound; see `gnc_opt.planning.solution.angle_unwrapping`."""
+    """Return the variables with unwrapped angular controls; see `gnc_opt.planning.solution.angle_unwrapping`."""
     q = variables[transcription.parameter_places]
     extended = np.concatenate([variables, transcription.fixed_times(problem)])
     found = variables.copy()
@@ -120,14 +120,14 @@ def _compute_integrals(
 
 
 def _collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
-    """Times of the collocation points and the durations of their arcs, (N,) each."""
+    """Return the times of the collocation points and the durations of their arcs, (N,) each."""
     spans = np.diff(anchors)[collocation.point_arcs]
     return anchors[collocation.point_arcs] + collocation.arc_fractions * spans, spans
 
 
 def _fix_mesh_times(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
-    """The mesh with its movable boundaries where they ended, and all boundary times (K + 1,)."""
-    # Far from t = 0 the narrowest segment of the shortest span must still be seen by its boundaries.
+    """Return the mesh with movable breaks at their final positions, and all boundary times (K + 1,)."""
+    # Far from t = 0, the shortest segment must still have distinct boundary times.
     shortest = SHORTEST + ROUNDING * float(np.max(np.abs(anchors))) / float(np.min(mesh.arc_widths))
     spans = np.maximum(np.diff(anchors), shortest)
     starts = anchors[0] + np.concatenate([[0.0], np.cumsum(spans)])
@@ -198,7 +198,7 @@ def _extract_phase(
 def state_polynomial(
     collocation: PhaseCollocation, breaks: Array, variables: Array, scaled_rates: Array
 ) -> PiecewisePolynomial:
-    """The scheme's state polynomial; ``scaled_rates`` (n_states, N) are dx/dt times the arc's duration."""
+    """Return the state polynomial of the scheme; ``scaled_rates`` (n_states, N) are dx/dt times the arc duration."""
     nodes, values = [], []
     for k, rule in enumerate(collocation.rules):
         states = variables[collocation.segment_nodes(k)]

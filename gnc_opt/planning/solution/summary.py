@@ -1,4 +1,4 @@
-"""The summary of a solution that a person reads: what `print(solution)` shows."""
+"""Summary of a solution, the output of `print(solution)`."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from gnc_opt.tolerances import EQUAL
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
-"""Violated constraints, open conditions and overshooting controls that are named."""
+"""Largest number of violated constraints, open conditions and overshooting controls that are named."""
 
 BETTER_COARSE_SOLVE = "also seen"
-"""Key of the provenance: a coarse solve on the way to the answer that was better, perhaps by another minimum."""
+"""Key of the provenance: a better solution on a coarse mesh during the refinement, possibly another minimum."""
 
 MOVED_START = "start"
-"""Key of the provenance: initial states that were moved onto a bound."""
+"""Key of the provenance: initial states that were moved to a bound."""
 
 _LOADED_CHECK = {
     RefinementStatus.CONVERGED: "passed at the end of the refinement",
@@ -41,7 +41,7 @@ _FAMILY_NAMES = {"LG": "Legendre-Gauss", "LGR": "Legendre-Gauss-Radau", "LGL": "
 
 
 class SummarisedSolution(Protocol):
-    """What is printed of a solution, see `gnc_opt.Solution`."""
+    """Interface of a solution for its summary, see `gnc_opt.Solution`."""
 
     @property
     def problem_name(self) -> str: ...
@@ -82,8 +82,8 @@ class SummarisedSolution(Protocol):
 def summary(solution: SummarisedSolution) -> str:
     """Return a summary: seven lines for a converged solution that passes the optimality check, more for others.
 
-    Objective with unit and estimated error; optimality check; accuracy at the ends and of the limits; times;
-    refinement; mesh; time spent. Further lines name what is open or failed, and what to do.
+    The lines are: objective with unit and estimated error; optimality check; accuracy of final states and limits;
+    times; refinement; mesh; time spent. Further lines name open or failed conditions, with remedies.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def summary(solution: SummarisedSolution) -> str:
     Returns
     -------
     str
-        Lines without a trailing newline.
+        Text without a trailing newline.
 
     Examples
     --------
@@ -123,19 +123,19 @@ def summary(solution: SummarisedSolution) -> str:
 
 
 def find_known_quality(solution: SummarisedSolution) -> Quality | None:
-    """Return the quality figures, measured now or stored in the file; None if neither is possible."""
+    """Return the quality figures, computed or stored in the file; None if neither is possible."""
     if solution.problem is None and "quality" not in vars(solution):
         return None
     return solution.quality
 
 
 def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
-    """Return the controls whose polynomial leaves its bounds between nodes.
+    """Return the controls whose polynomial exceeds its bounds between nodes.
 
     Returns
     -------
     dict
-        From component label to the largest overshoot in the control's unit, the worst relative one first.
+        Largest overshoot by component label, in the unit of the control; in descending relative order.
     """
     lower, upper = leg.control_bounds.lower[:, None], leg.control_bounds.upper[:, None]
     times = leg.sample_times(32)
@@ -148,7 +148,7 @@ def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
 
 
 def mesh_text(solution: SummarisedSolution) -> str:
-    """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the name of each of several phases before it."""
+    """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
     named = [
         f"{name} {_mesh_text(leg.mesh)}" if len(solution.phases) > 1 else _mesh_text(leg.mesh)
         for name, leg in solution.phases.items()
@@ -158,7 +158,7 @@ def mesh_text(solution: SummarisedSolution) -> str:
 
 
 def objective_text(solution: SummarisedSolution) -> str:
-    """Return ``"2.5 s ± 3e-09"``: the objective, its unit, and its estimated error if it is solved."""
+    """Return ``"2.5 s ± 3e-09"``: objective, unit and, if solved, estimated error."""
     unit = "" if solution.problem is None else solution.problem.cost_unit
     value = f"{solution.objective:.10g} {unit}".rstrip()
     if solution.status.solved and solution.problem is not None:
@@ -202,7 +202,7 @@ def _failure_lines(solution: SummarisedSolution) -> Iterator[str]:
 
 
 def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
-    """Yield the result of the optimality check, its open conditions, and the bounds that it needs."""
+    """Yield the result of the optimality check, its open conditions, and missing bounds."""
     if not solution.status.solved:
         return
     yield _labelled_line("optimality", optimality_text(solution))
@@ -217,7 +217,7 @@ def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
 
 
 def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
-    """Yield the accuracy of a solved problem; without the problem, its figures when it was saved."""
+    """Yield the accuracy of a solved problem; without the problem the stored figures."""
     if solution.problem is not None:
         if solution.status.solved:
             yield _labelled_line("accuracy", solution.accuracy.text)
@@ -228,7 +228,7 @@ def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> It
 
 
 def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
-    """Yield the requested and reached error of a refinement, and what was moved or seen on the way."""
+    """Yield requested and reached error of a refinement, and notes of its provenance."""
     if MOVED_START in solution.provenance:
         yield _labelled_line(MOVED_START, solution.provenance[MOVED_START])
     history = solution.history
@@ -273,7 +273,7 @@ def _phase_times_line(solution: SummarisedSolution) -> str:
 
 
 def _time_spent_line(solution: SummarisedSolution) -> str:
-    """Return the wall time of all refinement iterations, and the work of the last solve."""
+    """Return the wall time of all refinement iterations, and the statistics of the last solve."""
     spent = solution.statistics
     seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
     return f"{seconds:.2f} s; last solve: {spent.text}"
@@ -312,7 +312,7 @@ def _overshoot_lines(solution: SummarisedSolution) -> Iterator[str]:
 
 
 def exited_tables(solution: SummarisedSolution) -> list[OutsideTable]:
-    """Return where the trajectory is outside of tables; nothing without the problem, which alone knows them."""
+    """Return where the trajectory is outside tables; empty without the problem."""
     return [] if solution.problem is None else solution.outside_tables()
 
 

@@ -1,12 +1,12 @@
-r"""Spans of states and controls: reference magnitudes for their variations, independent of the origin.
+r"""Variation scales of states and controls: reference magnitudes that do not depend on the origin.
 
-The span of a state is its largest distance from its initial value, shared by the components of a vector. A nearly
-constant state has the change that the controls could cause, :math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`
-with the mean deviation :math:`\Delta u_k` of each control (a constant one: its span), or the same through another
-state. A state that no control affects has the width of its limits, or its size. Spans are at least `SPAN_MIN_SHARE`
-of the size.
+The scale of a state is its largest distance from its initial value, common to the components of a vector. For a nearly
+constant state it is the change that the controls could cause, :math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`
+with the mean deviation :math:`\Delta u_k` of each control (a constant one: its scale), or the same through another
+state. A state that no control affects has the width of its limits, or its magnitude. Scales are at least
+`SPAN_MIN_SHARE` of the magnitude.
 
-Controls may be without effect, as the steering angle of an engine that is off (`find_inactive_controls`).
+Controls may be without effect, such as the steering angle of an engine that is off (`find_inactive_controls`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, nonzero_magnitude
 
 CONTROL_STEP_SHARES = 0.37, -0.61
-"""Steps of a control, in shares of its scale: one that changes nothing at either is idle, and no angle has both as
-turns."""
+"""Test steps of a control, as shares of its scale; a control is inactive if both have no effect. No angle has both as
+periods."""
 
 
 def find_inactive_controls(
@@ -37,10 +37,10 @@ def find_inactive_controls(
     scale: Array,
     norms: Mapping[int, int] | None = None,
 ) -> Mask:
-    """Return where controls (m, N) change no rates, paths or integrands while others are on their bounds.
+    """Return where controls (m, N) do not change rates, paths or integrands while others are at their bounds.
 
-    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls, ``norms``
-    the path constraint that gives a component of a direction its length: no effect.
+    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls. ``norms``
+    maps a component of a direction to the path constraint of its length, which does not count as an effect.
     """
     idle = np.zeros(u.shape, dtype=bool)
     coupled = np.flatnonzero(~functions.separable_controls)
@@ -71,14 +71,14 @@ def _shift_control(u: Array, i: int, by: float) -> Array:
 
 
 STILL_STATE_SHARE = 1e-4
-"""A state that moves by less than this share of what the controls could move it is still: that is its span."""
+"""Share of the motion that controls could cause, below which a state is nearly constant and has that scale."""
 
 SPAN_MIN_SHARE = 1e-7
-"""Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
+"""Smallest scale, as a share of the magnitude: with the tolerance 1e-5 it gives 1e-12, the rounding level."""
 
 
 def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool) -> Array:
-    """Return how far each state moves along a phase (n_states,); ``used`` (n_controls,) are the controls' spans."""
+    """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
     moved = equalise_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
@@ -96,18 +96,18 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
 def control_spans(
     leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
 ) -> Array:
-    """Return the span of each control along a phase (n_controls,), positive and at most its range.
+    """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
 
     Parameters
     ----------
     flown, pull, curvature : array (n_controls, n_samples)
-        The control; the costates' part of dH/du; d2H/du2. A constant control has the span pull / curvature; an inactive
-        one without a range the span that changes H as much as the others do.
+        The control; the costate part of dH/du; d2H/du2. A constant control has the scale pull / curvature; an inactive
+        one without a range has the scale with the same effect on H as the other controls.
     terms : float
-        Size of the products of costates and rates in H, used if all controls are inactive.
+        Magnitude of the products of costates and rates in H, used if all controls are inactive.
     asked : array (n_controls,)
-        Controls needed for the trajectory's motion (`estimate_required_controls`): the span of a constant control
-        without range, or its own size if less.
+        Controls required for the motion of the trajectory (`estimate_required_controls`): the scale of a constant
+        control without range, or its own magnitude if that is smaller.
     """
     extent, size = leg.control_bounds.finite_width, np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
@@ -128,7 +128,7 @@ def control_spans(
 
 
 def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
-    """Return the controls (n_controls,) that the motion needs, by the least moved state; zero without effect."""
+    """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
     middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
     moved = equalise_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
     x, u = leg.x(middles), leg.applied(middles)
@@ -143,31 +143,29 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
         if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
             least[i] = 0.0
     for vector in leg.vector_controls:
-        place = leg.controls.slice(
-            vector.direction
-        )  # of length 1: where it coasts, nothing could ask for more
+        place = leg.controls.slice(vector.direction)  # directions of length 1 have no larger scale
         least[place] = np.minimum(least[place], 1.0)
     return np.asarray(least)
 
 
 def _reachable_state_motion(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
-    """Return how far the controls could move each state within the phase, directly or through another (n_states,)."""
+    """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
     middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
     x, u = leg.x(middles), leg.applied(middles)
-    # A median, as one violent instant says nothing about the phase.
+    # median, not sensitive to short peaks
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     lasts = leg.breaks[-1] - leg.breaks[0]
     at_once = lasts * by_control @ _mean_control_effects(leg, used)
     movable = np.maximum(at_once, lasts * by_state @ at_once)
-    for _ in range(movable.size):  # what is further down a chain
+    for _ in range(movable.size):  # states further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)
 
 
 def _mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
-    """Return by how much each control differs from its mean, on average (n_controls,); a constant one by its span."""
+    """Return the mean deviation of each control from its mean (n_controls,); for a constant one its scale."""
     times = leg.sample_times()
     lasts, u = times[-1] - times[0], leg.applied(times)
     mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
@@ -182,8 +180,8 @@ def _limit_spans_to_range(spans: Array, extent: Array) -> Array:
 
 
 def equalise_components(values: Array, layout: Layout) -> Array:
-    """Return the largest value among the components of each variable."""
-    values = np.where(np.isfinite(values), values, 0.0)  # a copy
+    """Return the largest value over the components of each variable."""
+    values = np.where(np.isfinite(values), values, 0.0)  # copy
     for variable in layout.variables:
         rows = layout.slice(variable.name)
         values[rows] = np.max(values[rows], initial=0.0)

@@ -1,6 +1,6 @@
-"""The verdict: condition by condition, with numbers, places and meanings.
+"""Verdict: results of the optimality conditions with values, locations and meanings; lower bound of the cost.
 
-A bound of the cost that no trajectory of a problem can pass.
+`gnc_opt.planning.verification` evaluates the conditions.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from gnc_opt.text_formatting import html_heading, html_preformatted, html_table
 
 @dataclass(frozen=True)
 class LowerBound:
-    """The least cost of a problem whose trajectories include all those of another, or seem to.
+    """Minimum of the problem itself or of a relaxation, as a lower bound of its cost.
 
     Attributes
     ----------
     value : float
-        As the objective is stated: what a minimised one is at least, a maximised one at most.
+        Bound in the sense of the objective: lower bound of a minimum, upper bound of a maximum.
     states : tuple of str
-        The components of states that are left in the problem that gives the bound; all where it is the problem itself.
+        State components in the relaxation; all for the problem itself.
     theorem : str
-        By which the minimum of that problem is a global one. Empty where none applies: the minimum is a local one then,
-        and the value no bound if another is lower.
+        Theorem that certifies a global minimum of the relaxation. Empty if none applies: the value is then a local
+        minimum and a bound only if it is global.
 
     Examples
     --------
@@ -41,9 +41,7 @@ class LowerBound:
 
     @property
     def certified(self) -> bool:
-        """Whether a theorem certifies the value as a global minimum, up to the tolerances of verdict and
-        solver.
-        """
+        """Whether a theorem certifies the value as a global minimum, up to the tolerances of verdict and solver."""
         return bool(self.theorem)
 
     def __str__(self) -> str:
@@ -57,10 +55,10 @@ GROUPS = {
     "first-order conditions": ("stationarity", "active set", "minimum principle", "kinks"),
     "second-order conditions": ("second order", "switching times"),
 }
-"""Conditions by the question that they answer."""
+"""Conditions in each group of the summary."""
 
 FIRST_ORDER = (*GROUPS["feasible"], *GROUPS["first-order conditions"][:3])
-"""Conditions whose values are compared with one tolerance."""
+"""Conditions with a common tolerance."""
 
 REMEDIES = {
     "dynamics": "Refine the mesh: solve without `mesh`, or with a smaller `tol`.",
@@ -74,11 +72,11 @@ REMEDIES = {
     "second order": "Solve from another guess (`go.multistart`): a cheaper trajectory is nearby.",
     "switching times": "Solve from a guess with the named switches moved: a cheaper trajectory is there.",
 }
-"""What to do if a condition fails."""
+"""Remedy for each failed condition."""
 
 
 class ConditionResult(Enum):
-    """Outcome of one condition."""
+    """Result of a condition."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -87,29 +85,28 @@ class ConditionResult(Enum):
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition of optimality and its residual.
+    """Optimality condition and its residual.
 
     Attributes
     ----------
     name : str
     result : Result
     value : float
-        The worst violation, dimensionless (see ``meaning``).
+        Largest violation, dimensionless (see ``meaning``).
     tolerance : float
         Largest value that passes.
     where : str
-        Phase, time and quantity of the worst violation.
+        Phase, time and quantity of the largest violation.
     meaning : str
-        The condition and the meaning of its failure, in one or two sentences.
+        Condition and meaning of its failure, in one or two sentences.
     sufficient : bool
-        False: necessary for a minimum; ``Verdict.ok`` requires it to pass. True: part of the sufficient
-        conditions of a strict local minimum; only ``Verdict.minimum`` requires it to pass. FAIL then means
-        that its necessary form is violated too, INCONCLUSIVE that the margin is missing or that no test
-        applies.
+        False: necessary for a minimum; ``Verdict.ok`` requires it to pass. True: part of the sufficient conditions of a
+        strict local minimum; only ``Verdict.minimum`` requires it to pass. FAIL then means that the necessary form is
+        violated too, INCONCLUSIVE that the margin is too small or that no test applies.
     loss : float or None
         First-order cost of the violations along the whole trajectory, in units of the cost; None if unknown.
     unit : str
-        Of the loss; empty where it is not known.
+        Unit of the loss; empty if unknown.
 
     Examples
     --------
@@ -130,7 +127,7 @@ class Condition:
 
     @property
     def location_text(self) -> str:
-        """The place of the worst violation and, if known, the loss of cost: "phase leg, t = 1 s; costs 0.02
+        """Location of the largest violation and, if known, the loss of cost: "phase leg, t = 1 s; costs 0.02
         s".
         """
         return (
@@ -140,16 +137,16 @@ class Condition:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All conditions of a solution.
+    """Results of all optimality conditions of a solution.
 
     Attributes
     ----------
     problem_name : str
     conditions : tuple of Condition
     not_checked : str
-        Why the minimum principle could not be checked: "no costates"; empty if it was.
+        Reason why the minimum principle was not checked, for example "no costates"; empty if it was.
     estimated : bool
-        Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
+        Whether costates and multipliers are estimated, because the trajectory has none (`verify_trajectory`).
     bound : LowerBound or None
         Lower bound of the cost of all trajectories, if known (`lower_bound`).
     gap : float or None
@@ -171,39 +168,39 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """Whether the necessary conditions of a minimum hold: none fails and none is inconclusive."""
+        """Whether the necessary conditions of a minimum hold: none fails or is inconclusive."""
         return not self.failed and not self.not_checked and all(c.sufficient for c in self.inconclusive)
 
     @property
     def minimum(self) -> bool:
-        """Whether sufficient conditions hold too, every one of them: a strict local minimum, within the tolerance."""
+        """Whether all sufficient conditions hold too: a strict local minimum, within the tolerance."""
         checked = any(c.sufficient for c in self.conditions)
         return self.ok and checked and not self.inconclusive
 
     @property
     def level(self) -> float:
-        """The smallest tolerance at which the first-order conditions hold; infinite without costates."""
+        """Smallest tolerance at which the first-order conditions hold; infinite without costates."""
         values = [c.value for c in self.conditions if c.name in FIRST_ORDER]
         return max((math.inf if math.isnan(v) else v for v in values), default=math.inf)
 
     @property
     def failed(self) -> tuple[Condition, ...]:
-        """The conditions that fail."""
+        """Failed conditions."""
         return tuple(c for c in self.conditions if c.result is ConditionResult.FAIL)
 
     @property
     def inconclusive(self) -> tuple[Condition, ...]:
-        """The inconclusive conditions."""
+        """Inconclusive conditions."""
         return tuple(c for c in self.conditions if c.result is ConditionResult.INCONCLUSIVE)
 
     @property
     def open(self) -> tuple[Condition, ...]:
-        """The conditions that prevent ``ok``: those that fail, then inconclusive necessary ones."""
+        """Conditions that prevent ``ok``: failed ones, followed by inconclusive necessary ones."""
         return (*self.failed, *(c for c in self.inconclusive if not c.sufficient))
 
     @property
     def word(self) -> str:
-        """The verdict in short: "ok", "NOT ok", or why there is none: "not checked: no costates"."""
+        """Short form of the verdict: "ok", "NOT ok", or the reason why it is missing: "not checked: no costates"."""
         if self.failed:
             return "NOT ok"
         missing = self.not_checked or ", ".join(c.name for c in self.inconclusive if not c.sufficient)
@@ -211,7 +208,7 @@ class Verdict:
 
     @property
     def headline(self) -> str:
-        """The verdict in a sentence: if it is ok, whether it is known to be a minimum, and how far from a bound."""
+        """Verdict in one sentence: whether it is ok, whether a minimum is certified, and the distance from a bound."""
         if self.minimum:
             return f"every condition passes: a strict local minimum{self._distance_from_tolerance}"
         if self.ok:
@@ -244,7 +241,7 @@ class Verdict:
         return "\n".join(lines)
 
     def table(self) -> str:
-        """Return all conditions, one per line: name, result, value, place of the worst violation."""
+        """Return all conditions, one per line: name, result, value, location of the largest violation."""
         return "\n".join(
             [
                 *_condition_rows([(c.name, c, "") for c in self.conditions], "condition"),
@@ -253,7 +250,7 @@ class Verdict:
         )
 
     def __str__(self) -> str:
-        """What fails first and what to do; the worst condition of each group; the verdict."""
+        """Return failures with remedies, the worst condition of each group, and the verdict."""
         groups = list(self.groups.items())
         failing = next((found for _, found in groups if any(c in self.open for c in found)), ())
         messages = [line for c in failing if c in self.open for line in _condition_message(c)]
@@ -266,7 +263,7 @@ class Verdict:
 
     @property
     def groups(self) -> dict[str, list[Condition]]:
-        """The conditions by group: feasible, first order, second order; those without a group are a group each."""
+        """Conditions by group: feasibility, first order, second order; others form a group each."""
         known = {name: group for group, names in GROUPS.items() for name in names}
         groups: dict[str, list[Condition]] = {}
         for c in self.conditions:
@@ -277,7 +274,7 @@ class Verdict:
         return f"<verdict on '{self.problem_name}': {self.word}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: every condition with its number and place, then what those that do not pass mean."""
+        """Return HTML for notebooks: all conditions with value and location, and the meaning of failed ones."""
         rows = [
             (c.name, c.result.value, violation_text(c.value), f"{c.tolerance:.0e}", c.location_text)
             for c in self.conditions
@@ -292,7 +289,7 @@ SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionR
 
 
 def worst_condition(conditions: Iterable[Condition]) -> Condition:
-    """Return the condition that fails, or else is inconclusive, with the largest value other than zero."""
+    """Return the failed, or else inconclusive, condition with the largest nonzero value."""
 
     def severity(condition: Condition) -> tuple[int, bool, float]:
         value = condition.value
@@ -302,7 +299,7 @@ def worst_condition(conditions: Iterable[Condition]) -> Condition:
 
 
 def violation_text(value: float) -> str:
-    """Return two digits of a violation, "-" for none; a negative one is the margin of a sufficient condition."""
+    """Return two digits of a violation, "-" for zero; a negative value is the margin of a sufficient condition."""
     if math.isnan(value) or value == 0.0:
         return "0" if value == 0.0 else "-"
     return f"margin {-value:.1e}" if value < 0.0 else f"{value:.1e}"
@@ -319,7 +316,7 @@ def _condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> li
 
 
 def _condition_message(condition: Condition) -> list[str]:
-    """Return what fails, where, what it costs if that is known, and what to do."""
+    """Return condition, location, loss of cost (if known) and remedy."""
     lines = [
         f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
         f"  at {condition.where}",

@@ -1,4 +1,4 @@
-"""Violations of an iterate that is not a solution, by name and worst first."""
+"""Violations of an unsolved iterate, by name in descending order."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from gnc_opt.tolerances import EQUAL
 
 _LISTED_VIOLATIONS = 10
 _RUNNING_OFF = 1e6
-"""Scaled variables beyond this are named when a problem is unbounded."""
+"""Magnitude of scaled variables above which they are named for an unbounded problem."""
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A constraint or bound that the iterate breaks.
+    """Violated constraint or bound of an iterate.
 
     Attributes
     ----------
     name : str
-        E.g. ``"v_L[2] defect, phase approach, segment 3, point 2"``.
+        For example ``"v_L[2] defect, phase approach, segment 3, point 2"``.
     amount : float
-        By how much, relative to the scale of the row or variable.
+        Size, relative to the scale of the row or variable.
 
     Examples
     --------
@@ -51,10 +51,10 @@ def find_violations(
     phases: dict[str, PhaseSolution],
     parameters: Array,
 ) -> tuple[Violation, ...]:
-    """Return what the iterate breaks, worst first, amounts relative to the scales of rows and variables.
+    """Return the violations of the iterate in descending order, relative to the scales of rows and variables.
 
-    Before the constraints and bounds come the variables that run off to infinity, if the problem is
-    unbounded, and the functions that are not finite, if that stopped the solver.
+    They are preceded by diverging variables if the problem is unbounded, and by functions that are not finite if these
+    stopped the solver.
     """
     if result.status.solved:
         return ()
@@ -69,7 +69,7 @@ def find_violations(
 def _find_violated_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
-    """Rows and bounds that do not hold; NaN counts as worst."""
+    """Return the violated rows and bounds; NaN is treated as largest."""
     rows, box = transcription.row_interval(problem), transcription.variable_interval(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
@@ -84,22 +84,20 @@ def _compute_excess(values: Array, interval: Interval) -> Array:
 
 
 def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:
-    """The variables that have grown beyond all measure, each where it is largest."""
+    """Return the diverging variables, each at its largest value."""
     largest: dict[str, Violation] = {}
     for i in np.argsort(-np.abs(scaled), kind="stable"):
         if not abs(scaled[i]) > _RUNNING_OFF:
             break
         label = transcription.variable_labels[i]
-        largest.setdefault(
-            label.split(",")[0], Violation(f"{label} runs off to infinity", float(abs(scaled[i])))
-        )
+        largest.setdefault(label.split(",")[0], Violation(f"{label} diverges", float(abs(scaled[i]))))
     return list(largest.values())
 
 
 def _find_nonfinite_functions(
     problem: Problem, phases: dict[str, PhaseSolution], parameters: Array
 ) -> list[Violation]:
-    """The functions and derivatives that are NaN or infinite at the collocation points."""
+    """Return the functions and derivatives that are NaN or infinite at the collocation points."""
     found = []
     for name, phase in phases.items():
         times = phase.point_times

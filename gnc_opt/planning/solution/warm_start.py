@@ -1,4 +1,4 @@
-"""Where one solve starts: the variables of its program, from the problem's guess or from an earlier solution."""
+"""Initial point of a solve: variables of the program from the problem's guess or from an earlier solution."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from gnc_opt.tolerances import GONE, SHORTEST
 
 @dataclass(frozen=True, eq=False)
 class ProgramStart:
-    """Variables to start from and, from an earlier solution, multipliers; all physical.
+    """Initial variables and, from an earlier solution, multipliers; in physical units.
 
     Attributes
     ----------
     x : array (n_variables,)
     lam_x : array (n_variables,) or None
-        Of the bounds of the variables.
+        Multipliers of the bounds of the variables.
     lam_g : array (n_constraints,) or None
-        Of the rows.
+        Multipliers of the rows.
     """
 
     x: Array
@@ -45,7 +45,7 @@ class ProgramStart:
 
 
 def program_start(transcription: Transcription, problem: Problem, guess: Solution | None) -> ProgramStart:
-    """Return where a solve starts: at a solution with its multipliers, or at the problem's own guess.
+    """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def program_start(transcription: Transcription, problem: Problem, guess: Solutio
 
 
 def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
-    """Return the problem's guess of all program variables (n_variables,), physical; integrals are left at zero."""
+    """Return the problem's guess of all program variables (n_variables,), physical; integrals are zero."""
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
@@ -81,7 +81,7 @@ def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
 
 
 def set_integral_variables(transcription: Transcription, problem: Problem, x: Array) -> Array:
-    """Set integral variables to the integrals along x: their rows are (integral - quadrature)."""
+    """Set integral variables to the integrals along x, using their rows (integral - quadrature)."""
     places = transcription.integral_places
     if not places.size:
         return x
@@ -99,7 +99,7 @@ def start_from_solution(
     Parameters
     ----------
     start : array (n_variables,)
-        Values for variables that the solution does not have.
+        Values of variables that the solution does not have.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def start_from_solution(
 
 
 def mesh_with_fixed_breaks(leg: PhaseSolution) -> Mesh:
-    """Return the mesh with its boundaries where they were found, and without segments that have vanished."""
+    """Return the mesh with all breaks fixed at their final positions, without empty segments."""
     if leg.duration < SHORTEST:
         return replace(leg.mesh, movable=())
     breaks = (leg.breaks - leg.initial_time) / leg.duration
@@ -154,7 +154,7 @@ def _fill_phase_variables(
     points = _stretch_times(old, collocation.fractions)
     breaks = _stretch_times(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
-    # A point that ends its segment takes the limit from within: controls and costates may jump there.
+    # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.rules])
 
     def sample(signal: Callable[[Array, Side], Array]) -> Array:
@@ -202,7 +202,7 @@ def _fill_parameters(
 
 
 def _fill_end_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
-    """Multipliers of boundary constraints, of durations, and of the rows that define integrals: -dJ/dI."""
+    """Set multipliers of boundary constraints, durations and integral definitions (-dJ/dI)."""
     values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
     known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
     for name, leg in guess.phases.items():
@@ -219,23 +219,23 @@ def _stretch_times(old: PhaseSolution, fractions: Array) -> Array:
 
 
 def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
-    """Return the problem with the trajectory of another one's solution as its guess, as far as both agree.
+    """Return the problem with the trajectory of another problem's solution as its guess, as far as variables agree.
 
-    For the solution of a simpler problem: with fewer states, another model or other phases. (A solution of a
-    problem with the same phases, states and controls is better used as ``solve(problem, guess=solution)``,
-    which takes its multipliers too.)
+    Use it for the solution of a simpler problem with fewer states, another model or other phases. (For a solution of a
+    problem with the same phases, states and controls use ``solve(problem, guess=solution)``, which includes its
+    multipliers.)
 
     Parameters
     ----------
     problem : Problem
     solution : Solution
-        Phases go by their names, or, if both have a single one, together; states, controls and free
-        parameters by theirs and their sizes. Quantities that the solution lacks are guessed.
+        Phases are matched by name (single phases always); states, controls and free parameters by name and size.
+        Missing quantities are guessed.
 
     Returns
     -------
     Problem
-        Like ``problem.with_guess``.
+        See ``Problem.with_guess``.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
 
 
 def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
-    """Return the problem with one phase's trajectory as its guess; itself if they share no variable."""
+    """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
     signals = [leg.state(v) for v in leg.states.names]
     signals += [leg.saturated_control(v) for v in leg.controls.names]
     signals += [leg.saturated_control(c.name) for c in leg.composed_controls]
@@ -285,6 +285,6 @@ def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Proble
 
 
 def _guess_from_signal(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
-    """Return a signal as a guess that can be evaluated just outside the phase."""
+    """Return a signal as a guess that can be evaluated slightly outside the phase."""
     first, last = float(leg.breaks[0]), float(leg.breaks[-1])
     return lambda t: np.asarray(signal(min(max(float(t), first), last)))

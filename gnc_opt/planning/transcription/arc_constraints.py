@@ -1,4 +1,4 @@
-"""Constraints of prescribed arcs in the program: bounds of its variables and rows, and rows of smooth controls."""
+"""Prescribed arcs in the nonlinear program: bounds of variables and rows, and rows of smooth controls."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 
 
 def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
-    """Refuse arcs that are given for another number of segments."""
+    """Raise an error if the arcs are given for another number of segments."""
     held, segments = leg.numbers.arcs, collocation.mesh.segments
     for kinds in (held.controls, held.paths, held.states) if held else ():
         if kinds and len(kinds[0]) != segments:
@@ -35,20 +35,21 @@ def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
 
 
 def fix_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
-    """Put the bounds of controls at the points of their arcs."""
+    """Apply the limits of controls at the points of their arcs to ``box``."""
     _apply_arc_bounds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
 
 
 def fix_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
-    """Put the bounds of path constraint rows at the points of their arcs."""
+    """Apply the limits of path constraint rows at the points of their arcs to ``box``."""
     if held.paths:
         _apply_arc_bounds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
 
 
 def fix_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
-    """Put the bounds of states at the start and the points of their arcs.
+    """Apply the limits of states at the start and the points of their arcs to ``box``.
 
-    These determine the ends of the segments, which get no bound; neither does a start that is handed over on the bound.
+    The collocation rows imply them at the ends of the segments. A start linked from an arc on the same bound gets no
+    bound.
     """
     if not held.states:
         return
@@ -72,7 +73,7 @@ def fix_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocat
 
 
 def _find_continued_states(leg: Phase, held: Held) -> set[int]:
-    """The states of a phase that the phase before hands over from an arc on the same bound."""
+    """Return the states that the previous phase links from an arc on the same bound."""
     found = set()
     for name in leg.model.states.names:
         before, jump = leg.find_state_source(name) or (None, np.zeros(0))
@@ -87,7 +88,7 @@ def _find_continued_states(leg: Phase, held: Held) -> set[int]:
 def loosen_monotone_bounds(
     box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
 ) -> None:
-    """Loosen the bounds of states that only rise, or only fall, but at the one end at which they say everything."""
+    """Relax the bounds of monotone states except at the one end where they are not redundant."""
     rising, falling = find_monotone_states(problem, leg)
     if not np.any(rising | falling):
         return
@@ -104,14 +105,14 @@ def loosen_monotone_bounds(
 def drop_implied_state_bounds(
     box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
 ) -> None:
-    """Drop the bounds of states that hold by themselves, since a vector keeps its length."""
+    """Remove bounds of states that are implied by the constant length of a vector."""
     sides = (box.lower, -np.inf), (box.upper, np.inf)
     for (limits, none), idle in zip(sides, find_implied_bounds(problem, leg), strict=True):
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 
 def fix_junction_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
-    """Put states on their bounds at junctions; what else holds there is for rows to say."""
+    """Fix states at their bounds at junctions; other junction conditions are rows."""
     for junction in held.junctions:
         i = junction.constraint - collocation.n_paths
         if i >= 0 and junction.conditions:
@@ -124,10 +125,10 @@ def _select_active_limits(bounds: Interval, kind: ArcKind) -> Array:
 
 
 def _kinds_at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
-    """The kind of every row at every point, an object array (n, N)."""
+    """Return the kind of every row at every point, an object array (n, N)."""
     kinds_of = np.asarray(kinds, dtype=object).reshape(
         len(kinds), collocation.mesh.segments
-    )  # a coast has none
+    )  # a coast arc has no segment
     return np.repeat(kinds_of, collocation.mesh.degrees, axis=1)
 
 
@@ -144,22 +145,22 @@ def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interv
 
 
 def find_junctions(leg: Phase) -> tuple[Junction, ...]:
-    """Return where state constraints of a phase meet their limits."""
+    """Return the junctions of the state constraints of a phase."""
     return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
 
 
 def junction_derivative_orders(junction: Junction, n_paths: int) -> range:
-    """Return which derivatives have a row: that a state is on its bound needs none."""
+    """Return the derivative orders with a row; a state at its bound is fixed by a bound instead."""
     return range(0 if junction.constraint < n_paths else 1, junction.conditions)
 
 
 def count_junction_rows(junction: Junction, n_paths: int) -> int:
-    """Return how many rows a junction has."""
+    """Return the number of rows of a junction."""
     return len(junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
 def junction_row_values(junction: Junction, paths: Interval, order: int | None) -> Array:
-    """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
+    """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
         values[0] = _select_active_limits(paths, junction.kind)[junction.constraint]
@@ -168,14 +169,14 @@ def junction_row_values(junction: Junction, paths: Interval, order: int | None) 
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """The controls of a segment, variables (m, n), or (m, 0), and weights (n,) for their values at one of its ends."""
+    """Controls of a segment, variables (m, n) or (m, 0), and weights (n,) that interpolate them at one of its ends."""
 
     points: Indices
     weights: Array
 
 
 def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> Beside:
-    """Return the controls of the segment whose end at a junction is one where a constraint is tangent to its limit."""
+    """Return the controls of the segment on the tangent side of a junction."""
     places = collocation.point_controls
     if not junction.tangent:
         return Beside(places[:, :0], np.zeros(0))
@@ -194,7 +195,7 @@ def list_smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
 
 
 def build_smoothness_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices, Array]:
-    """Return control variables of some segments (N,) and orthonormal rows that annihilate polynomials in time."""
+    """Return control variables of segments (N,), and orthonormal rows that vanish for polynomials of the degree."""
     mesh = collocation.mesh
     points = slice(mesh.offsets[smooth.first], mesh.offsets[smooth.last])
     left = mesh.arc_starts[smooth.first]
@@ -205,7 +206,7 @@ def build_smoothness_rows(smooth: Smooth, collocation: PhaseCollocation) -> tupl
 
 
 def smoothness_entries(rows: list[tuple[Indices, Array]], first_row: int) -> tuple[Indices, Indices, Array]:
-    """Return rows, columns and values of all smoothness rows, numbered from ``first_row``."""
+    """Return rows, columns and values of all smoothness rows, starting at ``first_row``."""
     entries: list[Any] = []
     for columns, values in rows:
         numbers = first_row + np.arange(values.shape[0])

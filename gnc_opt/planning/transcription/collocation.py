@@ -1,18 +1,18 @@
-r"""Collocation of one phase: variables, constraint rows, and the constant matrices that join them.
+r"""Collocation of one phase: variables, constraint rows, and their constant matrices.
 
-With :math:`\Delta` the duration of an arc (the phase, or its part between two movable mesh boundaries), segment k
-of width :math:`w_k` (a fraction of its arc) and the point values
-:math:`F_j = \Delta f(t_j, X_j, U_j)`, the rows of a segment are
+Let :math:`\Delta` be the duration of an arc (the phase, or its part between two movable mesh breaks),
+:math:`w_k` the width of segment k as a fraction of its arc, and :math:`F_j = \Delta f(t_j, X_j, U_j)` the point
+values. The rows of a segment are
 
-* LG: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, and for the end state
-  :math:`X_e - \sum_j e_j X_j = 0`, e_j being the state polynomial's basis at the segment's end. Given the
-  former this is Gauss quadrature of the dynamics, but its coefficients are constant.
-* LGR: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, the end state being a node of D.
+* LG: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, and :math:`X_e - \sum_j e_j X_j = 0` for the
+  end state, where e_j is the basis of the state polynomial at the end of the segment. This is equivalent to Gauss
+  quadrature of the dynamics, with constant coefficients.
+* LGR: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points; the end state is a node of D.
 * LGL: :math:`X_i - X_1 - \tfrac{w_k}{2} \sum_j A_{ij} F_j = 0` for i = 2...n (Lobatto IIIA; n = 2 is the
-  trapezoidal rule, n = 3 Hermite-Simpson). The square D of LGL is singular, which leaves the costates of
-  the differential form undetermined; this integral form has none of that.
+    trapezoidal rule, n = 3 Hermite-Simpson). The integral form is used because the square matrix D of LGL is
+    singular, so that the costates of the differential form are not unique.
 
-Neighbouring segments share the state at their boundary.
+Adjacent segments share the state at their boundary.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from gnc_opt.planning.transcription.scheme import Family, Scheme, get_family
 
 @dataclass(frozen=True)
 class PhaseCollocation:
-    """Places of one phase's variables and rows in the program, from the first on, and its constant matrices."""
+    """Indices of the variables and rows of one phase in the program, and its constant matrices."""
 
     scheme: Scheme
     mesh: Mesh
@@ -57,7 +57,7 @@ class PhaseCollocation:
 
     @cached_property
     def fractions(self) -> Array:
-        """Collocation times as fractions of the phase on the mesh as given, shape (N,); for guesses."""
+        """Collocation times as fractions of the phase on the given mesh, shape (N,); for guesses."""
         return self._index_row_ranges(np.asarray(self.mesh.breaks), self.mesh.widths)
 
     @cached_property
@@ -67,7 +67,7 @@ class PhaseCollocation:
 
     @cached_property
     def point_arcs(self) -> Indices:
-        """The arc of each collocation point, shape (N,)."""
+        """Arc index of each collocation point, shape (N,)."""
         return np.repeat(self.mesh.segment_arcs, self.mesh.degrees)
 
     @cached_property
@@ -83,7 +83,7 @@ class PhaseCollocation:
         n, m, mesh = self.n_states, self.n_controls, self.mesh
         starts, ends = self.family.starts_at_point, self.family.ends_at_point
         degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.offsets)
-        # A segment's own variables: states and controls point by point, then the state at its end.
+        # Variables of a segment: states and controls point by point, then the state at its end.
         sizes = (n + m) * degrees - n * starts + n * (not ends)
         places = self.first_variable + n + np.concatenate([[0], np.cumsum(sizes)])
         within = np.arange(mesh.size) - np.repeat(offsets[:-1], degrees)
@@ -98,17 +98,17 @@ class PhaseCollocation:
 
     @property
     def boundary_states(self) -> Indices:
-        """Variables of the states at the segment boundaries, shape (n_states, K + 1)."""
+        """Variable indices of the states at the mesh breaks, shape (n_states, K + 1)."""
         return self._number_variables[0]
 
     @property
     def point_states(self) -> Indices:
-        """Variables of the states at the collocation points, shape (n_states, N)."""
+        """Variable indices of the states at the collocation points, shape (n_states, N)."""
         return self._number_variables[1]
 
     @property
     def point_controls(self) -> Indices:
-        """Variables of the controls at the collocation points, shape (n_controls, N)."""
+        """Variable indices of the controls at the collocation points, shape (n_controls, N)."""
         return self._number_variables[2]
 
     @property
@@ -120,7 +120,7 @@ class PhaseCollocation:
 
     @property
     def _row_counts(self) -> list[int]:
-        """Vector-valued dynamics rows of each segment."""
+        """Number of vector-valued dynamics rows of each segment."""
         return [n + self.family.extra_rows for n in self.mesh.degrees]
 
     @property
@@ -134,7 +134,7 @@ class PhaseCollocation:
 
     @cached_property
     def dynamics_rows(self) -> tuple[Indices, ...]:
-        """For each segment the rows of its dynamics, shape (n_states, rows of the segment)."""
+        """Dynamics rows of each segment, shape (n_states, rows of the segment)."""
         starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._row_counts)])
         return tuple(
             (starts[k] + np.arange(self.n_states * count)).reshape(count, self.n_states).T
@@ -143,7 +143,7 @@ class PhaseCollocation:
 
     @cached_property
     def path_rows(self) -> Indices:
-        """Rows of the path constraints, shape (n_paths, N)."""
+        """Row indices of the path constraints, shape (n_paths, N)."""
         start = self.first_row + self.n_dynamics_rows
         return (start + np.arange(self.n_paths * self.mesh.size)).reshape(self.mesh.size, self.n_paths).T
 
@@ -180,17 +180,17 @@ class PhaseCollocation:
     # --- constant matrices --------------------------------------------------------------------------
 
     def state_matrix(self, k: int) -> Array:
-        """Coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
+        """Return the coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
         rule = self.rules[k]
         return self.family.state_matrix(rule.differentiation, rule.end_values)
 
     def dynamics_matrix(self, k: int) -> Array:
-        """Coefficients of the point values F_j in the rows of segment k, before -w_k/2: (rows, n)."""
+        """Return the coefficients of the point values F_j in the rows of segment k, without -w_k/2: (rows, n)."""
         return self.family.dynamics_matrix(self.rules[k].integration)
 
     @cached_property
     def linear_dynamics_entries(self) -> tuple[Indices, Indices, Array]:
-        """Entries (rows, variables, values) of the constant part of the dynamics rows."""
+        """Return entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
             nodes, matrix = self.segment_nodes(k), self.state_matrix(k)
@@ -201,7 +201,7 @@ class PhaseCollocation:
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
     def segment_nodes(self, k: int) -> Indices:
-        """Variables of the states that the rows of segment k join, shape (n_states, nodes)."""
+        """Return the state variables in the rows of segment k, shape (n_states, nodes)."""
         points = self.point_states[:, self.mesh.offsets[k] : self.mesh.offsets[k + 1]]
         return self.family.row_variables(
             self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]
@@ -210,9 +210,9 @@ class PhaseCollocation:
     def output_weights(
         self, n_outputs: int, dynamics: Indices, paths: Indices
     ) -> tuple[Indices, Indices, Array]:
-        """Entries (rows, point outputs, values) by which point values enter the rows.
+        """Return entries (rows, point outputs, values) of the point values in the rows.
 
-        ``dynamics`` and ``paths`` are the places of Delta f and of the path constraints among the ``n_outputs``.
+        ``dynamics`` and ``paths`` are the indices of Delta f and of the path constraints in the ``n_outputs``.
         """
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
@@ -229,7 +229,7 @@ class PhaseCollocation:
 
 
 def assemble_weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
-    """Assemble sparse entries (rows, columns, values) into a csc matrix."""
+    """Return a csc matrix with the given entries (rows, columns, values)."""
     rows, columns, values = (np.concatenate([np.asarray(e[i]) for e in entries]) for i in range(3))
     matrix = scipy.sparse.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))
     matrix.sum_duplicates()
@@ -237,5 +237,5 @@ def assemble_weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any
 
 
 def _index_grid(first: Indices, count: int) -> Indices:
-    """Places of so many variables from each of some places on, (count, n); those of one place lie side by side."""
+    """Return ``count`` consecutive indices from each first index, (count, n)."""
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

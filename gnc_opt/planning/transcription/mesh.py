@@ -1,4 +1,4 @@
-"""Mesh: how a phase is cut into segments and how many collocation points each one gets."""
+"""Mesh: segments of a phase and their numbers of collocation points."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ class Mesh:
     Attributes
     ----------
     breaks : tuple of float
-        Segment boundaries as fractions of the phase, from 0 to 1, increasing; K + 1 of them.
+        Segment boundaries as fractions of the phase, increasing from 0 to 1; K + 1 values.
     degrees : tuple of int
-        Collocation points of each segment, which is the degree of its state polynomial; K of them.
+        Number of collocation points of each segment, equal to the degree of its state polynomial; K values.
     movable : tuple of int
-        Indices of interior breaks whose times the solver may move. The others keep their place relative to their
-        movable neighbours and the phase's ends.
+        Indices of interior breaks that are optimised. The other breaks keep their relative position between movable
+        breaks and the ends of the phase.
 
     Raises
     ------
     ProblemError
-        If the breaks do not increase from 0 to 1, the numbers do not match or a movable break does not exist.
+        The breaks do not increase from 0 to 1, the numbers do not match, or a movable break does not exist.
 
     Examples
     --------
@@ -83,7 +83,7 @@ class Mesh:
 
     @classmethod
     def at_times(cls, times: ArrayLike, degree: int | Sequence[int], *, movable: bool = False) -> Mesh:
-        """Return segments whose boundaries lie at (or, if movable, start from) the given times.
+        """Return a mesh with boundaries at the given times (their initial values if movable).
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Mesh:
             Increasing, including the phase's start and end (any unit).
         degree : int or sequence of K ints
         movable : bool
-            Whether the solver may move the interior boundaries, e.g. onto the switch times of a bang-bang control.
+            Whether the solver may move the interior boundaries, e.g. to the switching times of a bang-bang control.
         """
         t = read_numbers(times, "the times of a mesh", ProblemError).reshape(-1)
         if t.size < 2 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0):
@@ -106,7 +106,7 @@ class Mesh:
 
     @classmethod
     def parse(cls, text: str) -> Mesh:
-        """Read ``"20x3"``: 20 equal segments of 3 points."""
+        """Return the mesh of a text: ``"20x3"`` is 20 equal segments with 3 points each."""
         match = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text) if isinstance(text, str) else None
         if not match:
             raise ProblemError(f"mesh {shown(text)} is not understood: write SEGMENTSxDEGREE, e.g. 20x3.")

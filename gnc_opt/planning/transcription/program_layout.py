@@ -1,4 +1,4 @@
-"""Numbering: which variables and rows the program of a problem has, where each stands and what it is called."""
+"""Layout of the nonlinear program: indices and labels of its variables and rows."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from gnc_opt.planning.transcription.scheme import Scheme
 
 @dataclass(frozen=True)
 class PhasePart:
-    """Where a phase is in the program.
+    """Location of a phase in the program.
 
     Attributes
     ----------
     times : int array (n_arcs + 1,)
-        Places of initial time, movable mesh boundaries and final time; >= n_variables where fixed.
+        Indices of initial time, movable mesh breaks and final time; >= n_variables for fixed times.
     """
 
     name: str
@@ -40,22 +40,22 @@ class PhasePart:
 
 
 class Numbering:
-    """The places and names of all variables and rows of a problem on given meshes.
+    """Indices and labels of all variables and rows of a problem on given meshes.
 
     Attributes
     ----------
     parameter_places, integral_places : int array
-        Places of the free parameters, and of those integrals that are variables.
+        Indices of the free parameters, and of the integrals that are variables.
     constraint_rows : int array
-        Rows of the boundary constraints.
+        Row indices of the boundary constraints.
     junctions : list of (phase, Junction, int array)
-        Where state constraints meet their limits, with the rows of each.
+        Junctions of state constraints, with the row indices of each.
 
     Notes
     -----
-    Variables: per phase states and controls in time order; then free times, parameters, integrals.
-    Rows: per phase dynamics and path constraints; then smooth controls, junctions, durations, lengths of arcs, boundary
-    constraints, integrals.
+    Variables: states and controls per phase in order of time; then free times, parameters, integrals. Rows: dynamics
+    and path constraints per phase; then smooth controls, junctions, durations, arc lengths, boundary constraints,
+    integrals.
     """
 
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
@@ -67,10 +67,10 @@ class Numbering:
         self._number_phases(meshes)
         self._number_end_rows()
 
-    # --- places -----------------------------------------------------------------------------------
+    # --- indices ----------------------------------------------------------------------------------
 
     def _classify_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
-        """Split integrals into those with constant coefficients in (cost, constraints) and the others."""
+        """Return the integrals with constant coefficients in (cost, constraints), and the other integrals."""
         outputs = ca.vertcat(self.problem.sense * self.problem.cost, self.problem.constraint_expression())
         direct: dict[tuple[str, str], Array] = {}
         defined = []
@@ -133,7 +133,7 @@ class Numbering:
             self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
 
     def _number_junction_rows(self, row: int) -> list[tuple[str, Junction, Indices]]:
-        """Phase, junction and rows of each junction of a state constraint."""
+        """Return phase, junction and rows of each junction of a state constraint."""
         placed = []
         for name, leg in self.problem.phases.items():
             for junction in find_junctions(leg):
@@ -165,11 +165,11 @@ class Numbering:
         first = self._first_end_row + len(self._durations) + len(self._arcs)
         self.constraint_rows = first + np.arange(len(self.problem.constraint_labels()))
 
-    # --- names ------------------------------------------------------------------------------------
+    # --- labels -----------------------------------------------------------------------------------
 
     @property
     def end_rows(self) -> dict[str, int]:
-        """Rows of durations, arc lengths, boundary constraints and integrals, by their names."""
+        """Rows of durations, arc lengths, boundary constraints and integrals by label."""
         return {label: self._first_end_row + i for i, label in enumerate(self._end_labels)}
 
     @cached_property
@@ -198,5 +198,5 @@ class Numbering:
 
 
 def is_time_fixed(leg: Phase, end: int) -> bool:
-    """Whether the phase's initial (0) or final (1) time is a given number."""
+    """Return whether the initial (0) or final (1) time of the phase is fixed."""
     return bool(leg.time_ranges()[end].fixed[0])

@@ -1,10 +1,10 @@
 """Legendre quadrature and collocation on [-1, 1]: nodes, weights, differentiation and integration.
 
-Three families of points: ``LG`` (Gauss, no end), ``LGR`` (Radau, with -1) and ``LGL`` (Lobatto, both ends). The tables
-are computed in 50-digit decimal arithmetic and rounded once; the matrices belong to the exact nodes.
+There are three families of points: ``LG`` (Gauss, no end), ``LGR`` (Radau, with -1) and ``LGL`` (Lobatto, both ends).
+The tables are computed in 50-digit decimal arithmetic and rounded once.
 
-P_0 ... P_{n-1} are orthogonal on the points under the quadrature's own sum, ``sum_i w_i P_j(x_i) P_k(x_i) = g_k δ_jk``,
-with ``g_k`` the integral of P_k², save that Lobatto's last is ``2/(n-1)``. Sources: Gautschi, *Orthogonal Polynomials*
+P_0 ... P_{n-1} are orthogonal with respect to the quadrature, ``sum_i w_i P_j(x_i) P_k(x_i) = g_k δ_jk``, with ``g_k``
+the integral of P_k², except ``2/(n-1)`` for the last one of Lobatto. Sources: Gautschi, *Orthogonal Polynomials*
 (2004); Berrut & Trefethen, *Barycentric Lagrange interpolation*, SIAM Review 46 (2004).
 """
 
@@ -27,21 +27,21 @@ MAX_POINTS = 64
 
 @dataclass(frozen=True, eq=False)
 class CollocationRule:
-    """The tables of one collocation method of n points on [-1, 1]; every array is read-only.
+    """Tables of a collocation method with n points on [-1, 1]; all arrays are read-only.
 
     Attributes
     ----------
     points, weights : Array, shape (n,)
-        Collocation points, ascending, and their quadrature weights (they sum to 2).
+        Collocation points in ascending order, and their quadrature weights (sum 2).
     state_nodes : Array, shape (n + 1,)
-        Nodes of the state polynomial, ascending: the points and -1 (LG), +1 (LGR), or the midpoint of the widest gap
-        (LGL; of two equal gaps the positive one), which only serves dense output.
+        Nodes of the state polynomial in ascending order: the points and -1 (LG), +1 (LGR), or the midpoint of the
+        widest gap (LGL; of two equal gaps the positive one), which is used for dense output only.
     differentiation : Array, shape (n, n + 1)
-        Values on ``state_nodes`` → derivative at ``points``.
+        Maps values on ``state_nodes`` to the derivative at ``points``.
     end_values : Array, shape (n + 1,)
-        Values on ``state_nodes`` → value at +1 (a unit vector for LGR and LGL).
+        Maps values on ``state_nodes`` to the value at +1 (a unit vector for LGR and LGL).
     integration : Array, shape (n, n)
-        Values at ``points`` → integral of their interpolant from -1 to each point (the Butcher matrix on [-1, 1]).
+        Maps values at ``points`` to the integral of their interpolant from -1 to each point (Butcher matrix).
     """
 
     scheme: Scheme
@@ -54,13 +54,13 @@ class CollocationRule:
     integration: Array
 
     def integrate_to(self, tau: ArrayLike) -> Array:
-        """Values at ``points`` → integral of their interpolant from -1 to ``tau``, shape (len(tau), n)."""
+        """Return the map from values at ``points`` to their interpolant's integral to ``tau``, (len(tau), n)."""
         at = np.atleast_1d(np.asarray(tau, dtype=float))
         return np.asarray(_legendre_integrals(at, self.n) @ _legendre_transform(self.scheme, self.n))
 
 
 def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
-    """Return the tables of the ``n``-point method of a family, n from 1 (LGL: 2) to 64; computed once.
+    """Return the tables of the ``n``-point method of a family, n from 1 (LGL: 2) to 64; cached.
 
     Raises
     ------
@@ -71,45 +71,45 @@ def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
 
 
 def gauss_rule(n: int) -> CollocationRule:
-    """Return the ``n``-point Gauss rule, for quadratures. Errors as `collocation_rule`."""
+    """Return the ``n``-point Gauss rule; raises as `collocation_rule`."""
     return collocation_rule(GAUSS, n)
 
 
 def collocation_points(scheme: Scheme, n: int) -> Array:
-    """The ``n`` points of a family, ascending, shape (n,). Errors as `collocation_rule`."""
+    """Return the ``n`` points of a family in ascending order, shape (n,); raises as `collocation_rule`."""
     return _points_and_weights(*_check_rule_arguments(scheme, n))[0]
 
 
 def quadrature_weights(scheme: Scheme, n: int) -> Array:
-    """The ``n`` quadrature weights of a family, shape (n,). Errors as `collocation_rule`."""
+    """Return the ``n`` quadrature weights of a family, shape (n,); raises as `collocation_rule`."""
     return _points_and_weights(*_check_rule_arguments(scheme, n))[1]
 
 
 def barycentric_weights(nodes: ArrayLike) -> Array:
-    """Barycentric weights ``1 / prod_k (x_j - x_k)``, the largest scaled to ±1, shape (len(nodes),)."""
+    """Return the barycentric weights ``1 / prod_k (x_j - x_k)``, scaled to a largest one of ±1, shape (len(nodes),)."""
     return _cached_barycentric_weights(_read_float_vector(nodes).tobytes())
 
 
 def differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
-    """Values on ``nodes`` → derivative at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
+    """Return the map from values on ``nodes`` to the interpolant's derivative at ``at``, (len(at), len(nodes))."""
     x, w = _read_float_vector(nodes), barycentric_weights(nodes)
     return np.asarray(interpolation_matrix(x, at) @ _square_differentiation_matrix(x, w))
 
 
 def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
-    """Values on ``nodes`` → value at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
+    """Return the map from values on ``nodes`` to their interpolant at ``at``, shape (len(at), len(nodes))."""
     return barycentric_interpolation(
         _read_float_vector(nodes), barycentric_weights(nodes), _read_float_vector(at)
     )
 
 
 def barycentric_interpolation(x: Array, w: Array, at: Array) -> Array:
-    """Return `interpolation_matrix` for nodes and abscissae that have been read, and the nodes' barycentric weights."""
+    """Return `interpolation_matrix` for validated nodes and abscissae, and barycentric weights."""
     gap = at[:, None] - x
     nearest = np.min(np.abs(gap), axis=1, keepdims=True)
     hit = gap == 0
     gap[hit] = 1.0
-    basis = w * (nearest / gap)  # 0 all along a row with a hit
+    basis = w * (nearest / gap)  # the row is 0 if an abscissa equals a node
     basis[hit] = 1.0
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
 
@@ -117,7 +117,7 @@ def barycentric_interpolation(x: Array, w: Array, at: Array) -> Array:
 def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
     fewest = get_family(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
-        remedy = f"use an integer from {fewest} to {MAX_POINTS}, and more segments where that is too few"
+        remedy = f"use an integer from {fewest} to {MAX_POINTS}, or more segments"
         raise ArgumentError(f"{scheme} has no rule with {shown(n)} points: {remedy}.")
     return scheme, int(n)
 
@@ -147,7 +147,7 @@ def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Number
     with _use_decimal_digits():
         symmetric = get_family(scheme).symmetric
         x = _to_decimals(get_family(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
-        for _ in range(3):  # quadratic from about 1e-14: the third step reaches the last digit
+        for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
             x = _polish_points(scheme, n, x)
         if symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
@@ -158,7 +158,7 @@ def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Number
 
 
 def _polish_points(scheme: Scheme, n: int, x: Numbers) -> Numbers:
-    """Step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
+    """Return Newton's step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
     modes = _legendre_polynomials(x, n)
     series = get_family(scheme).polynomial_coefficients(n)
     value = sum(c * modes[k] for k, c in series.items())
@@ -167,7 +167,7 @@ def _polish_points(scheme: Scheme, n: int, x: Numbers) -> Numbers:
 
 
 def _legendre_polynomials(x: Numbers, degree: int) -> list[Numbers]:
-    """P_0 ... P_degree at ``x`` by the three-term recurrence; floats or Decimals."""
+    """Return P_0 ... P_degree at ``x`` from the three-term recurrence; floats or Decimals."""
     modes = [x * 0 + 1, x]
     for k in range(1, degree):
         modes.append(((2 * k + 1) * x * modes[k] - k * modes[k - 1]) / (k + 1))
@@ -175,14 +175,14 @@ def _legendre_polynomials(x: Numbers, degree: int) -> list[Numbers]:
 
 
 def _legendre_integrals(x: Numbers, n: int) -> Numbers:
-    """Integrals of P_0 ... P_{n-1} from -1 to ``x``, shape (len(x), n)."""
+    """Return the integrals of P_0 ... P_{n-1} from -1 to ``x``, shape (len(x), n)."""
     modes = _legendre_polynomials(x, n)
     return np.stack([x + 1] + [(modes[k + 1] - modes[k - 1]) / (2 * k + 1) for k in range(1, n)], axis=1)
 
 
 @cache
 def _decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
-    """Values at the points → Legendre coefficients of their interpolant, shape (n, n)."""
+    """Return the map from values at the points to the Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _decimal_points_and_weights(scheme, n)
     with _use_decimal_digits():
         pairs = zip(_legendre_polynomials(x, n - 1), get_family(scheme).legendre_square_norms(n), strict=True)
@@ -201,7 +201,7 @@ def _reciprocal_products(x: Numbers) -> Numbers:
 
 
 def _square_differentiation_matrix(x: Numbers, w: Numbers) -> Numbers:
-    """Values on ``x`` (barycentric weights ``w``) → derivative at the same nodes; floats or Decimals."""
+    """Return the differentiation matrix at the nodes ``x`` with barycentric weights ``w``; floats or Decimals."""
     gap = x[:, None] - x
     np.fill_diagonal(gap, 1)
     matrix = w / w[:, None] / gap

@@ -1,7 +1,7 @@
-"""Automatic scaling from bounds, guess and the size of the dynamics.
+"""Automatic scaling of the nonlinear program from bounds, guess and magnitude of the dynamics.
 
-Variables are divided by typical magnitudes; dynamics rows by those of their state; other rows and the objective by the
-norm of their scaled gradient at and near the guess.
+Variables are divided by typical magnitudes, dynamics rows by those of their state. Other rows and the objective are
+divided by the norm of their scaled gradient at and near the guess.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from gnc_opt.planning.problem.typical_magnitudes import SAMPLES, phase_magnitude
 from gnc_opt.planning.transcription.transcription import Transcription
 
 NEARBY = 0.1
-"""Distance from the guess, in typical magnitudes, at which gradients are also evaluated: a guess may be stationary."""
+"""Distance from the guess, in typical magnitudes, of a second gradient evaluation, since gradients may vanish there."""
 
 MOST_ROOM = 10.0
-"""Largest scaled distance of the guess from a limit: a slope may nearly vanish at the guess."""
+"""Largest scaled distance of the guess from a limit; used for gradients that nearly vanish at the guess."""
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
 @dataclass(frozen=True)
 class Scaling:
-    """Magnitudes: scaled variable = variable / variables; rows and objective are multiplied by theirs."""
+    """Scales: variables are divided by ``variables``; rows and objective are multiplied by theirs."""
 
     variables: Array
     rows: Array
@@ -37,7 +37,7 @@ class Scaling:
 def choose_variable_scales(
     transcription: Transcription, problem: Problem, start: Array, *, overridden: bool = True
 ) -> Array:
-    """Return the typical magnitude of every variable, shape (n_variables,), as the user says or as found."""
+    """Return the typical magnitudes of the variables, shape (n_variables,), optionally overridden by the user."""
     scales = np.ones(transcription.n_variables)
     for name, part in transcription.parts.items():
         states, controls = phase_magnitudes(problem.phases[name], overridden=overridden)
@@ -56,7 +56,7 @@ def choose_variable_scales(
 def choose_row_scales(
     transcription: Transcription, problem: Problem, start: Array, scales: Array
 ) -> tuple[Array, float]:
-    """Return row scales (n_constraints,) and the objective's scale, for a guess and scales of the variables."""
+    """Return row scales (n_constraints,) and the scale of the objective for a guess and scaled variables."""
     gradient, nonzeros, room = _derivative_magnitudes(transcription, problem, start)
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
@@ -73,7 +73,7 @@ def choose_row_scales(
 def _derivative_magnitudes(
     transcription: Transcription, problem: Problem, start: Array
 ) -> tuple[Array, Array, Array]:
-    """Largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""
+    """Return the largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""
     box = transcription.variable_interval(problem)
     usual = choose_variable_scales(transcription, problem, start, overridden=False)
     size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)

@@ -1,4 +1,4 @@
-"""Families of collocation points and their properties, used by all code that depends on the family."""
+"""Collocation schemes: properties of the families of points, and the rows of a segment."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
 SCHEMES: tuple[Scheme, ...] = get_args(Scheme)
 
 GAUSS: Scheme = "LG"
-"""The default, and the one whose points quadratures take."""
+"""Default family, also used for quadratures."""
 
 Numbers: TypeAlias = NDArray[Any]
-"""float64, or Decimal held as objects: the same formulas serve both."""
+"""Arrays of float64 or (as objects) of Decimal; formulas apply to both."""
 
 
 class Family(ABC):
-    """One family of points on [-1, 1] and the rows that it makes of a segment.
+    """Family of collocation points on [-1, 1], with the rows of a segment.
 
     Attributes
     ----------
     fewest : int
-        Fewest points of a rule.
+        Smallest number of points.
     starts_at_point, ends_at_point : bool
-        Whether -1 and +1 are collocation points, so that a segment's first or last point is its boundary.
+        Whether -1 and +1 are collocation points, equal to the boundaries of a segment.
     extra_rows : int
-        Vector-valued dynamics rows of a segment beyond its number of points.
+        Number of vector-valued dynamics rows of a segment minus its number of points.
     """
 
     fewest: ClassVar[int] = 1
@@ -46,23 +46,23 @@ class Family(ABC):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the points lie symmetrically about 0."""
+        """Whether the points are symmetric about 0."""
         return self.starts_at_point == self.ends_at_point
 
     @property
     def has_end_row(self) -> bool:
-        """Whether the state at a segment's end has a row, and so a multiplier, of its own."""
+        """Whether the state at the end of a segment has its own row and multiplier."""
         return self.extra_rows > 0
 
     # --- points -----------------------------------------------------------------------------------
 
     @abstractmethod
     def approximate_points(self, n: int) -> Iterable[float]:
-        """Return the points to some 14 digits."""
+        """Return the points to about 14 digits."""
 
     @abstractmethod
     def polynomial_coefficients(self, n: int) -> dict[int, int]:
-        """Return the polynomial whose simple roots the points are: Legendre degree → coefficient."""
+        """Return the polynomial whose (simple) roots are the points: Legendre degree → coefficient."""
 
     def legendre_square_norms(self, n: int) -> list[Decimal]:
         """Return the sums ``sum_i w_i P_k(x_i)²``, k = 0 ... n-1."""
@@ -70,7 +70,7 @@ class Family(ABC):
 
     @abstractmethod
     def state_nodes(self, points: Numbers) -> Numbers:
-        """Return the nodes of the state polynomial, ascending (n + 1,)."""
+        """Return the nodes of the state polynomial in ascending order (n + 1,)."""
 
     # --- rows of a segment ------------------------------------------------------------------------
 
@@ -91,15 +91,15 @@ class Family(ABC):
 
     @abstractmethod
     def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
-        """Return the variables (n_states, nodes) that the rows join: states at a segment's start, points and end."""
+        """Return the variables (n_states, nodes) in the rows: states at start, points and end of a segment."""
 
     def row_location(self, row: int, n: int) -> str:
-        """Name what the row of a segment of n points is about."""
+        """Return a description of the location of a row in a segment of n points."""
         return f"point {row + 1}"
 
 
 class Gauss(Family):
-    """Legendre-Gauss: no end is a point; the end state is the polynomial's value there, in a row of its own."""
+    """Legendre-Gauss: neither end is a point; the end state is the value of the polynomial, with its own row."""
 
     extra_rows = 1
 
@@ -153,7 +153,7 @@ class Radau(Family):
 
 
 class Lobatto(Family):
-    """Legendre-Gauss-Lobatto: both ends are points; each state follows from the first by integration (IIIA)."""
+    """Legendre-Gauss-Lobatto: both ends are points; states follow from the first one by integration (IIIA)."""
 
     fewest = 2
     starts_at_point = ends_at_point = True
@@ -169,7 +169,7 @@ class Lobatto(Family):
         return [*super().legendre_square_norms(n)[:-1], Decimal(2) / (n - 1)]
 
     def state_nodes(self, points: Numbers) -> Numbers:
-        """Return the points and the midpoint of the widest gap, of two equal gaps the positive one."""
+        """Return the points and the midpoint of the widest gap (of two equal gaps the positive one)."""
         gaps = zip(points[1:] - points[:-1], (points[1:] + points[:-1]) / 2, strict=True)
         _, _, widest = max((gap, -abs(middle), middle) for gap, middle in gaps)
         return np.array(sorted([*points, widest]))
@@ -193,7 +193,7 @@ _SPELLINGS = {"lg": "LG", "gauss": "LG", "lgr": "LGR", "radau": "LGR", "lgl": "L
 
 
 def get_family(scheme: Scheme) -> Family:
-    """Return the family of points by its name, or raise `ArgumentError`."""
+    """Return the family with this name; raise `ArgumentError` for other names."""
     if not isinstance(scheme, str) or scheme not in _FAMILIES:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)
         hint = f"did you mean '{_SPELLINGS[close[0]]}'? " if close else ""

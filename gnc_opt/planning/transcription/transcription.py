@@ -1,4 +1,4 @@
-"""Transcription: an optimal control problem as a sparse nonlinear program with named rows and columns."""
+"""Transcription of an optimal control problem to a sparse nonlinear program with labelled rows and columns."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from gnc_opt.tolerances import SHORTEST
 
 @dataclass(frozen=True)
 class _Symbols:
-    """MX symbols of the program: scaled variables x and parameters p, and the pieces of p."""
+    """MX symbols of the program: scaled variables x, parameters p, and the parts of p."""
 
     x: Any
     p: Any
@@ -57,11 +57,11 @@ class _Symbols:
 
 
 CACHED_PROGRAMS = 8
-"""Programs that a problem keeps for re-use: refining makes many, each with a solver of many megabytes."""
+"""Largest number of cached programs of a problem; each may have a solver of many megabytes."""
 
 
 class Transcription(Numbering):
-    """The nonlinear program of a problem on given meshes, and what was built on it; numbers come later."""
+    """Nonlinear program of a problem on given meshes; independent of the problem's numbers."""
 
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
         super().__init__(problem, meshes, scheme)
@@ -79,7 +79,7 @@ class Transcription(Numbering):
     # --- blocks -----------------------------------------------------------------------------------
 
     def _phase_blocks(self, leg: Phase) -> list[PointBlock]:
-        """Dynamics and path constraints; integrals apart, so that an objective made of them needs no dynamics."""
+        """Return the blocks of dynamics and path constraints, and of integrals, which need no dynamics."""
         collocation = self.parts[leg.name].collocation
         n_states, n_paths = leg.model.states.size, len(leg.path_labels)
         rows, columns, values = collocation.output_weights(
@@ -87,14 +87,14 @@ class Transcription(Numbering):
         )
         blocks = [self._collocation_block(leg, "dynamics", [(rows + 1, columns, values)])]
         entries = self._integral_weight_entries(leg)
-        if entries:  # integrals may be declared only to be read
+        if entries:  # integrals that are only evaluated have no entries
             blocks.append(self._collocation_block(leg, "integrals", entries))
         return blocks
 
     def _collocation_block(
         self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
     ) -> PointBlock:
-        """Rates times the duration, and other functions, at every collocation point; fixed times are data."""
+        """Return a block of rates times the duration, or of other functions, at all collocation points."""
         part = self.parts[leg.name]
         collocation = part.collocation
         n_points = collocation.mesh.size
@@ -121,7 +121,7 @@ class Transcription(Numbering):
     def _collocation_point_function(
         self, leg: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
     ) -> PointFunction:
-        """The same on any mesh: by states, controls, those ends of the arc that are free, and free parameters."""
+        """Return the mesh-independent function of states, controls, free ends of the arc, and free parameters."""
         t, x, u, p = leg.model.arguments()
         ends, fraction = ca.SX.sym("ends", 2), ca.SX.sym("fraction")
         span = ends[1] - ends[0]
@@ -150,7 +150,7 @@ class Transcription(Numbering):
         return entries
 
     def _integral_rows(self, phase: str, label: str) -> list[tuple[int, float]]:
-        """Rows (0 is the objective) and coefficients by which an integral enters the program."""
+        """Return rows (0 is the objective) and coefficients of an integral in the program."""
         if (phase, label) in self._direct:
             coefficients = self._direct[phase, label]
             rows = np.concatenate([[0], 1 + self.constraint_rows])
@@ -159,7 +159,7 @@ class Transcription(Numbering):
         return [(1 + row, -1.0)]
 
     def _junction_block(self, name: str, junction: Junction, rows: Indices) -> PointBlock:
-        """A state constraint and its derivatives at a mesh boundary."""
+        """Return the block of a state constraint and its derivatives at a mesh break."""
         leg, part = self.problem.phases[name], self.parts[name]
         mesh = part.collocation.mesh
         t, x, u, p = leg.model.arguments()
@@ -194,7 +194,7 @@ class Transcription(Numbering):
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
     def _boundary_block(self) -> PointBlock:
-        """The cost and the end rows as one function of end points, parameters and integrals."""
+        """Return the block of the cost and the end rows, a function of end points, parameters and integrals."""
         places = [
             place
             for part in self.parts.values()
@@ -215,7 +215,7 @@ class Transcription(Numbering):
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
     def _boundary_function(self) -> PointFunction:
-        """The same on any mesh with so many movable boundaries."""
+        """Return the function of the end block for a given number of movable breaks."""
         phases = self.problem.phases.values()
         arguments: list[Any] = []
         arc_lengths: list[Any] = []
@@ -248,7 +248,7 @@ class Transcription(Numbering):
             (values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables)
         )
 
-    # --- the program as CasADi functions ------------------------------------------------------------
+    # --- CasADi functions of the program ------------------------------------------------------------
 
     @cached_property
     def _mx_symbols(self) -> _Symbols:
@@ -262,14 +262,14 @@ class Transcription(Numbering):
             ca.MX.sym("row_scales", self.n_constraints),
             ca.MX.sym("objective_scale"),
         )
-        # Not one symbol that is split: each function then copies only the pieces that it uses.
+        # Separate symbols instead of one vector: each function then copies only the parts that it uses.
         return _Symbols(
             ca.MX.sym("x", self.n_variables), ca.vertcat(*models.values(), *others), models, *others
         )
 
     @cached_property
     def nlp(self) -> NlpProblem:
-        """The scaled program with its sparse derivatives, ready for a solver."""
+        """Scaled program with its sparse derivatives, the input of the solver."""
         s = self._mx_symbols
         arguments = s.scales * s.x, s.times
         sigma, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.n_constraints)
@@ -282,7 +282,7 @@ class Transcription(Numbering):
         scaled = gradient * s.objective_scale * s.scales[columns.tolist()]
         gradient = ca.densify(_build_sparse_matrix(n, 1, columns, 0 * columns, scaled))
         rows, columns = self.constraints.jacobian_pattern
-        # vec: of a vector of one entry CasADi picks a row.
+        # vec, because CasADi indexes a vector of one entry as a row
         scaled = jacobian * ca.vec(s.row_scales[rows.tolist()]) * s.scales[columns.tolist()]
         jacobian = _build_sparse_matrix(m, n, rows, columns, scaled)
         rows, columns = self.program.hessian_pattern
@@ -309,7 +309,7 @@ class Transcription(Numbering):
         )
 
     def evaluate_derivatives(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
-        """Return rows (n_constraints,), objective gradient (n_variables,) and Jacobian nonzeros, all physical."""
+        """Return rows (n_constraints,), objective gradient (n_variables,) and Jacobian nonzeros in physical units."""
         ones = np.ones(self.n_variables), np.ones(self.n_constraints)
         p = self.parameter_vector(problem, *ones, 1.0)
         (_, gradient), (g, jacobian) = self.nlp.grad_f(x, p), self.nlp.jac_g(x, p)
@@ -318,23 +318,23 @@ class Transcription(Numbering):
     # --- numbers ----------------------------------------------------------------------------------
 
     def problem_data(self, problem: Problem) -> Array:
-        """Model parameters and fixed times of a problem."""
+        """Return the model parameters and fixed times of a problem."""
         models = [leg.model.parameter_values for leg in problem.phases.values()]
         return np.concatenate([*models, self.fixed_times(problem)])
 
     def parameter_vector(
         self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
     ) -> Array:
-        """Stack the program's parameters: model parameters, fixed times and scales."""
+        """Return the parameters of the program: model parameters, fixed times and scales."""
         return np.concatenate([self.problem_data(problem), scales, row_scales, [objective_scale]])
 
     def fixed_times(self, problem: Problem) -> Array:
-        """Initial and final time of each phase where fixed, else 0, shape (2 * n_phases,)."""
+        """Return initial and final time of each phase if fixed, else 0, shape (2 * n_phases,)."""
         times = [leg.time_ranges()[end] for leg in problem.phases.values() for end in (0, 1)]
         return np.asarray([t.lower[0] if t.fixed[0] else 0.0 for t in times])
 
     def variable_interval(self, problem: Problem) -> Interval:
-        """Bounds of all variables, in physical units."""
+        """Return the bounds of all variables in physical units."""
         box = unbounded(self.n_variables)
         for name, part in self.parts.items():
             self._set_phase_bounds(box, problem, problem.phases[name], part)
@@ -360,7 +360,7 @@ class Transcription(Numbering):
             fix_controls(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
-            # Not max and min: a value that rounding puts beyond a bound must not cross it.
+            # Not max and min: a value beyond a bound by rounding must not cross it.
             lower, upper = box.lower[places], box.upper[places]
             box.lower[places], box.upper[places] = (
                 np.clip(values.lower, lower, upper),
@@ -374,7 +374,7 @@ class Transcription(Numbering):
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
 
     def row_interval(self, problem: Problem) -> Interval:
-        """Bounds of all rows, in physical units."""
+        """Return the bounds of all rows in physical units."""
         box = Interval(np.zeros(self.n_constraints), np.zeros(self.n_constraints))
         for name, part in self.parts.items():
             paths = problem.phases[name].path_interval()
@@ -407,7 +407,7 @@ class Transcription(Numbering):
 
 
 def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> Transcription:
-    """Return the transcription of a problem, re-using an earlier one of the same structure and meshes."""
+    """Return the transcription of a problem; one of the same structure and meshes is reused."""
     for name in meshes:
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
@@ -416,7 +416,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)
-    builds[key] = built  # the last one used is the last in the order
+    builds[key] = built  # the most recent one is last
     programs = [k for k, value in builds.items() if isinstance(value, Transcription)]
     for old in programs[:-CACHED_PROGRAMS]:
         del builds[old]
@@ -424,7 +424,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
 
 
 def _build_sparse_matrix(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:
-    """Build an MX matrix from column-major (row, column) places and its nonzeros."""
+    """Return an MX matrix with nonzeros at column-major (row, column) indices."""
     starts = np.searchsorted(columns, np.arange(n_columns + 1))
     pattern = ca.Sparsity(n_rows, n_columns, starts.tolist(), rows.tolist())
     return ca.MX(pattern, nonzeros)

@@ -1,4 +1,4 @@
-"""Optimality check: dense defects, independent propagation and Pontryagin's minimum principle."""
+"""Optimality check: feasibility, Pontryagin's minimum principle and second-order conditions."""
 
 from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict

@@ -1,20 +1,19 @@
 r"""Second-order sufficient conditions of a bang-bang solution.
 
-For controls that are on bounds everywhere, the problem is one of finitely many unknowns :math:`\theta`, one for every
-switch of every control (module `switching_problem`). A first-order point is a strict local minimum if (Maurer &
-Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular and Bang-Bang Control,
-SIAM 2012, ch. 5-7)
+If all controls are at bounds everywhere, the problem has finitely many unknowns :math:`\theta`, one for every switch of
+every control (module `switching_problem`). A first-order point is a strict local minimum if (Maurer & Osmolovskii, SIAM
+J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular and Bang-Bang Control, SIAM 2012, ch. 5-7)
 
-* every switching function vanishes only where its control switches, and crosses zero there with a slope of the right
-  sign (strict bang-bang property),
-* the Hessian of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` is positive definite on the directions that
-  keep the active conditions: those at a limit with a multiplier. One without restricts directions to a half-space.
+* every switching function is zero only at the switches of its control, and crosses zero there with a slope of
+  the correct sign (strict bang-bang property),
+* the Hessian of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` is positive definite on the directions
+  tangent to the active conditions with a multiplier. Active conditions without one restrict directions to a half-space.
 
-Where several controls switch at one time the Hessian has to be positive definite for every order of the switches, on
-the directions that keep it (Poggiolini & Spadini, SIAM J. Control Optim. 49(1), 2011, for two of them). With several
-one-sided conditions positive everywhere is sufficient only: INCONCLUSIVE where it is not.
+If several controls switch at the same time, the Hessian has to be positive definite for every order of the switches, on
+the directions that preserve it (Poggiolini & Spadini, SIAM J. Control Optim. 49(1), 2011, for two controls). With
+several one-sided conditions, positive definiteness on the whole space is only sufficient; otherwise INCONCLUSIVE.
 
-Multipliers are those of least squares. Derivatives are extrapolated from two grids, which estimates their error.
+Multipliers are least-squares estimates. Derivatives are extrapolated from two grids, with an error estimate.
 """
 
 from __future__ import annotations
@@ -41,11 +40,11 @@ from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
 
 MOST_ORDERS = 120
-"""Orders of simultaneous switches that are tried."""
+"""Largest number of orders of simultaneous switches that are tested."""
 
 
 def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
-    """Switching functions cross zero with the right slope at every switch, and vanish nowhere else."""
+    """Return the strict bang-bang condition: switching functions cross zero with the correct slope at switches only."""
     meaning = (
         "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
         "with its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next "
@@ -65,7 +64,7 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
 
 @dataclass(frozen=True, order=True)
 class _Crossing:
-    """The worst zero crossing of a switching function at a switch; ``slope`` in shares of H per phase."""
+    """Worst zero crossing of a switching function at a switch; ``slope`` in shares of H per phase."""
 
     harmless: bool
     slope: float
@@ -109,7 +108,7 @@ def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
 
 
 def _switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) -> float:
-    """The most by which a switching function has the wrong sign between the switches before and after one, of H."""
+    """Return the largest wrong-sign value of a switching function between the adjacent switches, relative to H."""
     before, after = np.max(own[own < time], initial=-np.inf), np.min(own[own > time], initial=np.inf)
     near = (s.times >= before) & (s.times <= after)
     bounds = s.leg.control_bounds
@@ -124,7 +123,7 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
 
 
 def _find_zero_without_crossing(s: PhaseSamples) -> str:
-    """Where a switching function touches zero along a bang arc, or nothing."""
+    """Return where a switching function touches zero along a bang arc, or ""."""
     times, channels = find_inner_switches(s)
     worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.at_control_bounds, axis=0)
@@ -143,18 +142,18 @@ def _find_zero_without_crossing(s: PhaseSamples) -> str:
 
 @dataclass(frozen=True)
 class SecondOrder:
-    """What the switching-time problem says for one order of its switches; numbers are dimensionless.
+    """Second-order result of the switching-time problem for one order of its switches; values are dimensionless.
 
     Attributes
     ----------
     least : float
-        Smallest eigenvalue of the reduced Hessian, in shares of its terms; infinite if nothing is left to vary.
+        Smallest eigenvalue of the reduced Hessian, relative to its terms; infinite without degrees of freedom.
     error : float
-        Its estimated error.
+        Estimated error of the eigenvalue.
     freedom : int
-        Directions that are left.
+        Number of degrees of freedom.
     attained : bool
-        Whether the direction of the smallest eigenvalue keeps all one-sided conditions.
+        Whether the direction of the smallest eigenvalue satisfies all one-sided conditions.
     """
 
     least: float
@@ -164,14 +163,14 @@ class SecondOrder:
 
     @property
     def condition_result(self) -> ConditionResult:
-        """Whether the form is positive definite."""
+        """Result: PASS if the form is positive definite."""
         return combine_condition_results(self.least > self.error, self.least < -self.error and self.attained)
 
 
 def check_bang_bang_second_order(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> Condition:
-    """The reduced Hessian of the switching-time problem is positive definite in every order of its switches."""
+    """Return the condition that the reduced Hessian is positive definite in every order of the switches."""
     meaning = (
         "The Hessian of the Lagrangian in switch times, end times, free end values and parameters, on directions that "
         "keep the active conditions, must be positive definite in every order that simultaneous switches can take "
@@ -240,7 +239,7 @@ def _second_order_for_switch_order(
     violation = float(np.max(np.concatenate([np.abs(residual) / unknowns.worth[free], wrong]), initial=0.0))
     every = np.zeros(conditions.values.size)
     every[active] = multipliers / norms
-    # A condition without a multiplier, or an order without one, only restricts directions to one side.
+    # Conditions and orders without a multiplier only restrict directions to a half-space.
     strong = (sides == 0) | (np.abs(multipliers) > AT_LIMIT * cost)
     kept = np.vstack([rows[strong], precedences[precedence_multipliers > AT_LIMIT * cost]])
     sided = np.vstack(
@@ -263,23 +262,23 @@ def _second_order_for_switch_order(
 def estimate_nearest_multipliers(
     gradient: Array, jacobian: Array, induced: InducedProblem
 ) -> tuple[Indices, Array, Array, Array]:
-    """Return the multipliers nearest to the solution's that leave least of the gradient.
+    """Return the multipliers nearest to those of the solution that minimise the gradient.
 
     Returns
     -------
     active : int array (k,)
-        Conditions that are at a limit and that unknowns can change.
+        Active conditions that depend on the unknowns.
     rows : array (k, n_free)
-        Their gradients with respect to the free unknowns, of length 1.
+        Their gradients in the free unknowns, normalised.
     norms : array (k,)
-        What these have been divided by.
+        Norms of these gradients.
     multipliers : array (k,)
-        Of the conditions divided by the norms.
+        Multipliers of the normalised conditions.
     """
     free, conditions = induced.unknowns.free, induced.conditions
     at_lower, at_upper = conditions.active_limits
     norms = np.linalg.norm(jacobian[:, free], axis=1)
-    # What only given unknowns could change is no condition on the others.
+    # Conditions that depend only on fixed unknowns are omitted.
     told = norms > RANK * np.linalg.norm(jacobian, axis=1)
     active = np.flatnonzero((at_lower | at_upper) & told)
     rows = jacobian[np.ix_(active, free)] / norms[active, None]
@@ -295,7 +294,7 @@ def _extrapolate_richardson(fine: Array, coarse: Array) -> Array:
 def _switch_order_constraints(
     unknowns: Unknowns, orders: dict[str, tuple[int, ...]], switches: dict[str, Switches]
 ) -> Array:
-    """Combinations of the unknowns that must not be negative for the order of the switches to hold (k, n)."""
+    """Return the combinations of unknowns that must be >= 0 for the order of the switches to hold (k, n)."""
     rows = [np.zeros((0, unknowns.scale.size))]
     for name, order in orders.items():
         own = switches[name].order_constraints(order)
@@ -306,7 +305,7 @@ def _switch_order_constraints(
 
 
 def _fit_switch_order_multipliers(residual: Array, precedences: Array) -> tuple[Array, Array]:
-    """Return the gradient less the multipliers of the order of simultaneous switches, and these multipliers."""
+    """Return the gradient minus the multipliers of the order of simultaneous switches, and these multipliers."""
     if not precedences.size:
         return residual, np.zeros(precedences.shape[0])
     precedence_multipliers = scipy.optimize.nnls(precedences.T, residual)[0]
@@ -314,12 +313,12 @@ def _fit_switch_order_multipliers(residual: Array, precedences: Array) -> tuple[
 
 
 def is_bang_bang(samples: list[PhaseSamples]) -> bool:
-    """Whether every control sits on a bound all along."""
+    """Return whether every control is at a bound at all times."""
     return bool(samples) and all(np.all(np.any(s.at_control_bounds, axis=0)) for s in samples)
 
 
 def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
-    """Why the induced problem says nothing, or nothing."""
+    """Return the reason why the switching-time problem does not apply, or ""."""
     for s in samples:
         if not s.has_duration:
             return f"phase {s.leg.name} has no length"

@@ -1,6 +1,6 @@
 """Pontryagin's minimum principle: the applied control minimises the Hamiltonian.
 
-Violations are gains of H by other controls, to first order or in full, in shares of the cost scale (module
+Violations are decreases of H by other controls, to first order or exact, relative to the cost scale (module
 `reference_scales`). The module `costate_conditions` states the principle and its sources.
 """
 
@@ -41,7 +41,7 @@ from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, SMALL, TINY
 
 
 def compute_hamiltonian_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
-    """Return by what gains in H of each control alone are measured (m,), cost per second."""
+    """Return the scales of decreases of H by each single control (m,), cost per second."""
     bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1, initial=0.0)
     least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
     own = np.maximum(scales.phases[s.leg.name].control_cost, least)
@@ -49,23 +49,23 @@ def compute_hamiltonian_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
 
 
 def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
-    """Return the first-order gain in H of controls between their bounds, or the share by which they miss its minimum.
+    """Return the first-order decrease of H by interior controls, or their distance to the minimum of H.
 
-    Root mean square over the phase of the means of segments, with their sign. Inside a segment deviations change the
-    cost to second order only: the root of the tolerance holds.
+    It is the root mean square over the phase of segment means, with their sign. Inside a segment deviations change the
+    cost only to second order, so that the root of the tolerance applies.
     """
     worst = NOTHING
     for s in samples:
         loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
         miss = _compute_distance_to_minimum(s, scales)
-        # However cheap a control is: multipliers may be rounding, what the cost itself curves by is not.
+        # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
         clear = np.isfinite(miss) & (miss > NOTABLE) & find_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_gain_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
         means = average_over_time(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
         root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
-        # The place is that of the largest mean.
+        # The location is that of the largest mean.
         by_phase = np.where(means == np.max(means, axis=1, keepdims=True), root_mean[:, None], 0.0)
         violation = np.maximum(by_phase, average_over_time(s.times, gain) * np.sqrt(tolerance))
         worst = worst.select_worse(_locate_worst_control(s, violation, "dH/du of "))
@@ -79,7 +79,7 @@ def _segment_means(s: PhaseSamples, values: Array) -> Array:
 
 
 def _compute_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
-    """Share of its deviation by which each control misses the minimum of H; infinite where H curves downwards."""
+    """Return the distance of each control to the minimum of H, in deviations; infinite for negative curvature."""
     deviation = scales.phases[s.leg.name].deviation
     curvature = np.einsum("iij->ij", s.control_hessian) * deviation
     slope = np.abs(s.control_gradient)
@@ -88,7 +88,7 @@ def _compute_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
 
 
 def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
-    """Return what controls on a bound would gain in H to first order if they left it."""
+    """Return the first-order decrease of H if controls at a bound move into the interior."""
     worst = NOTHING
     for s in samples:
         loss, on_bound = _first_order_gains(s, scales.phases[s.leg.name].deviation)
@@ -98,9 +98,9 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
 
 
 def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None) -> tuple[Array, Mask]:
-    """First-order gain in H of each control over a scale (m, n_samples), cost per second, and whether it is on a bound.
+    """Return the first-order decrease of H by each control over a scale (m, n_samples), and whether it is at a bound.
 
-    ``size`` (m,) is what the distance to a bound is compared with; by default the largest scale.
+    The decrease is in cost per second. ``size`` (m,) is the reference of the distance to a bound.
     """
     bounds, gradient = s.leg.control_bounds, s.control_gradient
     size = np.max(scale, axis=1, initial=0.0) if size is None else size
@@ -121,7 +121,7 @@ def _locate_worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
 def check_minimum_principle(
     samples: list[PhaseSamples], scales: Scales, tolerance: float, unit: str = ""
 ) -> Condition:
-    """No other admissible control has a smaller H; the loss in ``unit`` is the integral of H less its least value."""
+    """Return the condition that no other control has a smaller H; the loss in ``unit`` is the integral over time."""
     meaning = (
         "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
         "(share of H's scale that could be gained)."
@@ -133,15 +133,15 @@ def check_minimum_principle(
             worst, searched, loss = worst.select_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
-            f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
-            f"for among {POINTS} controls per phase, and a narrower minimum of H is not excluded."
+            f" H is neither affine nor a convex quadratic function of all controls: its minimum was searched "
+            f"with {POINTS} controls per phase, and a narrower minimum of H is not excluded."
         )
     found = judge_violation("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
 def _find_largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, float, bool]:
-    """Return what other controls gain at most and along the phase, and whether they had to be searched for."""
+    """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
     deviation = np.max(scales.phases[s.leg.name].deviation, axis=1, initial=0.0)
     gain, own, searched = _hamiltonian_gains(s, deviation, scales.cost, tolerance)
     lasts = average_over_time(s.times, gain[None])[0]
@@ -154,7 +154,7 @@ def _find_largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tup
 def _hamiltonian_gains(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[Array, Array, bool]:
-    """Return what other controls gain in H and its share along the phase, and whether they had to be searched for."""
+    """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
     apart = _separable_gain(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _distribute_control_samples(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
@@ -167,7 +167,7 @@ def _hamiltonian_gains(
 
 
 def minimum_principle_loss(solution: Solution) -> float:
-    """Return the integral of H less its least value, in the objective's unit; not finite where H has no value."""
+    """Return the integral of H minus its minimum, in the unit of the objective; NaN or inf if H is not finite."""
     samples = [s for s in solution.samples().values() if s.has_duration and s.leg.controls.size]
     return float(
         sum(s.weights @ _hamiltonian_gains(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples)
@@ -175,7 +175,7 @@ def minimum_principle_loss(solution: Solution) -> float:
 
 
 def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return times (n_times,) and minimising controls (m, n_times); those with a slope of rounding stay."""
+    """Return times (n_times,) and minimising controls (m, n_times); those with negligible slope do not change."""
     times, u = find_coupled_minima(s)
     apart = s.functions.separable_controls
     lower, upper = (limit[:, None] for limit in control_search_bounds(s))
@@ -185,7 +185,7 @@ def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
 
 
 def _separable_gain(s: PhaseSamples) -> Array:
-    """What H loses at most by other values of its separable controls: each goes where its slope says."""
+    """Return the largest decrease of H by other values of its separable controls, according to their slopes."""
     apart = s.functions.separable_controls
     lower, upper = (limit[apart, None] for limit in control_search_bounds(s))
     slope, u = s.control_gradient[apart], s.u[apart]
@@ -193,7 +193,7 @@ def _separable_gain(s: PhaseSamples) -> Array:
 
 
 def _distribute_control_samples(s: PhaseSamples) -> Array:
-    """Separable controls anywhere between their limits: a step of H, whose slope is zero, shows nowhere else."""
+    """Return separable controls at random points between their limits, which reveal steps of H with zero slope."""
     lower, upper = control_search_bounds(s)
     shares = draw_low_discrepancy_points(s.u.shape[1], s.u.shape[0])
     other = lower[:, None] + (upper - lower)[:, None] * shares
@@ -203,7 +203,7 @@ def _distribute_control_samples(s: PhaseSamples) -> Array:
 def check_legendre_clebsch(
     samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask]
 ) -> Condition:
-    """The Hessian of H in the controls off their bounds is positive definite (strengthened form)."""
+    """Return the Legendre-Clebsch condition: the Hessian of H in interior controls is positive definite."""
     name = "Legendre-Clebsch"
     meaning = (
         "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
@@ -211,7 +211,7 @@ def check_legendre_clebsch(
     )
     found = [_find_least_lasting_curvature(s) for s in samples]
     vanishing = [place is not None and abs(value) <= tolerance for value, place in found]
-    # Where the form vanishes since H is affine in controls, the generalised condition judges; here, the others.
+    # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
     found = [
         _find_least_lasting_curvature(s, ~here) if affine else told
         for s, here, told, affine in zip(samples, singular, found, vanishing, strict=True)
@@ -226,14 +226,14 @@ def check_legendre_clebsch(
 
 
 def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
-    """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long."""
+    """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.control_gain)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     least = np.full(s.times.size, np.inf)
     for j, basis in enumerate(free_control_directions(s, _mask_interior_controls(s) & among, unit)):
         if basis.size:
             reduced = basis.T @ scaled[:, :, j] @ basis
-            finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
+            finite = np.all(np.isfinite(reduced))  # LAPACK fails for non-finite numbers
             least[j] = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
     j = lasting_minimum_index(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
@@ -245,7 +245,7 @@ def check_singular_arcs(
     singular: Sequence[Mask],
     determined: Sequence[Mask] = (),
 ) -> Condition:
-    """H or the second derivative of its switching function (``determined``) determines every control off its bounds."""
+    """Return the condition that H or the second derivative of the switching function determines interior controls."""
     meaning = (
         "Where a control is between its bounds and dH/du and the curvature of H both vanish (a singular arc), the "
         "second derivative of the switching function must determine it (value: share of the phase along which it does "
@@ -266,14 +266,14 @@ def check_singular_arcs(
 
 
 def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
-    """Where controls are between their bounds, and H or constraints do not determine them.
+    """Return where controls are interior and not determined by H or active constraints.
 
     Returns
     -------
     singular : bool array (m, n_samples)
-        H neither slopes nor curves, and active constraints leave a direction free.
+        H has neither slope nor curvature, and active constraints leave a direction free.
     inside : bool array (m, n_samples)
-        Between the bounds, and active constraints leave all directions free.
+        Interior, and active constraints leave all directions free.
     """
     loss = _first_order_gains(s, s.control_span[:, None], s.control_scale)[0] / s.control_gain[:, None]
     unit = s.control_span / np.sqrt(s.control_gain)
@@ -284,11 +284,11 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
 
 
 def _hamiltonian_curvature(s: PhaseSamples) -> Array:
-    """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
+    """Return the second derivative of H in each control over its range, relative to the scale of H, (m, n_samples)."""
     return np.asarray(np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_gain)[:, None])
 
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:
-    """Where each control that does something is between its bounds, and not only on its way across, (m, n_samples)."""
+    """Return where each active control is interior, and not only during a switch, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, NOTABLE * s.control_scale)
     return mask_interior_controls(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

@@ -11,11 +11,10 @@ satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & V
 * :math:`dH/dt = \partial H_a/\partial t`, with jumps where a moving state constraint is active,
 * u minimises H among the admissible controls (module `control_conditions`).
 
-Gradients count by what they change over the reach of the states, in shares of the cost scale (module
-`reference_scales`).
+Gradients are multiplied by the reach of the states and divided by the cost scale (module `reference_scales`).
 
-A constraint :math:`c(t, x) \le 0` that is met at an end of a phase only has an atom :math:`\eta \ge 0` there (Hartl,
-Sethi & Vickson, theorem 4.1). The second order takes it as a boundary constraint with :math:`\nu = \eta`.
+A constraint :math:`c(t, x) \le 0` that is active only at an end of a phase has an atom :math:`\eta \ge 0` there (Hartl,
+Sethi & Vickson, theorem 4.1). The second-order conditions treat it as a boundary constraint with :math:`\nu = \eta`.
 """
 
 from __future__ import annotations
@@ -47,13 +46,13 @@ from gnc_opt.planning.verification.recomputed_solution import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))
-"""The ends of a phase and their samples."""
+"""Ends of a phase and their samples."""
 
 
 def add_active_constraints_at_ends(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> tuple[Solution, EndGradients]:
-    """Return the solution of the problem with these boundary constraints, their multipliers with it, and its ends."""
+    """Return the solution and its end gradients, with these constraints as boundary constraints with multipliers."""
     met = [
         (s, end, at, rows)
         for s in samples
@@ -84,7 +83,7 @@ def add_active_constraints_at_ends(
 
 
 def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
-    """Path constraints without controls that are at a limit at an end of the phase, and not at the next point."""
+    """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
     leg, pure = s.leg, s.pure_paths
     if not pure.size:
         return pure
@@ -106,7 +105,7 @@ def _path_expression_at_end(leg: Phase, row: int, end: str) -> ca.SX:
 
 
 def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
-    """Return by how much costates miss their differential equation, or jump where no state constraint acts."""
+    """Return the residual of the adjoint equation, and costate jumps without an active state constraint."""
     worst = NOTHING
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
@@ -142,7 +141,7 @@ def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: fl
 
 
 def _path_multipliers_without_impulses(s: PhaseSamples) -> Array:
-    """Return path multipliers (n_paths, n_samples) by the points inside of segments: those at boundaries have atoms."""
+    """Return path multipliers (n_paths, n_samples) from interior points of segments; boundary points have atoms."""
     leg = s.leg
     inner = [np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool) for rule in leg.rules]
     nodes = tuple(rule.points[here] for rule, here in zip(leg.rules, inner, strict=True))
@@ -153,11 +152,11 @@ def _path_multipliers_without_impulses(s: PhaseSamples) -> Array:
 
 
 def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:
-    """Return by how much costates at free ends, and H at free times, miss the gradients of cost and constraints."""
+    """Return the residuals of the transversality conditions, of costates at free ends and of H at free times."""
     worst = NOTHING
     for s in samples:
         own = scales.phases[s.leg.name]
-        # The multiplier that would explain the gap must be one that the end's bounds can exert.
+        # Only a multiplier admissible for the bounds at this end can explain the gap.
         pushes = {end: explain_transversality(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
             left = push.gap - push.explained
@@ -174,10 +173,10 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
 
 
 def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, scales: Scales) -> Worst:
-    """Of free times; ``pushes`` is what path constraints that depend on time do at both ends (module `pushes`)."""
+    """Return the residual for free times; ``pushes``: contributions of time-dependent path constraints at both ends."""
     leg, name = s.leg, s.leg.name
     boxes, lasts = leg.duration_bounds, np.array([leg.duration])
-    # A multiplier of the duration counts only if a bound of the duration can exert it.
+    # A multiplier of the duration counts only if a bound of the duration is active.
     exerted = np.array([leg.duration_multiplier])
     alone = np.copysign(_multipliers_of_wrong_sign(exerted, lasts, boxes, lasts), exerted)
     duration = float((exerted - alone)[0])
@@ -192,7 +191,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     times = np.array([leg.initial_time, leg.final_time])
     reach = box.upper - box.lower
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
-    # Multipliers are known for times that are variables only.
+    # Multipliers exist only for times that are variables.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
     violation = np.maximum(_multipliers_of_wrong_sign(gaps, times, box, span), told) * s.span / scales.cost
     i = int(np.argmax(violation))
@@ -203,9 +202,9 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
 
 
 def _multipliers_of_wrong_sign(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
-    """Size of bound multipliers that the bounds cannot exert: >= 0 needs the upper, <= 0 the lower bound."""
+    """Return the size of inadmissible bound multipliers: > 0 requires the upper, < 0 the lower bound to be active."""
     at_lower, at_upper = box.near(values, AT_LIMIT * scale)
-    # A given value takes any multiplier; whether it is met is for the boundary conditions to say.
+    # A fixed value allows any multiplier; the boundary conditions check the value.
     allowed = np.where(multipliers > 0, at_upper, at_lower) | box.fixed
     return np.where(allowed, 0.0, np.abs(multipliers))
 
@@ -213,7 +212,7 @@ def _multipliers_of_wrong_sign(multipliers: Array, values: Array, box: Interval,
 def check_complementarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
-    """Return what multipliers contribute to the cost away from their limits, or from the wrong side of them."""
+    """Return the contributions to the cost of multipliers away from their limits or of inadmissible sign."""
     worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
@@ -223,7 +222,7 @@ def check_complementarity(
         paths = s.functions.paths(times, x, u)
         shares = np.concatenate([0.5 * rule.weights for rule in leg.rules])
         shares = shares * np.repeat(np.diff(leg.breaks), leg.mesh.degrees)
-        # A density counts by its part of the phase's mean: a tiny cell beside a jump may hold a large one.
+        # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
         most = np.max(own.deviation, axis=1, initial=0.0)
         for labels, multipliers, values, box, scale in (
             (leg.states.labels, leg.state_multipliers, x, leg.state_bounds, own.along.radius[:, None]),
@@ -245,7 +244,7 @@ def check_complementarity(
 
 
 def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
-    """Multipliers of boundary constraints that are not at the limit which could exert them."""
+    """Return multipliers of boundary constraints that are not active at the required limit."""
     nu, values = solution.constraint_multipliers, ends.constraints
     if not nu.size:
         return NOTHING
@@ -257,7 +256,7 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
 
 
 def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
-    """Impulses of state bounds at inner segment boundaries that are not at the limit which could exert them."""
+    """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
     leg, breaks = s.leg, s.leg.breaks[1:-1]
     if not breaks.size:
         return NOTHING
@@ -272,7 +271,7 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
 
 
 def _slack_violation(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
-    """|multiplier| times the room to the limit that could exert it (at most the scale)."""
+    """Return |multiplier| times the distance to its limit (at most the scale)."""
     room_up = np.minimum(np.abs(box.upper[:, None] - values), scale)
     room_down = np.minimum(np.abs(values - box.lower[:, None]), scale)
     return np.abs(multipliers) * np.where(multipliers > 0, room_up, room_down)
@@ -281,7 +280,7 @@ def _slack_violation(multipliers: Array, values: Array, box: Interval, scale: Ar
 def check_parameter_stationarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
-    """Return by how much the cost changes with the free parameters."""
+    """Return the residual of stationarity in the free parameters."""
     values, box = solution.parameter_values, solution.need_problem("verify").parameter_interval()
     if not values.size:
         return NOTHING
@@ -291,7 +290,7 @@ def check_parameter_stationarity(
         atoms = _parameter_gradients_of_impulses(s, ends)
         gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
         terms = terms + np.abs(density) @ s.weights
-    # L + z q stationary: the multiplier a bound would have to exert is -gradient.
+    # L + z q stationary: the multiplier of a bound is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
     violation = (
         _multipliers_of_wrong_sign(-left, values, box, compute_parameter_scales(solution))
@@ -303,7 +302,7 @@ def check_parameter_stationarity(
 
 
 def _parameter_gradients_of_impulses(s: PhaseSamples, ends: EndGradients) -> Array:
-    """What pushes of no duration do to parameters, where path constraints are touched or met at an end (q, n_atoms)."""
+    """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
     leg = s.leg
     pushes = [explain_transversality(s, at, ends).multipliers for at in (0, -1)]
     atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])

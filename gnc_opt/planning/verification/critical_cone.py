@@ -1,11 +1,10 @@
-r"""The variations of a solution that its active limits leave free, on its mesh.
+r"""Critical cone: variations of a solution, on its mesh, that its active limits leave free.
 
-Where a magnitude s with a direction n vanishes, :math:`H = H_0 + s\,(c + \sigma \cdot n)` does not depend on n, which
-does not vary; the switching function of s is :math:`c - |\sigma|` (Lawden, Optimal Trajectories for Space Navigation,
-1963).
+If a magnitude s with a direction n is zero, :math:`H = H_0 + s\,(c + \sigma \cdot n)` does not depend on n, which is
+fixed; the switching function of s is :math:`c - |\sigma|` (Lawden, Optimal Trajectories for Space Navigation, 1963).
 
-The variation of a path constraint without controls vanishes along an arc on which it is active, and by continuity
-where the arc begins. A program of Gauss collocation has rows at its points only, so that this is a row of its own.
+The variation of a pure state path constraint vanishes along an arc on which it is active, and by continuity at the
+entry. A program of Gauss collocation has rows at its points only, so that the entry needs an additional row.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, TINY
 
 
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
-    """Return the vector control that a group consists of, if H is affine in it and only its length is limited."""
+    """Return the vector control of a group, if H is affine in it and only its length is limited."""
     layout = s.leg.controls
     for vector in s.leg.vector_controls:
         places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
@@ -51,7 +50,7 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
 def best_direction_gradient(
     s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array, mu: Array
 ) -> Array:
-    """Return d(H + mu.c)/du (m, n_times), by a magnitude that is zero as if its direction were the best."""
+    """Return d(H + mu.c)/du (m, n_times); for a zero magnitude with its optimal direction."""
     gradient = s.functions.control_gradient(times, x, u, lam, mu)
     for vector in filter(None, (find_vector_control(s, group) for group in s.functions.coupled_controls)):
         magnitude, direction = (s.leg.controls.slice(part) for part in vector.parts)
@@ -67,7 +66,7 @@ def best_direction_gradient(
 
 
 def fix_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
-    """Return the cone with directions held where their magnitude is, and angles that do nothing there."""
+    """Return the cone with directions fixed where their magnitude is, and inactive angles fixed."""
     strong = cone.strong.copy()
     for s in samples:
         collocation = cone.point.transcription.parts[s.leg.name].collocation
@@ -92,7 +91,7 @@ def fix_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples])
 
 
 def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
-    """Return the cone with its path constraints held where their arcs begin, too."""
+    """Return the cone with path constraints also fixed at the entries of their arcs."""
     point = cone.point
     found = []
     for s in samples:
@@ -113,7 +112,7 @@ def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSa
 
 
 def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
-    """At which boundaries (n_paths, K) an arc begins: held at all points of the segment, and not of the one before."""
+    """Return the arc entries (n_paths, K): active at all points of the segment, but not of the previous one."""
     collocation = part.collocation
     held = cone.strong[cone.point.x.size :][collocation.path_rows]
     along = np.zeros((collocation.n_paths, collocation.mesh.segments + 1), dtype=bool)
@@ -124,16 +123,16 @@ def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> M
 
 @dataclass(frozen=True, eq=False)
 class CriticalCone:
-    """The variations of a point that are free to first order.
+    """Variations of a point that are free to first order.
 
     Attributes
     ----------
     strong, weak : bool array (n_variables + n_constraints,)
-        Variables and rows that are held, and those at a limit that does not push: they may leave it to one side.
+        Fixed variables and rows, and those at a limit with zero multiplier: they may leave it to one side.
     unit : sparse (n_variables, n_variations) or None
-        Scaled variables per variation of size 1, if it is not one for each (module `goh_transformation`).
+        Scaled variables per unit variation, if not one for each (module `goh_transformation`).
     further : sparse (n, n_variables) or None
-        What is active besides rows of the program (module `arc_starts`).
+        Active conditions that are not rows of the program.
     """
 
     point: ProgramPoint
@@ -144,10 +143,10 @@ class CriticalCone:
 
     @classmethod
     def from_program_point(cls, point: ProgramPoint) -> CriticalCone:
-        """Tell from the gradient of the Lagrangian which limits push.
+        """Return the cone, with active limits determined from the gradient of the Lagrangian.
 
-        By continuity the variation of what is limited vanishes at the ends of an arc on its limit too: a node at the
-        limit is held if it shares a segment with one that is pushed there.
+        By continuity the variation of a limited quantity vanishes at the ends of an active arc too: a node at the limit
+        is fixed if it shares a segment with a node with a multiplier.
         """
         strong, weak = [], []
         of_variables, of_rows = _list_variables_along_segments(point)
@@ -164,7 +163,7 @@ class CriticalCone:
         return cls(point, np.concatenate(strong), np.concatenate(weak))
 
     def admits_direction(self, direction: Array, samples: list[PhaseSamples]) -> bool:
-        """Whether a direction stays within the limits: weakly active ones at the nodes, active ones between them."""
+        """Return whether a direction satisfies weakly active limits at the nodes and active ones between them."""
         point = self.point
         changes = np.concatenate([direction, point.row_jacobian @ direction])[self.weak]
         values = np.concatenate([point.x, point.row_values])[self.weak]
@@ -177,7 +176,7 @@ class CriticalCone:
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 
     def _largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
-        """How far a direction leads states and path constraints beyond active limits, in shares of its largest."""
+        """Return the largest violation of active limits along a direction, relative to its largest entry."""
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
@@ -196,7 +195,7 @@ class CriticalCone:
             at_lower, at_upper = box.near(values, AT_LIMIT * scale)
             free = ~box.fixed[:, None]
             beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
-            # What a direction hardly moves, as a limit that it goes along, it does not leave.
+            # A direction along a limit hardly changes it and does not violate it.
             least = np.maximum(NOTABLE * scale, TINY)
             largest = np.maximum(np.max(np.abs(changes), axis=1, initial=0.0), least)
             worst.append(np.max(beyond, axis=1, initial=0.0) / largest)
@@ -204,7 +203,7 @@ class CriticalCone:
 
 
 def _list_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
-    """Variables of each state along each segment, ends included, and of each control; rows of each path constraint."""
+    """Return the variables of each state along each segment and of each control, and the rows of path constraints."""
     variables, rows = [], []
     for part in point.transcription.parts.values():
         collocation = part.collocation
@@ -220,7 +219,7 @@ def _list_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], 
 def _extend_active_limits_along_arcs(
     lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask
 ) -> None:
-    """Hold, in place, what is at the same limit as a pushed node of its line."""
+    """Fix, in place, nodes at the same limit as a node of their line with a multiplier."""
     for line in lines:
         if not (np.any(pushed[line]) and np.any(doubtful[line])):
             continue
@@ -230,12 +229,12 @@ def _extend_active_limits_along_arcs(
 
 
 def _variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
-    """Those of all places (n, n_points) that lie in a segment."""
+    """Return the indices (n, n_points) that are in a segment."""
     return np.asarray(places[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]])
 
 
 def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
-    """Variables of the states at the start, the points and the end of a segment, each once (n_states, nodes)."""
+    """Return the state variables at start, points and end of a segment, without duplicates (n_states, nodes)."""
     points = _variables_in_segment(collocation, collocation.point_states, k)
     start, end = collocation.boundary_states[:, [k]], collocation.boundary_states[:, [k + 1]]
     family = collocation.family
@@ -244,7 +243,7 @@ def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
 
 
 def _interpolate_states(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
-    """Return the polynomials through the varied states at the start, the points and the end of each segment."""
+    """Return the polynomials of varied states through start, points and end of each segment."""
     values = tuple(change[_state_node_variables(collocation, k)] for k in range(collocation.mesh.segments))
     nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.rules)
     return PiecewisePolynomial(breaks, nodes, values)

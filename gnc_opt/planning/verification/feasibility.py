@@ -1,8 +1,8 @@
-r"""Conditions on the trajectory alone: dynamics, limits, boundary conditions, cost.
+r"""Feasibility conditions: dynamics, limits, boundary conditions and cost of the trajectory.
 
-Displacements are shares of the reach of the states, prices shares of the cost scale (module `reference_scales`). A
-defect of the differential equation counts by its integral over a segment, with its sign; inside a segment, where it
-changes the cost to second order only, by the square root of the tolerance; and by its effect on the cost,
+Displacements are relative to the reach of the states, cost changes to the cost scale (module `reference_scales`). A
+defect of the differential equation is measured by its signed integral over a segment; inside a segment, where it
+changes the cost only to second order, by the square root of the tolerance; and by its effect on the cost,
 :math:`\int\lambda^T(\dot x - f)\,dt`. The control is the applied one, within its bounds.
 """
 
@@ -33,28 +33,28 @@ from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, SHORTEST, TINY
 
 SCANNED, SCANNED_PATHS = 4096, 32768
-"""Times at which the dynamics and integrands of a phase, and its path constraints, are evaluated beside the samples:
-narrow features in time or place, as a gust or a small keep-out whose constraint is flat elsewhere, are missed there."""
+"""Number of additional times at which dynamics, integrands and path constraints are evaluated; the samples may miss
+narrow features in time or space, such as a gust or a small keep-out zone."""
 
 LAYER_STEPS = 512
-"""Steps per segment, at least, at which integrals are evaluated again where a scan denies them."""
+"""Smallest number of steps per segment for a second evaluation of integrals that differ from a scan."""
 
 
 def judge_violation(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
-    """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
+    """Return a condition: PASS if the value is within the tolerance, else FAIL (also for NaN)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
 def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
-    """Return FAIL, PASS, or INCONCLUSIVE where neither is certain."""
+    """Return FAIL, PASS, or INCONCLUSIVE if neither is certain."""
     if fails:
         return ConditionResult.FAIL
     return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
 
 
 def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
-    """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
+    """Return the condition that the applied control moves the states along the trajectory, over and inside segments."""
     worst = NOTHING
     for s in samples:
         for at in (s, s.resample_evenly(SCANNED)):
@@ -74,7 +74,7 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
     residual = at.x_rate - rates
     total, running = at.segment_integrals(residual), at.running_integrals(residual)
     held = np.flatnonzero(np.any(leg.applied.is_piecewise_constant, axis=0))
-    if held.size:  # the control jumps inside of these
+    if held.size:  # segments with a control jump inside
         total[:, held] = compute_segment_errors(leg, s.functions, held) if at is s else 0.0
         running[:, np.isin(at.segments, held)] = 0.0
     inner = leg.breaks[1:-1]
@@ -108,7 +108,7 @@ def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolera
 def check_limits(
     solution: Solution, samples: list[PhaseSamples], scales: Scales, tolerance: float
 ) -> Condition:
-    """The applied control, the states, the path constraints and the free parameters stay within their limits."""
+    """Return the condition that applied control, states, path constraints and free parameters satisfy their limits."""
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").parameter_interval()
     values = solution.parameter_values
@@ -131,7 +131,7 @@ def check_limits(
 
 
 def _worst_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    """At the nodes: between them the applied control keeps its bounds."""
+    """Return the violation of control bounds at the nodes; between them the applied control satisfies its bounds."""
     leg = s.leg
     if not leg.controls.size:
         return NOTHING
@@ -157,7 +157,7 @@ def _worst_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
 
 
 def _worst_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
-    """By the distance to the limit along the constraint's own gradient, at peaks and at samples that violate it."""
+    """Return the distance to the limit along the constraint gradient, at peaks and at samples that violate it."""
     limits = Limits.from_interval(s.functions.paths, s.leg.path_bounds)
     found = find_limit_violations(at, limits, applied=True)
     if not found.times.size:
@@ -176,7 +176,7 @@ def _worst_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> 
 def _distances_to_path_limits(
     s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
 ) -> Array:
-    """Return distances to limits (n,) in shares of the reach, each at a time of its own."""
+    """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
     reach = reach_of_path_constraints(s, scales, *at)[rows, np.arange(rows.size)]
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
@@ -185,7 +185,7 @@ def _distances_to_path_limits(
 
 
 def reach_of_path_constraints(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
-    """Return how far deviations of controls and states move each path constraint (n_paths, n_times)."""
+    """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
@@ -204,7 +204,7 @@ def _path_violation_cost(s: PhaseSamples, scales: Scales) -> Worst:
 
 
 def check_table_ranges(solution: Solution) -> Condition:
-    """The flight stays within the tables of its models."""
+    """Return the condition that the trajectory stays within the tables of its models."""
     worst, refused = NOTHING, False
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
@@ -221,7 +221,7 @@ def check_table_ranges(solution: Solution) -> Condition:
 def check_boundary_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tolerance: float
 ) -> Condition:
-    """Initial and final values, times and boundary constraints hold."""
+    """Return the condition that initial and final values, times and boundary constraints hold."""
     worst = NOTHING
     for s in samples:
         leg, name, own = s.leg, s.leg.name, scales.phases[s.leg.name]
@@ -238,7 +238,7 @@ def check_boundary_conditions(
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.select_worse(_worst_interval_violation(times, interval, lasts, labels, ("s",) * 3))
-        # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
+        # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
@@ -275,7 +275,7 @@ def _worst_boundary_error(
 
 
 def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
-    """By the distance at which a boundary constraint holds, from its first and second differences over the reach."""
+    """Return the violation as the distance to a feasible point, from first and second differences over the reach."""
     values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
     if not values.size:
         return NOTHING
@@ -300,7 +300,7 @@ def check_reported_cost(
     scales: Scales,
     tolerance: float,
 ) -> Condition:
-    """The reported cost, its integrals and their weights are those of the trajectory between its nodes."""
+    """Return the condition that cost, integrals and weights are those of the trajectory between its nodes."""
     yardstick = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective), TINY)
     place = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
@@ -316,7 +316,7 @@ def check_reported_cost(
         ):
             narrow = integrate_cost_terms(
                 s.resample_evenly(SCANNED, LAYER_STEPS)
-            )  # of layers, the scan itself may be in error
+            )  # for layers the scan itself may be inaccurate
         rows = [
             ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
             ("narrow part of integral", leg.integral_weights * (narrow - leg.integrals)),
@@ -338,14 +338,14 @@ def check_reported_cost(
 
 
 def integrate_cost_terms(s: PhaseSamples) -> Array:
-    """Return the integrals (n_integrals,) by the quadrature of the samples."""
+    """Return the integrals (n_integrals,) from the quadrature of the samples."""
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
 def _worst_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    """Return the worst excess beyond limits, in shares of a scale (n,)."""
+    """Return the largest violation of limits, relative to a scale (n,)."""
     if not len(labels):
         return NOTHING
     excess = np.maximum(interval.lower - values, values - interval.upper)

@@ -1,20 +1,20 @@
-r"""Goh's variables: controls along singular arcs, varied by their integrals.
+r"""Goh transformation: controls on singular arcs are varied by their integrals.
 
-Where H is affine in controls :math:`u_S`, the second variation does not curve in :math:`v = \delta u_S` but, by Goh's
+If H is affine in controls :math:`u_S`, the second variation has no curvature in :math:`v = \delta u_S` but, after Goh's
 transformation, in
 
 .. math:: y(t) = \int_{t_0}^t v \,ds, \qquad h = y(t_f), \qquad
           \gamma = \int y^2\,dt + h^2 + \text{squares of all else that varies}.
 
-Along arcs of the first order that meet the strengthened generalised Legendre-Clebsch condition it is a Legendre form in
-:math:`(y, h)`, and where it is positive a strict minimum follows (Goh, SIAM J. Control 4, 1966; Aronna, Bonnans,
-Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are bang elsewhere; Aronna, Discrete
-Contin. Dyn. Syst. S 11(6), 2018, with others that H determines). y may jump where a singular arc begins or ends, in
-the place of moving that time. If the end depends on h, the form has to curve in it by itself
+Along first-order arcs that satisfy the strengthened generalised Legendre-Clebsch condition it is a Legendre form in
+:math:`(y, h)`, and if it is positive, the minimum is strict (Goh, SIAM J. Control 4, 1966; Aronna, Bonnans,
+Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are bang-bang elsewhere; Aronna, Discrete
+Contin. Dyn. Syst. S 11(6), 2018, with other controls determined by H). y may jump at the ends of a singular arc,
+which replaces a variation of these times. If the end depends on h, the form must have curvature in h itself
 (`find_improving_final_control`).
 
-On a mesh, y has a degree less by two than the states, since quadrature sees the wrong curvature of controls that
-alternate faster. Arcs are cut narrow at their ends, so that y can nearly jump.
+The degree of y is two less than that of the states, since quadrature has the wrong curvature for controls that
+oscillate faster. The end segments of arcs are narrow, so that y can nearly jump.
 """
 
 from __future__ import annotations
@@ -47,27 +47,27 @@ from gnc_opt.planning.verification.singular_arcs import COUPLED, TOO_LARGE, anal
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, RANK
 
 CUTS = (1e-2, 0.1), (0.9, 0.99)
-"""Where the first and the last segment of a singular arc are cut, in shares of their widths."""
+"""Positions at which the first and the last segment of a singular arc are split, in shares of their widths."""
 
 SINGULAR_SEGMENT_MIN_POINTS = 6
-"""Collocation points that a segment of a singular arc has at least."""
+"""Smallest number of collocation points of a segment of a singular arc."""
 
 OMITTED = 2
-"""By how much the degree of y is less than that of the states."""
+"""Difference between the degrees of the states and of y."""
 
 _RADAU = ((collocation_points, -1.0), (quadrature_weights, 1.0))
 
 
 def mask_zero_curvature(s: PhaseSamples) -> Mask:
-    """Where H does not curve upwards in a control (n_controls, n_samples)."""
-    # A control that rests at zero has no size, but what it could do to the flight.
+    """Return where H has no positive curvature in a control (n_controls, n_samples)."""
+    # A control at zero has the scale of its possible effect on the trajectory.
     unit = np.maximum(s.control_scale, s.control_span)
     curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
     return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
 
 
 def mask_singular_samples(s: PhaseSamples) -> Mask:
-    """Where a control is between its bounds, H does not curve in it, and no active constraint determines it (m, n)."""
+    """Return where a control is interior, without curvature of H and not determined by active constraints (m, n)."""
     inside: Mask = ~np.any(s.at_control_bounds, axis=0)
     singular = mask_zero_curvature(s) & inside & ~s.inactive_controls
     if not np.any(singular):
@@ -78,14 +78,14 @@ def mask_singular_samples(s: PhaseSamples) -> Mask:
 
 
 def mask_singular_segments(s: PhaseSamples) -> Mask:
-    """Segments (n_controls, K) along which a control is singular."""
+    """Return the segments (n_controls, K) on which a control is singular."""
     singular, inside = mask_singular_samples(s), s.weights > 0
     rows = [np.all(singular[:, inside & (s.segments == k)], axis=1) for k in range(s.leg.mesh.segments)]
     return np.stack(rows, axis=1) & s.has_duration
 
 
 def refine_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
-    """Return a mesh whose runs of singular segments (K,) are narrow at their ends."""
+    """Return a mesh with narrow segments at the ends of singular arcs; ``singular`` (K,)."""
     breaks, degrees, movable = [0.0], [], []
     beside = np.concatenate([[False], singular, [False]])
     for k, degree in enumerate(mesh.degrees):
@@ -99,9 +99,9 @@ def refine_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
 
 
 def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
-    """Return the cone with controls varied by their integrals where they are singular and nothing holds them.
+    """Return the cone with singular controls varied by their integrals, unless limits fix them.
 
-    The times at which only such an arc begins or ends do not vary.
+    Times at which only such an arc begins or ends are fixed.
     """
     strong, blocks = cone.strong.copy(), []
     squares = variation_norm_weights(cone.point.transcription)
@@ -125,7 +125,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
 
 
 def _undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
-    """Segments of the cone's mesh (n_controls, K) along which a control is singular and nothing determines it."""
+    """Return the segments of the cone's mesh (n_controls, K) on which a control is singular and undetermined."""
     part = cone.point.transcription.parts[s.leg.name]
     singular = mask_singular_segments(s)
     if np.any(singular):
@@ -136,7 +136,7 @@ def _undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask
 
 
 def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
-    """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little."""
+    """Return the segments (n_controls, K) on which the second variation has curvature in the controls themselves."""
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
     for arc in analyse_singular_arcs(problem, s, *mask_undetermined_controls(s, AT_LIMIT), AT_LIMIT):
         unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -EQUAL)
@@ -152,7 +152,7 @@ def _index_containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
 
 
 def _segments_without_active_limits(cone: CriticalCone, part: PhasePart) -> Mask:
-    """Segments (n_controls, K) along which neither a control nor a state or path constraint is held."""
+    """Return the segments (n_controls, K) without a fixed control, state or path constraint."""
     collocation, n = part.collocation, cone.point.x.size
     inner = ~np.isin(collocation.point_states, collocation.boundary_states)
     others = np.any(cone.strong[:n][collocation.point_states] & inner, axis=0)
@@ -162,7 +162,7 @@ def _segments_without_active_limits(cone: CriticalCone, part: PhasePart) -> Mask
 
 
 def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
-    """Variables of the times at which singular arcs begin or end, and no control jumps from bound to bound."""
+    """Return the time variables at which singular arcs begin or end without a bound-to-bound jump of a control."""
     movable, switches = s.leg.mesh.movable, find_inner_switches(s)[0]
     beside = np.any(singular, axis=0)
     found = [
@@ -174,11 +174,11 @@ def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -
 
 
 def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
-    r"""Name a control, singular to the end, whose last moment may gain, and that least curvature in shares of the cost.
+    r"""Return a control, singular up to the end, whose final pulse may reduce the cost, and its relative curvature.
 
-    Either cost and conditions on the end do not depend on what h moves, or the form curves in h by itself,
-    :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free; where that is negative, a pulse just
-    before the end gains.
+    Either cost and end conditions do not depend on the displacement by h, or the form has positive curvature in h,
+    :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` in the directions free of the conditions. If it is negative, a pulse
+    just before the end reduces the cost.
     """
     channels = np.flatnonzero(_undetermined_singular_segments(cone, s)[:, -1])
     if not channels.size or not _depend_end_conditions_on_controls(cone.point.problem, s, channels):
@@ -209,11 +209,11 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
 
 
 def _depend_end_conditions_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
-    """Whether anything at the end but the costates depends on the states that controls move."""
+    """Return whether end conditions or cost, apart from costates, depend on the states that controls move."""
     moved = np.concatenate([_driven_states(s, i) for i in map(int, channels)])
     ends, final = endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
-    # Vector fields of several controls need not have coordinates that straighten out all of them.
+    # Vector fields of several controls need not have common straightening coordinates.
     slopes = _hamiltonian_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
     depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
     limited = np.isfinite(s.leg.final_bounds.lower) | np.isfinite(s.leg.final_bounds.upper)
@@ -221,7 +221,7 @@ def _depend_end_conditions_on_controls(problem: Problem, s: PhaseSamples, channe
 
 
 def _hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
-    """Derivatives of H with respect to controls and states, and those of the integrands alone."""
+    """Return the mixed derivatives of H in controls and states, and those of the integrands."""
 
     def build_mixed_function() -> Any:
         slope = s.functions.functions["switching"]
@@ -239,18 +239,18 @@ def _driven_states(s: PhaseSamples, control: int) -> Indices:
 
 
 def _build_integral_variations(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
-    """Variations y of a control of a phase (n, n_variations), and the variables that they stand for."""
+    """Return variations y of a control of a phase (n, n_variations), and the variables that they replace."""
     collocation, count = part.collocation, 0
     mesh, entries, squares = collocation.mesh, [], []
     segments = np.flatnonzero(singular)
     for k, following in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
-        # Radau's rule, turned so that it has the segment's end.
+        # Radau's rule, reversed to include the end of the segment.
         nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
         slopes = (
             2 / mesh.widths[k] * differentiation_matrix(np.append(-1.0, nodes), collocation.rules[k].points)
         )
         places = collocation.point_controls[control, mesh.offsets[k] : mesh.offsets[k + 1]]
-        columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at first
+        columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start
         slopes = slopes[:, int(count == 0) :]
         entries.append((np.repeat(places, columns.size), np.tile(columns, places.size), slopes.ravel()))
         count += nodes.size

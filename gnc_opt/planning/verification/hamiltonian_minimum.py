@@ -1,8 +1,8 @@
-"""The least Hamiltonian over the admissible controls, by groups of controls that H and the path constraints couple.
+"""Global minimum of the Hamiltonian over admissible controls, by groups coupled in H or path constraints.
 
-It is known in closed form for a vector control in which H is affine, and by one descent where H is a convex quadratic
-function under affine constraints. In any other group `POINTS` controls of a Kronecker lattice are tried along the phase
-(its gaps: Slater, Proc. Cambridge Philos. Soc. 63, 1967), and Newton's method descends from the best of them.
+It has a closed form for a vector control in which H is affine. If H is a convex quadratic function with affine
+constraints, one descent finds it. For other groups `POINTS` controls of a Kronecker lattice are evaluated along the
+phase (gaps: Slater, Proc. Cambridge Philos. Soc. 63, 1967), and Newton's method descends from the best of them.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from gnc_opt.planning.verification.critical_cone import find_vector_control
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
 POINTS = 2**15
-"""Controls tried per group along a phase: more than a well's share of the controls and of the duration ask for."""
+"""Number of trial controls per group along a phase, for minima of a small share of the controls and of the duration."""
 
 _MOST_TIMES = 400
 _MOST_STARTS = 50
 _BEYOND = 0.05
-"""Share of the range by which the lattice goes beyond each bound, to be clipped: minima are often on bounds."""
+"""Share of the range by which the lattice exceeds each bound before clipping, since minima are often at bounds."""
 
 NEAREST = 1e-8
-"""Least distance from the applied control at which others are tried, in shares of the range."""
+"""Smallest distance of trial controls from the applied control, as a share of the range."""
 
 RESOLVED_GAIN_SHARE = 3e-7
-"""Gains in H below this share of the mean cost scale are errors of a solver's multipliers, as of a part with time to
-spare, whose costates vanish."""
+"""Share of the mean cost scale below which decreases of H are multiplier errors, as for subsystems with slack time and
+zero costates."""
 
 _STARTS_REFINED = 8
 _HAMILTONIAN_NEWTON_STEPS = 12
@@ -42,15 +42,15 @@ _STEP_LENGTHS = (1.0, 0.3, 0.1, 0.01, 0.001)
 
 @dataclass(frozen=True)
 class Gain:
-    """What other controls of a group gain in H.
+    """Decrease of H by other controls of a group.
 
     Attributes
     ----------
     times : array (n_times,)
     gain : array (n_times,)
-        Cost per second.
+        Decrease, cost per second.
     share : array (n_times,)
-        The gain relative to the change of H over half the range in the direction of the better control.
+        Decrease relative to the change of H over half the range in the direction of the better control.
     """
 
     times: Array
@@ -59,7 +59,7 @@ class Gain:
 
 
 def control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
-    """Bounds of the controls; where there is none, half a turn, or well, beyond the values that occur."""
+    """Return bounds of the controls; if infinite, half a turn or a generous margin beyond the values that occur."""
     bounds, half = s.leg.control_bounds, 0.5 * s.control_periods
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
     least = np.where(half > 0, np.min(s.u, axis=1) - half, -reach)
@@ -69,9 +69,9 @@ def control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
 
 
 def draw_low_discrepancy_points(n: int, dimensions: int) -> Array:
-    """Return n points of [0, 1)^d, any stretch of which fills it evenly (dimensions, n).
+    """Return n points of [0, 1)^d whose subsequences are evenly distributed (dimensions, n).
 
-    Multiples of powers of the root of x^(d + 1) = x + 1, the golden ratio for one dimension.
+    They are multiples of powers of the root of x^(d + 1) = x + 1, the golden ratio for one dimension.
     """
     root = 2.0
     for _ in range(50):
@@ -82,9 +82,9 @@ def draw_low_discrepancy_points(n: int, dimensions: int) -> Array:
 def compute_coupled_gains(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[list[Gain], bool]:
-    """Return the gain of every group of controls in which H is not affine, and whether any had to be searched.
+    """Return the decrease for every group of controls in which H is not affine, and whether a search was needed.
 
-    Shares of gains refer to moves as large as the deviations of the controls (m,), and to the cost scale.
+    Shares refer to moves of the size of the control deviations (m,), and to the cost scale.
     """
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     gains, searched = [], False
@@ -102,7 +102,7 @@ def compute_coupled_gains(
 
 
 def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return times (n_times,) and controls (m, n_times): those in which H is not affine where they minimise it."""
+    """Return times (n_times,) and controls (m, n_times) that minimise H in the groups in which it is not affine."""
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     u = s.u[:, chosen].copy()
     for group in s.functions.coupled_controls:
@@ -116,7 +116,7 @@ def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Controls of one group at some samples, by their shares of the range (group, n); the others are as applied."""
+    """Trial controls of one group at samples, as shares of the range (group, n); other controls are as applied."""
 
     s: PhaseSamples
     group: Indices
@@ -137,7 +137,7 @@ class _Search:
 
     @cached_property
     def _path_limits(self) -> Array:
-        """Limits of the path constraints, or the applied value if that is beyond (n_paths, n) each."""
+        """Limits of the path constraints, or the applied value if it exceeds them (n_paths, n) each."""
         s, bounds = self.s, self.s.leg.path_bounds
         values = s.functions.paths(s.times, s.x, s.u)[:, self.chosen]
         slack = EQUAL * (s.path_scale[:, None] + np.abs(values))
@@ -156,7 +156,7 @@ class _Search:
         return self.s.times[columns], self.s.x[:, columns], u
 
     def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
-        """H (n,), infinite where controls are not admissible."""
+        """Return H (n,), infinite for inadmissible controls."""
         s, (times, x, u) = self.s, self._expand_controls(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
@@ -168,7 +168,7 @@ class _Search:
         return np.where(admissible, value, np.inf)
 
     def _restore_path_constraints(self, shares: Array, at: Indices) -> Array:
-        """Controls beyond a path constraint's limit, moved to it the shortest way (Gauss-Newton)."""
+        """Return controls that violate a path constraint, moved to its limit by Gauss-Newton steps."""
         functions = self.s.functions
         if not np.any(functions.mixed_paths):
             return shares
@@ -189,7 +189,7 @@ class _Search:
         return shares
 
     def _path_gradients(self, shares: Array, at: Indices) -> Array:
-        """Derivatives of the path constraints with respect to shares of the range (n, n_paths, group)."""
+        """Return the derivatives of the path constraints in shares of the range (n, n_paths, group)."""
         jacobian = (
             self.s.functions.path_control_jacobian(*self._expand_controls(shares, at))[:, self.group]
             * self._control_box[1]
@@ -199,7 +199,7 @@ class _Search:
     def gradient_and_hessian(
         self, shares: Array, at: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
-        """Gradient (group, n) and Hessian (n, group, group) by shares of the range; zero where not finite."""
+        """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
         s, group, (times, x, u) = self.s, self.group, self._expand_controls(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._control_box[1]
         gradient = s.functions.switching(times, x, u, lam)[group] * span
@@ -210,7 +210,7 @@ class _Search:
 
     @cached_property
     def has_unique_minimum(self) -> bool:
-        """Whether H is a convex quadratic function of the controls, under affine constraints, steps aside."""
+        """Whether H, apart from jumps, is a convex quadratic function of the controls with affine constraints."""
         if not self.s.functions.is_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
@@ -228,11 +228,11 @@ class _Search:
         return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
 
     def find_minima_near_applied(self) -> Array:
-        """Return the minima that descents from the applied controls reach (group, n_times)."""
+        """Return the minima of descents from the applied controls (group, n_times)."""
         return self.descend_by_newton(self._applied_shares, np.arange(self.chosen.size))[0]
 
     def minimise_over_vector(self, vector: VectorControl) -> Array:
-        """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form."""
+        """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
         times, x, u = self._expand_controls(self._applied_shares, np.arange(self.chosen.size))
@@ -248,20 +248,20 @@ class _Search:
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
     def scale_to_controls(self, shares: Array) -> Array:
-        """Return the controls (group, n_times) for shares of their range; as applied where they have none."""
+        """Return the controls (group, n_times) for shares of their range; as applied without a range."""
         lower, span = self._control_box
         return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
 
     def find_global_minima(self) -> Array:
-        """Return the controls (group, n_times) of least H that descents from all points tried reach."""
+        """Return the minimising controls (group, n_times) from descents from all trial points."""
         shares, _, _, _, best = self._sample_trial_points()
         return self._descend_from_best_of(np.zeros((self.group.size, 0)), shares[:, best])
 
     def find_largest_gain(self, tolerance: float) -> Gain:
-        """Search among all controls; what gains is followed to all times."""
+        """Return the result of a search; improvements are continued to all times."""
         shares, at, value, first, best = self._sample_trial_points()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
-        starts = np.concatenate([best[some], first[some]])  # the first of a time's points is any
+        starts = np.concatenate([best[some], first[some]])  # the first point of each time is arbitrary
         lowest, low = self.descend_by_newton(
             np.concatenate([shares[:, starts], self._applied_shares[:, some]], axis=1),
             np.concatenate([at[starts], some]),
@@ -280,9 +280,9 @@ class _Search:
         return self.average_gain(self._descend_from_best_of(kept, shares[:, best]))
 
     def _sample_trial_points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
-        """Return points, their times, H, and which are the first and the best of each time.
+        """Return trial points, their times, H, and the first and the best point of each time.
 
-        Half of them are anywhere in the range, the others at log-uniform distances from the applied control.
+        Half of them are distributed over the range, the others at log-uniform distances from the applied control.
         """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), max(1, POINTS // n))
@@ -302,14 +302,14 @@ class _Search:
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
     def _descend_from_best_of(self, kept: Array, best: Array) -> Array:
-        """Return the minima that descents reach from the least, at every time, of some controls."""
+        """Return, at every time, the minima of descents from the best of several controls."""
         every = np.arange(self.chosen.size)
         trials = np.stack([self._applied_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
         return self.descend_by_newton(trials[lowest, :, every].T, every)[0]
 
     def average_gain(self, better: Array) -> Gain:
-        """What these controls (group, n_times) gain, averaged over what is brief."""
+        """Return the decrease of H by controls (group, n_times), averaged over short times."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
         gain, share = self._compute_gain_and_share(better, self.evaluate_hamiltonian(better, every), every)
         return Gain(times, *average_over_time(times, np.stack([gain, share])))
@@ -332,7 +332,7 @@ class _Search:
         direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
         slopes = s.switching[np.ix_(group, self.chosen)]
         bends = s.control_hessian[np.ix_(group, group, self.chosen)]
-        with np.errstate(invalid="ignore"):  # roots bend infinitely at zero
+        with np.errstate(invalid="ignore"):  # roots have infinite slope at zero
             curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)
         worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
         return np.asarray(
@@ -342,7 +342,7 @@ class _Search:
         )
 
     def descend_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
-        """Return controls that Newton's method reaches within the bounds, downwards only, and H there."""
+        """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""
         shares = self._restore_path_constraints(shares.copy(), at)
         value = self.evaluate_hamiltonian(shares, at)
         active = np.arange(at.size)
@@ -365,7 +365,7 @@ class _Search:
         return shares, value
 
     def _newton_step(self, shares: Array, at: Indices) -> Array:
-        """Newton's step (group, n) along the bounds and path constraints that H pushes against."""
+        """Return Newton's step (group, n) along active bounds and path constraints."""
         gradient, bends = self.gradient_and_hessian(shares, at)
         blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
         free = np.where(blocked, 0.0, 1.0).T
@@ -383,7 +383,7 @@ class _Search:
         return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 
     def _active_paths(self, shares: Array, at: Indices, gradient: Array, free: Array) -> tuple[Array, Array]:
-        """Derivatives (n, n_paths, group) and multipliers (n_paths, n) of path constraints that H pushes against."""
+        """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
         paths = functions.paths(*self._expand_controls(shares, at))
         least, most = self._path_limits[:, :, at]
@@ -392,7 +392,7 @@ class _Search:
         active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
         rows = self._path_gradients(shares, at) * free[:, None, :]
         mu = np.zeros_like(paths)
-        for _ in range(2):  # a limit from which H pulls away is left
+        for _ in range(2):  # limits with inadmissible multipliers are released
             held = np.where(active.T[:, :, None], rows, 0.0)
             mu = -np.einsum("nij,in->jn", np.linalg.pinv(held, rcond=RANK), gradient)
             active &= (at_least & (mu <= 0)) | (at_most & (mu >= 0))

@@ -1,4 +1,4 @@
-"""verify: check a solution by Pontryagin's minimum principle and second-order conditions."""
+"""verify: optimality check of a solution by Pontryagin's minimum principle and second-order conditions."""
 
 from __future__ import annotations
 
@@ -88,31 +88,31 @@ _CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is
 
 @one_thread()
 def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
-    """Check a solution's trajectory and costates against its problem, densely in time.
+    """Return the verdict on a solution: its trajectory and costates are checked against the problem, densely in time.
 
-    Nothing of the solver's residuals is used, and everything but times, states, controls, free parameters, costates
-    and multipliers is computed anew from the problem, so a trajectory from any source can be checked. All values are
-    dimensionless, see each condition's ``meaning``.
+    Residuals of the solver are not used. Everything except times, states, controls, free parameters, costates and
+    multipliers is recomputed from the problem, so that trajectories from any source can be checked. All values are
+    dimensionless, see the ``meaning`` of each condition.
 
     Parameters
     ----------
     solution : Solution
-        With its problem (``load(path, problem=...)`` after loading).
+        Solution with its problem (``load(path, problem=...)`` after loading).
     tol : float
         Tolerance of every condition.
 
     Returns
     -------
     Verdict
-        ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
+        ``ok``: the necessary conditions of a minimum hold; ``minimum``: sufficient conditions hold too. PASS, FAIL or
         INCONCLUSIVE for each of ten conditions: dynamics, limits, boundary conditions, cost; stationarity, active set,
         minimum principle, kinks; second order, switching times.
-        A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
+        The solution caches its verdict; a second call with the same tolerance returns it.
 
     Raises
     ------
     GncOptError
-        The solution has no problem or one of other sizes, or is no solution.
+        The solution has no problem, one of other sizes, or is not a solution.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
     known = solution.verdict if tol == CONDITION_TOLERANCE and solution.problem is not None else None
     if known is None:
         known = _check_solution(solution, tol)
-        if tol == CONDITION_TOLERANCE:  # the one field of a solution that is set after its construction
+        if tol == CONDITION_TOLERANCE:  # the only field of a solution that is set after its construction
             object.__setattr__(solution, "verdict", known)
     return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
@@ -220,7 +220,7 @@ def _check_first_order(
 
 
 def _combine_conditions(name: str, parts: list[Condition]) -> Condition:
-    """Return one condition with the result of several; its number and place are those of the part that decides."""
+    """Return one condition with the combined result; value and location are those of the decisive part."""
     passed = all(c.result is ConditionResult.PASS for c in parts)
     decisive = min(parts, key=lambda c: (SEVERITY[c.result], not passed and c.sufficient, c.name != name))
     where = decisive.where if decisive.name == name else f"{decisive.name}: {decisive.where}"
@@ -235,7 +235,7 @@ def _check_second_order(
     tol: float,
     loss: float | None,
 ) -> list[Condition]:
-    """Second order and switching times; `loss` is that of the minimum principle."""
+    """Return second order and switching times; ``loss`` is that of the minimum principle."""
     lasting = [s for s in samples if s.has_duration]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     strict = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
@@ -251,7 +251,7 @@ def _check_second_order(
 
 
 def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) -> Condition:
-    """Return a condition that names the singular arcs which nothing determines, whatever decides its result."""
+    """Return a condition that names the undetermined singular arcs, independent of its result."""
     arcs = next((c for c in parts if c.name == SINGULAR_ARCS), None)
     if arcs is None or arcs.result is ConditionResult.PASS or SINGULAR_ARCS in condition.where:
         return condition
@@ -259,7 +259,7 @@ def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) ->
 
 
 def _treat_as_multiplier_error(condition: Condition) -> Condition:
-    """Where no other control has a smaller H, downward curvature of H is an error of a solver's multipliers."""
+    """Return the condition as inconclusive: if no control has a smaller H, negative curvature is a multiplier error."""
     if condition.result is not ConditionResult.FAIL:
         return condition
     return _change_condition_result(
@@ -270,7 +270,7 @@ def _treat_as_multiplier_error(condition: Condition) -> Condition:
 def second_order_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tol: float
 ) -> list[Condition]:
-    """Return the second variation, Legendre-Clebsch's condition and what decides on singular arcs."""
+    """Return the second variation, the Legendre-Clebsch condition and the conditions of singular arcs."""
     problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_duration]
     limited, limited_ends = add_active_constraints_at_ends(solution, samples, ends)
     found = _check_second_variation(limited, samples, limited_ends)
@@ -280,7 +280,7 @@ def second_order_conditions(
 
 
 def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: float) -> list[Condition]:
-    """Return Legendre-Clebsch's condition, whether singular arcs are determined, and the generalised condition."""
+    """Return the Legendre-Clebsch condition, the determinacy of singular arcs, and the generalised condition."""
     undetermined = [controls.mask_undetermined_controls(s, tol) for s in samples]
     singular = [mask for mask, _ in undetermined]
     arcs = [
@@ -306,7 +306,7 @@ def _check_second_variation(
     cone = build_critical_cone(solution, samples, rounding, state_and_control_spans)
     if not cone.point.is_finite:
         return [
-            _inconclusive_condition("second order", "a derivative of the problem is no number", _CANNOT_VARY)
+            _inconclusive_condition("second order", "a derivative of the problem is not finite", _CANNOT_VARY)
         ]
     return [check_reduced_hessian(solution, samples, cone)]
 
@@ -316,19 +316,19 @@ def _change_condition_result(condition: Condition, result: ConditionResult, reas
 
 
 def _pass_by_convexity_theorem(condition: Condition) -> Condition:
-    """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
+    """Return a passed condition if first-order ones suffice; negative curvature is then a discretisation error."""
     if condition.result is _PASS or not condition.sufficient:
         return condition
-    reason = "the problem is convex, nothing curves downwards, and the minimum may be one of many"
+    reason = "the problem is convex, no curvature is negative, and the minimum need not be unique"
     return _change_condition_result(condition, _INCONCLUSIVE, reason)
 
 
 def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
-    """Where no trajectory can cost less, costates are rounding errors and no evidence against it."""
+    """Return a passed condition if no trajectory can have a lower cost; costates are then rounding errors."""
     if condition.result is _PASS:
         return condition
     result = _INCONCLUSIVE if condition.sufficient else _PASS
-    reason = "the cost is the least that there can be, and the minimum may be one of many"
+    reason = "the cost is at its lower bound, and the minimum need not be unique"
     return _change_condition_result(condition, result, reason)
 
 

@@ -1,4 +1,4 @@
-"""What is checked: the trajectory and multipliers of a solution, and every other number from its problem."""
+"""Recomputed solution: trajectory and multipliers of a solution, with all other numbers from its problem."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _EXACT = (
     *("state_bounds", "control_bounds", "path_bounds", "initial_bounds", "final_bounds"),
     *("initial_time_bounds", "final_time_bounds", "duration_bounds"),
 )
-"""What a phase's solution keeps of its problem, word for word."""
+"""Fields of a phase solution that equal those of the problem."""
 
 _DUAL = (
     *("lam", "lam_start", "lam_end", "point_costates", "path_multipliers", "state_multipliers"),
     *("control_multipliers", "state_impulses", "time_multipliers", "duration_multiplier", "integral_weights"),
     *("parameter_multipliers", "constraint_multipliers"),
 )
-"""What only a solution with costates has."""
+"""Fields of solutions with costates only."""
 
 
 def recompute_from_problem(solution: Solution) -> Solution:
     """Return the solution with names, limits, model parameters, integrals and their weights from its problem.
 
-    Times, states, controls, costates, multipliers and free parameters are the solution's own. Integrals are
-    quadratures along the applied control, their weights gradients of cost and constraints at the trajectory's ends.
+    Times, states, controls, costates, multipliers and free parameters are unchanged. Integrals are quadratures along
+    the applied control; their weights are gradients of cost and constraints at the ends of the trajectory.
 
     Raises
     ------
@@ -69,19 +69,19 @@ def recompute_from_problem(solution: Solution) -> Solution:
 
 
 def boundary_gradients(solution: Solution) -> EndGradients:
-    """Return cost, boundary constraints and their gradients at the trajectory's own ends."""
+    """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
     problem = solution.need_problem("verify")
     ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
     return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
 def find_nonfinite_entry(stored: Solution, with_costates: bool) -> Worst:
-    """Return the first number that is not finite, as an endless violation, or nothing.
+    """Return the first number that is not finite, as an infinite violation, or zero.
 
     Parameters
     ----------
     with_costates : bool
-        Whether there are costates; where not, their numbers may be missing.
+        Whether costates exist; otherwise their numbers may be missing.
     """
     worst = _find_first_nonfinite(stored, "", with_costates)
     for name, leg in stored.phases.items():
@@ -90,12 +90,12 @@ def find_nonfinite_entry(stored: Solution, with_costates: bool) -> Worst:
 
 
 def check_stored_data(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
-    """What the solution keeps of its problem is the problem's, and no number is missing.
+    """Return the condition that data stored from the problem equal those of the problem, and no number is missing.
 
     Parameters
     ----------
     stored, checked : Solution
-        As it is, and by `recompute_from_problem`.
+        As stored, and from `recompute_from_problem`.
     missing : Worst
         By `find_nonfinite_entry`, or `costate_inconsistency` where that is worse.
     """
@@ -119,9 +119,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
 
 
 def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
-    """The worst difference between costates at segment boundaries and points and their polynomials, as of the cost.
+    """Return the largest difference, relative to the cost, between stored costates and their polynomials.
 
-    Those at the points of other schemes than Gauss's are of lower order than the polynomials, and not compared.
+    Costates at the points of other schemes than Gauss are of lower order than the polynomials, and not compared.
     """
     worst = NOTHING
     for s in samples:
@@ -134,21 +134,21 @@ def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
             kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
         for what, values, polynomial in kept:
             off = np.abs(values - polynomial) * worth[:, None]
-            i, k = find_worst_index(np.nan_to_num(off))  # a missing one is reported as missing
+            i, k = find_worst_index(np.nan_to_num(off))  # a missing one is reported separately
             place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
             worst = worst.select_worse(Worst(float(off[i, k]), place))
     return worst
 
 
 def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float) -> bool:
-    """Whether there are costates to check, all zero only where they may be.
+    """Return whether costates can be checked; all may be zero only in special cases.
 
-    They may where an integral has a weight, and where the cost is as good as independent of the end points.
+    These are an integral with a weight, or a cost that is nearly independent of the end points.
 
     Parameters
     ----------
     amount : float
-        What the cost amounts to (module `magnitude`).
+        Magnitude of the cost (module `cost_scale`).
     """
     values = [v for s in samples for v in s.leg.lam.values]
     if any(np.any(np.isfinite(v) & (v != 0)) for v in values):
@@ -162,7 +162,7 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
 
 
 def _largest_end_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
-    """The most that the cost changes when an end value or time of a phase changes by its magnitude."""
+    """Return the largest cost change when an end value or time of a phase changes by its magnitude."""
     name = s.leg.name
     states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
     times = np.abs(np.array([ends.initial_time[name], ends.final_time[name]]))
@@ -203,7 +203,7 @@ def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
 
 
 def _find_first_nonfinite(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
-    """The first number of a solution or of a phase that is not finite."""
+    """Return the first number of a solution or phase that is not finite."""
     for field in fields(owner):
         value = getattr(owner, field.name)
         if field.name in _DUAL and not with_costates:
@@ -224,7 +224,7 @@ def _data_vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
 
 
 def _relative_difference(a: Array, b: Array) -> Array:
-    """|a - b| in shares of the larger one; endless where just one is infinite or a number is missing."""
+    """Return |a - b| relative to the larger one; infinite if exactly one is infinite or a number is missing."""
     if a.shape != b.shape:
         return np.array([np.inf])
     with np.errstate(invalid="ignore", divide="ignore"):

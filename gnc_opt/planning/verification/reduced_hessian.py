@@ -1,4 +1,4 @@
-r"""Second order on the solution's mesh: curvature of the Lagrangian along what the active limits leave free.
+r"""Reduced Hessian: second-order condition on the mesh, curvature of the Lagrangian on the critical cone.
 
 At a local minimum of the transcribed program with multipliers :math:`\lambda` (Nocedal & Wright, Numerical
 Optimization, 2006, theorems 12.5 and 12.6)
@@ -6,16 +6,16 @@ Optimization, 2006, theorems 12.5 and 12.6)
 .. math:: d^T \nabla^2 \mathcal L\, d \ge 0 \quad\text{for all } d \text{ in the critical cone}:
           \quad \nabla g_C\, d = 0, \quad d_P = 0,
 
-rows C and variables P being those on their limits; > 0 for all of them but zero is sufficient. The cone lies
-between the space where weakly active limits (multiplier zero) bind and the one where they do not.
+with the rows C and variables P at their limits; > 0 for all nonzero d is sufficient. The cone is between the space with
+weakly active limits (multiplier zero) as equalities, and the space without them.
 
-The least curvature is that of variations of size 1,
+The smallest curvature is that of variations of size 1,
 
 .. math:: |d|^2 = \int \Big(\frac{\delta x}{x}\Big)^2 + \Big(\frac{\delta u}{u}\Big)^2
           + \text{squares of varied ends, times and parameters}
 
-in shares of their magnitudes, in which the second variation of a regular problem is bounded below (Maurer &
-Pickenhain, J. Optim. Theory Appl. 86(3), 1995). It is found by Lanczos' method on
+relative to their magnitudes; for this norm the second variation of a regular problem is bounded below (Maurer &
+Pickenhain, J. Optim. Theory Appl. 86(3), 1995). It is computed by Lanczos' method for
 :math:`(\nabla^2\mathcal L + \sigma)^{-1}`, restricted to the null space by one sparse factorisation (Golub & Van
 Loan, Matrix Computations, 2013, sec. 10.3).
 """
@@ -58,42 +58,42 @@ from gnc_opt.planning.verification.goh_transformation import (
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 
 PHASE_MIN_POINTS = 30
-"""Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
+"""Smallest number of collocation points of a phase; the mesh of a simple solution is too coarse for variations."""
 
 DOWNWARDS = 1e-4
-"""Downward curvature, in shares of the Hessian's middle row, that counts: above the effect of first-order errors,
-those of the mesh between active limits included. Where a control is singular quadrature may take one that alternates
-from node to node for one that gains something: there `NOTABLE` counts."""
+"""Negative curvature, as a share of the median Hessian row, that is significant: larger than the effect of first-order
+errors and of the mesh between active limits. On singular arcs quadrature may assign a decrease to a control that
+oscillates between nodes; there `NOTABLE` applies."""
 
 SHIFT = 0.1
-"""The shift, in shares of the Hessian's middle row: large beside curvatures that are as good as none."""
+"""Shift, as a share of the median Hessian row; large compared with curvatures that count as zero."""
 
 STEEP = 1e4
-"""Curvatures beyond this, in shares of the middle row, are looked for by themselves: their inverses vanish."""
+"""Curvatures larger than this share of the median row are computed separately, since their inverses vanish."""
 
 LANCZOS_STEPS = 80
-"""Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
+"""Number of Lanczos steps; the extreme eigenvalues of a compact operator converge much earlier."""
 
 GAIN_STEP_SHARE = 0.1
-"""Step, in shares of the magnitudes, for which the gain is given."""
+"""Step, relative to the magnitudes, for which the decrease of the cost is reported."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """The least curvature of the Lagrangian on a linear space of variations.
+    """Smallest curvature of the Lagrangian on a linear space of variations.
 
     Attributes
     ----------
     value : float
-        In shares of the Hessian's middle row (the median of their sizes); NaN if nothing is left to vary.
+        Relative to the median norm of the Hessian rows; NaN without degrees of freedom.
     share : float
-        In shares of the terms that add up to it.
+        Curvature relative to the sum of its terms.
     direction : array (n_variables,)
-        Scaled, its largest component 1.
+        Scaled direction, with largest component 1.
     gain : float
-        What a step of `GAIN_STEP_SHARE` along it takes from the minimised cost, physical.
+        Decrease of the minimised cost by a step of `GAIN_STEP_SHARE` along it, physical.
     least_gain : float
-        What that is at least if it is no rounding, physical.
+        Smallest decrease above rounding, physical.
     """
 
     value: float
@@ -107,7 +107,7 @@ class Curvature:
         return self.value > NEGLIGIBLE and self.share > AT_LIMIT
 
     def is_negative(self, steep: float) -> bool:
-        """Whether it is shown to be negative, by more than ``steep`` and by what gains something."""
+        """Return whether the curvature is certainly negative: below -``steep``, with a decrease above rounding."""
         return self.value < -steep and self.share < -AT_LIMIT and self.gain >= self.least_gain
 
 
@@ -117,10 +117,10 @@ def build_critical_cone(
     rounding: float = 0.0,
     sizes: Callable[[PhaseSamples], tuple[Array, Array]] | None = None,
 ) -> CriticalCone:
-    """Return what is free to vary along a solution, on a mesh with room for it.
+    """Return the critical cone of a solution, on a mesh that is fine enough for variations.
 
-    ``rounding`` is the cost below which differences are rounding; ``sizes`` returns variations of 1 in the states (n,)
-    and controls (m,) of a phase (default: the magnitudes of the program).
+    Cost differences below ``rounding`` are rounding; ``sizes`` returns unit variations of the states (n,) and controls
+    (m,) of a phase (default: the magnitudes of the program).
     """
     meshes = {name: _refine_mesh_for_variations(leg.mesh) for name, leg in solution.phases.items()}
     meshes |= {s.leg.name: _refine_mesh_along_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
@@ -147,18 +147,17 @@ def build_critical_cone(
 
 
 def state_and_control_spans(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return what states and controls move along a phase."""
+    """Return the variations of states and controls along a phase."""
     return compute_state_variations(s), s.control_span
 
 
 def cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:
-    """Return the cost below which differences are rounding: the share `COSTATE_MIN_SHARE_OF_COST` of what
-    it amounts to."""
+    """Return the rounding error of the cost: the share `COSTATE_MIN_SHARE_OF_COST` of its magnitude."""
     return COSTATE_MIN_SHARE_OF_COST * max((s.cost_magnitude for s in samples), default=0.0)
 
 
 def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
-    """No variation that keeps the active limits lowers the cost to second order."""
+    """Return the condition that no variation in the critical cone lowers the cost to second order."""
     name = "second order"
     meaning = (
         "Along every variation of controls, times and parameters that keeps the active limits, the cost must curve "
@@ -190,7 +189,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         return second_order_condition(
             result, -free.value, beyond or _locate_direction(cone.point, solution, free.direction)
         )
-    # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
+    # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
@@ -218,13 +217,13 @@ def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
 
 
 def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:
-    """Return a mesh with room for variations, where that of a solution that is simple has none."""
+    """Return a mesh that is fine enough for variations."""
     least = -(-PHASE_MIN_POINTS // mesh.segments)
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
 def _refine_mesh_along_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
-    """Return a mesh on which variations along singular arcs may jump, unless arcs are held segment by segment."""
+    """Return a mesh on which variations may jump along singular arcs, unless arcs are prescribed by segment."""
     singular = np.any(mask_singular_segments(s), axis=0)
     if not np.any(singular) or add_touch_points(solution).phases[s.leg.name].numbers.arcs is not None:
         return mesh
@@ -232,7 +231,7 @@ def _refine_mesh_along_singular_arcs(solution: Solution, s: PhaseSamples, mesh: 
 
 
 def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
-    """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
+    """Return a control that reaches both bounds without curvature of H and whose switching times are not variables."""
     for s in samples:
         lower, upper = s.at_control_bounds
         open_to_both = mask_zero_curvature(s)
@@ -243,12 +242,12 @@ def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
         jumps &= np.any(changes, axis=1) & ~s.leg.control_bounds.fixed
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
-            return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
+            return f"phase {s.leg.name}, {label}: switching times are not variables of the mesh"
     return ""
 
 
 def _has_partly_singular_segment(s: PhaseSamples) -> bool:
-    """Whether a control is singular in a segment without being so all along it: no integral stands for it there."""
+    """Return whether a control is singular on a part of a segment, which has no Goh transformation."""
     return bool(np.any(mask_singular_samples(s) & ~mask_singular_segments(s)[:, s.segments]))
 
 
@@ -264,7 +263,7 @@ def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array)
 
 
 def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
-    """Return the least curvature of the Lagrangian where ``held`` (n_variables + n_constraints,) do not vary."""
+    """Return the smallest curvature of the Lagrangian with ``held`` (n_variables + n_constraints,) fixed."""
     space = NullSpace.with_fixed(point, held, unit, further)
     hessian = space.project_hessian(point.lagrangian_hessian)
     plain = (
@@ -273,29 +272,29 @@ def minimise_curvature(point: ProgramPoint, held: Mask, unit: Any = None, furthe
         else NullSpace.with_fixed(point, held).project_hessian(point.lagrangian_hessian)
     )
     sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
-    # The one row of a parameter far from its origin, however large, is not what variations are worth.
+    # A single large row, e.g. of a parameter far from its origin, is not representative.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
-    typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
-    # Integrals of variations have steep rows of their own, whatever the variations themselves are worth.
+    typical = max(typical, point.rounding)  # with vanishing costates, rows are not larger
+    # Integrals of variations have steep rows, independent of the variations.
     steep = bool(np.max(sizes, initial=0.0) >= STEEP * typical)
     direction = _find_least_curvature(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
     curvature, share = compute_curvature(hessian, direction)
     whole = space.expand_variation(direction)
-    # What is varied by its integral may have peaks of any height; they count where nothing else varies.
+    # Variations by integrals may have high peaks; these count only if nothing else varies.
     single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
     largest = float(np.max(peaks[single], initial=0.0))
     if largest <= ROUNDING * np.max(peaks):
         largest = float(np.max(peaks))
     gain = -0.5 * curvature * (GAIN_STEP_SHARE / largest) ** 2 / point.scaling.objective
-    # However large in shares of the middle row: that one is next to nothing where controls are idle.
+    # Relative to the median row, which is small for inactive controls.
     least = SMALL * point.rounding / point.scaling.objective
     return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
 def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
-    """Return the direction of least curvature (unit length) in a null space, or None if that is 0."""
+    """Return the direction of smallest curvature (unit length) in a null space, or None if that is 0."""
     n = hessian.shape[0]
     if n == 0:
         return None
@@ -306,7 +305,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
     values, vectors = run_lanczos(inverse, start, LANCZOS_STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < NEGLIGIBLE:
         return None
-    # 1 / (curvature + shift): below -shift it is negative, and above it is largest where the curvature is least.
+    # 1 / (curvature + shift) is negative for curvatures below -shift, else largest for the smallest curvature.
     downwards = values < -NEGLIGIBLE * np.max(np.abs(values))
     chosen = vectors[:, np.argmin(values)] if np.any(downwards) else vectors[:, np.argmax(values)]
     direction = inverse(chosen)
@@ -314,7 +313,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
 
 
 def _find_steep_direction(space: NullSpace, hessian: Any) -> Array | None:
-    """Return the direction of a curvature so far below the middle row that its inverse is none, None without one."""
+    """Return a direction of large negative curvature, whose inverse vanishes; None without one."""
     project = space.projection_operator
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
     values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)

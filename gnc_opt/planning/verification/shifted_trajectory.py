@@ -1,14 +1,14 @@
-r"""The trajectory with shifted jumps of its controls: second-order changes of the cost by integration.
+r"""Shifted trajectory: second-order changes of the cost by integration with shifted control jumps.
 
-Second-order conditions of bang-bang arcs suppose that switches are simple, distinct and inside of phases. Here every
-jump of a control component is shifted by itself, also across the boundary of two phases and where several coincide, and
-the trajectory is integrated with it. Along directions that keep the end conditions to first order, of jumps, regular
-controls :math:`\delta u \sim q^2 B^T \Phi(t_f, t)^T e_i`, free starts, times and parameters, the Lagrangian
+Second-order conditions of bang-bang arcs require switches that are simple, distinct and inside phases. Here every jump
+of a control component is shifted individually, also across phase boundaries and for coincident jumps, and the
+trajectory is integrated. Along directions that satisfy the end conditions to first order, composed of jumps, regular
+controls :math:`\delta u \sim q^2 B^T \Phi(t_f, t)^T e_i`, free initial states, times and parameters, the Lagrangian
 
 .. math:: J + \nu^T \psi + (\lambda - \Phi_x)^T \Delta x_f + \int \mu^T c + z^T x\,dt
           + \sum_k \eta_k \max_t g_k(t, x)
 
-must not fall at second order, by its values at two steps. Shifts are measured by :math:`1/\sqrt{L_{kk}}`.
+must not decrease to second order, evaluated at two steps. Shifts are measured by :math:`1/\sqrt{L_{kk}}`.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ from gnc_opt.planning.verification.shifted_limits import (
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
 SHIFT_STEP_SHARE = 0.02
-"""Larger one of the two steps, in shares of the shorter arc beside a jump."""
+"""Larger step, as a share of the shorter arc next to a jump."""
 
 SLOPE_STEP, LARGEST_MOVE = 0.01, 0.1
 """Share of the larger step by which slopes are measured; by what share of their reach a step moves the ends at most."""
 
 SECOND_ORDER = (0.1, 0.6)
-"""Ratios of the gains at both steps, one the half of the other, that are those of second order."""
+"""Ratios of the decreases at a step and half of it that indicate second order."""
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of a control; ``shorter_arc`` (s) of both sides, ``beyond``: the phase after a jump at a boundary."""
+    """Jump of a control; ``shorter_arc`` (s) of both sides; ``beyond``: phase after a jump at a phase boundary."""
 
     phase: str
     time: float
@@ -67,7 +67,7 @@ class Jump:
 
 @dataclass(frozen=True, eq=False)
 class ShiftedTrajectory:
-    """The trajectory, by phases in the order of their times (``samples``), with shifted jumps."""
+    """Trajectory with shifted jumps, by phases in order of time (``samples``)."""
 
     solution: Solution
     samples: list[PhaseSamples]
@@ -83,11 +83,11 @@ class ShiftedTrajectory:
 
     @cached_property
     def parameter_variations(self) -> list[tuple[str, str, Array]]:
-        """Variations of "start", "times" or "parameters": kind, phase, step."""
+        """Variations "start", "times" or "parameters": kind, phase, step."""
         return _parameter_variations(self.solution, self.samples, self.scales)
 
     def find_second_order_decrease(self) -> Worst | None:
-        """Return the direction in which the Lagrangian falls most, if it does so at second order."""
+        """Return the direction of the largest second-order decrease of the Lagrangian; None without one."""
         n, m = len(self.jumps), len(self.control_variations) + len(self.parameter_variations)
         small = SLOPE_STEP * np.eye(n + m)
         values, misses = self.integrate_variations(np.hstack([small, -small]))
@@ -130,13 +130,17 @@ class ShiftedTrajectory:
             for jump, amount in ((self.jumps[k], directions[k, best]) for k in moved)
             if abs(amount) > SMALL
         ]
-        where = f"switch of {', '.join(named)}" if named else "free starts, times and parameters, no switch"
+        where = (
+            f"switch of {', '.join(named)}"
+            if named
+            else "free initial states, times and parameters, no switch"
+        )
         return Worst(float(coarse[best]) / self.scales.cost, where)
 
     def integrate_variations(self, amounts: Array) -> tuple[Array, Array]:
-        """Return changes of L (n_columns,) and active end conditions for amounts (n_unknowns, n_columns)."""
+        """Return changes of L (n_columns,) and of active end conditions for amounts (n_unknowns, n_columns)."""
         count = amounts.shape[1] + 1
-        # The last column is the trajectory itself, by the same steps.
+        # The last column is the reference trajectory with the same steps.
         amounts = np.hstack([amounts, np.zeros((amounts.shape[0], 1))])
         lagrangian, rows = np.zeros(count), []
         finals: dict[str, Array] = {}
@@ -182,7 +186,7 @@ class ShiftedTrajectory:
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
     def _sum_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
-        """Return the further variations of a kind in a phase, added up (size, n_columns)."""
+        """Return the sum of the further variations of a kind in a phase (size, n_columns)."""
         total = np.zeros((size, amounts.shape[1]))
         rows = amounts[len(self.jumps) + len(self.control_variations) :]
         for (*key, step), row in zip(self.parameter_variations, rows, strict=True):
@@ -206,7 +210,7 @@ class ShiftedTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class _ShiftedPhase:
-    """A phase with shifted jumps and varied controls, a column for each set of amounts.
+    """Phase with shifted jumps and varied controls, one column for each set of amounts.
 
     Attributes
     ----------
@@ -215,7 +219,7 @@ class _ShiftedPhase:
     variations : list of (times, array (m, n_times), array (n_columns,))
         Control variations and their amounts.
     times : array (2, n_columns)
-        At which the phase starts and ends.
+        Start and end of the phase.
     """
 
     problem: Problem
@@ -245,13 +249,13 @@ class _ShiftedPhase:
 
     @cached_property
     def common_steps(self) -> Array:
-        """Which steps are the same in all columns (n_steps,)."""
+        """Return which steps are equal in all columns (n_steps,)."""
         same = np.all(self.nodes == self.nodes[:, :1], axis=1)
         return np.asarray(same[:-1] & same[1:])
 
     @cached_property
     def applied_controls(self) -> Array:
-        """The applied controls at start, middle and end of the common steps (m, n_common, 3)."""
+        """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
         first, last = self.nodes[:-1, 0][self.common_steps], self.nodes[1:, 0][self.common_steps]
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
@@ -292,17 +296,17 @@ class _ShiftedPhase:
         return np.concatenate([*parts, terms[None]])
 
     def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
-        """Integrate from states (n, n_columns), of which the last column is the trajectory itself.
+        """Return the results of an integration from states (n, n_columns); the last column is the reference.
 
         Returns
         -------
         states : array (n, n_columns)
-            At the end.
+            Final states.
         integrals : array (n_integrals, n_columns)
         terms : array (n_columns,)
-            What active limits and jumps of costates add to the Lagrangian.
+            Contributions of active limits and costate jumps to the Lagrangian.
         misses : list of array (1, n_columns)
-            Of active limits, in shares of the cost scale ``cost``.
+            Violations of active limits, relative to the cost scale ``cost``.
         """
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
@@ -353,7 +357,7 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
 
 
 def _has_active_limits(s: PhaseSamples) -> bool:
-    """Whether path constraints or state bounds have multipliers somewhere along a phase, or act at its ends."""
+    """Return whether path constraints or state bounds have multipliers along a phase or at its ends."""
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
     return bool(np.any(find_acting_limits(s, s.times)) or np.any(at_ends))
@@ -362,13 +366,13 @@ def _has_active_limits(s: PhaseSamples) -> bool:
 def _parameter_variations(
     solution: Solution, samples: list[PhaseSamples], scales: Scales
 ) -> list[tuple[str, str, Array]]:
-    """Return steps of free parameters, of free starts, and of free times, away from their limits."""
+    """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").parameter_interval(), scales.parameters
     found = _steps_within_limits("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
-            continue  # the Lagrangian has limits at fixed times: where they are touched, curvature is missing
+            continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
         found += _steps_within_limits("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
@@ -381,15 +385,15 @@ def _parameter_variations(
 def _steps_within_limits(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
-    """Return steps along the rows (k, n) that change values (n,), none of them at a limit."""
+    """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
     held = box.fixed | np.logical_or(*box.near(values, AT_LIMIT * scale))
     chosen = [row for row in rows if np.any(row) and not np.any(row[held])]
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
 def _directions_keeping_end_conditions(shifts: Array, others: Array) -> Array:
-    """Return a basis (n_unknowns, d) of what keeps the end conditions, from their slopes: by jumps with what corrects
-    them, then without jumps."""
+    """Return a basis (n_unknowns, d) that preserves the end conditions, from their slopes: jumps with their
+    corrections, followed by directions without jumps."""
     inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)
     size = np.maximum(np.linalg.norm(shifts, axis=0), NEGLIGIBLE)
     free = _null_space((shifts - others @ (inverse @ shifts)) / size, NOTABLE) / size[:, None] * np.min(size)
@@ -399,9 +403,9 @@ def _directions_keeping_end_conditions(shifts: Array, others: Array) -> Array:
 
 
 def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
-    """Return directions (n_unknowns, n) in the span of a basis, and the sizes of their terms (n,).
+    """Return directions (n_unknowns, n) in the span of a basis, and the magnitudes of their terms (n,).
 
-    ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of every two.
+    ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of all pairs.
     """
     d = basis.shape[1]
     couples = list(itertools.combinations(range(d), 2))

@@ -1,17 +1,17 @@
 r"""Singular arcs: Goh's condition and the generalised Legendre-Clebsch condition.
 
-Where controls :math:`u_S` are between their bounds and H is affine in them, their switching functions
-:math:`\phi = \partial H/\partial u_S` vanish along the whole arc with all their time derivatives. The first of these in
-which :math:`u_S` appears, the 2k-th for controls that appear together, gives the order k of the arc, and a minimum asks
-for (Kelley, Kopp & Moyer, in Leitmann, Topics in Optimization, 1967; Krener, SIAM J. Control Optim. 15(2), 1977)
+If controls :math:`u_S` are interior and H is affine in them, their switching functions
+:math:`\phi = \partial H/\partial u_S` vanish along the whole arc with all their time derivatives. The first derivative
+that contains :math:`u_S`, the 2k-th for jointly appearing controls, defines the order k of the arc. A minimum requires
+(Kelley, Kopp & Moyer, in Leitmann, Topics in Optimization, 1967; Krener, SIAM J. Control Optim. 15(2), 1977)
 
 .. math:: \frac{\partial}{\partial u_S}\frac{d^j\phi}{dt^j} = 0 \text{ for } j < 2k, \qquad
           K = (-1)^k \frac{\partial}{\partial u_S}\frac{d^{2k}\phi}{dt^{2k}} \ge 0;
 
 for j = 1 this is Goh's condition. K > 0 is the strengthened form. Derivatives are symbolic, along
-:math:`\dot x = f,\ \dot\lambda = -\partial H/\partial x`; other controls are constant on their bounds, or move so
+:math:`\dot x = f,\ \dot\lambda = -\partial H/\partial x`; other controls are constant at their bounds, or vary so
 that their :math:`\partial H/\partial u` stays zero. They are made dimensionless by H, the ranges of the controls and
-powers of the arc's length.
+powers of the arc length.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.tolerances import EQUAL, SMALL, TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
-"""Orders of singular arcs that are looked for."""
+"""Largest order of singular arcs that is tested."""
 
 MOST_INSTRUCTIONS = 200_000
-"""Size of the derivatives of a switching function beyond which no further one is taken."""
+"""Size of the derivatives of a switching function above which no further derivative is computed."""
 
 TOO_LARGE = "the switching function has too large a derivative of order"
 
@@ -49,20 +49,20 @@ NOT_AFFINE = "H is not affine in the controls between their bounds, whose curvat
 
 @dataclass(frozen=True)
 class SingularArc:
-    """What the generalised Legendre-Clebsch condition says of one arc.
+    """Result of the generalised Legendre-Clebsch condition for one arc.
 
     Attributes
     ----------
     order : int
-        k; 0 if it has not been found.
+        Order k; 0 if it was not found.
     least : float
-        Smallest eigenvalue of K along the arc; or the largest derivative that should vanish, reversed.
+        Smallest eigenvalue of K along the arc; or minus the largest derivative that should vanish.
     why : str
-        Why the result is inconclusive (or what fails, by a coupling), or empty.
+        Reason of an inconclusive result (or of a failure by coupling), or empty.
     channels : tuple of int
-        Its controls.
+        Controls of the arc.
     samples : (int, int)
-        First sample, and the one after the last.
+        First sample, and one after the last.
     """
 
     place: str
@@ -74,7 +74,7 @@ class SingularArc:
 
 
 def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) -> Condition:
-    """Goh's and the strengthened generalised Legendre-Clebsch condition hold along every singular arc."""
+    """Return Goh's and the strengthened generalised Legendre-Clebsch condition for all singular arcs."""
     name = "generalised Legendre-Clebsch"
     meaning = (
         "Along a singular arc the controls must not appear in an odd time derivative of their switching functions, and "
@@ -93,7 +93,7 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
 
 
 def find_first_order_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
-    """Where the second derivatives of the switching functions determine controls (m, n_samples), on arcs of a phase."""
+    """Return where second derivatives of switching functions determine controls (m, n_samples), on arcs of a phase."""
     found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
     for arc in arcs:
         found[list(arc.channels), slice(*arc.samples)] = (
@@ -105,7 +105,7 @@ def find_first_order_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], toleranc
 def analyse_singular_arcs(
     problem: Problem, s: PhaseSamples, singular: Mask, inside: Mask, tolerance: float
 ) -> list[SingularArc]:
-    """Check arcs with controls between bounds without curvature of H; bool arrays (m, n_samples)."""
+    """Return the results of arcs with interior controls without curvature of H; bool arrays (m, n_samples)."""
     singular = singular & inside
     kinds = np.vstack([singular, inside])
     changes = np.flatnonzero(np.any(kinds[:, 1:] != kinds[:, :-1], axis=0)) + 1
@@ -151,7 +151,7 @@ def _analyse_singular_arc(
         flat = size if j == 0 else flat
         if size <= tolerance:
             continue
-        if SMALL * size <= flat:  # time derivatives of a curvature that only flattens out
+        if SMALL * size <= flat:  # time derivatives of a curvature that only becomes small
             return arc(0, 0.0, NOT_AFFINE)
         if j % 2:
             return arc(0, -size)
@@ -162,7 +162,7 @@ def _analyse_singular_arc(
 
 
 def _singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
-    """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H."""
+    """Return the smallest curvature of H along singular controls with optimal regular ones, relative to H."""
     unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
     hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
     cross = hessian[:, regular[:, None], channels]
@@ -172,7 +172,7 @@ def _singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, he
 
 
 def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
-    """Matrices (n_samples, m, m) at samples of an arc, over ranges of controls and in shares of H."""
+    """Return matrices (n_samples, m, m) at samples of an arc, over control ranges and relative to H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
     at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]
     flat = evaluate_columns(function, here.size, *at, numbers)
@@ -182,7 +182,7 @@ def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices,
 
 
 class Derivatives:
-    """Time derivatives of switching functions; ``coupled``: controls set by H depend on singular ones."""
+    """Time derivatives of switching functions; ``coupled``: controls determined by H depend on singular ones."""
 
     def __init__(self, s: PhaseSamples, channels: Indices, regular: Indices) -> None:
         functions = s.functions.functions
@@ -200,13 +200,13 @@ class Derivatives:
         self._functions: dict[int, Any] = {}
         determined, slope = u[regular.tolist()], slopes[regular.tolist()]
         self.coupled = ca.jacobian(slope, self._own).nnz() > 0
-        if regular.size:  # dH/du = 0 of those determines how they move
+        if regular.size:  # dH/du = 0 determines their motion
             drift = ca.jtimes(slope, self._along, self._rates)
             self._rates = ca.vertcat(self._rates, -ca.solve(ca.jacobian(slope, determined), drift))
             self._along = ca.vertcat(self._along, determined)
 
     def differentiate_by_controls(self, j: int) -> Callable[..., Any] | None:
-        """Derivative of the j-th time derivative with respect to the controls, by rows; None if it is too large."""
+        """Return the derivative of the j-th time derivative in the controls, by rows; None if it is too large."""
         if j not in self._functions:
             matrix = ca.vec(ca.densify(ca.jacobian(self._switching_time_derivative(j), self._own)).T)
             function = ca.Function("by_controls", self._inputs, [matrix])

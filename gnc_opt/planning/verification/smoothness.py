@@ -1,8 +1,8 @@
-r"""Kinks and jumps: dynamics and integrands must be differentiable where the trajectory runs.
+r"""Smoothness: dynamics and integrands must be differentiable along the trajectory.
 
-Where a trajectory crosses a surface :math:`g(x) = 0` at which they jump, the costate jumps by a multiple of
-:math:`\partial g/\partial x` (A. E. Bryson & Y.-C. Ho, Applied Optimal Control, 1975, section 3.7). Between two phases
-linkages and the condition g = 0 contain that multiple; inside of a phase nothing does.
+If a trajectory crosses a surface :math:`g(x) = 0` at which they jump, the costate jumps by a multiple of
+:math:`\partial g/\partial x` (A. E. Bryson & Y.-C. Ho, Applied Optimal Control, 1975, section 3.7). Between two phases,
+linkages and the condition g = 0 account for this multiple; inside a phase it is not represented.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ KINKS = (
 
 
 STEPS = 1e-4, 1e-6
-"""Steps of second differences, in shares of the reach."""
+"""Steps of second differences, relative to the reach."""
 
 SAME_RATIO = 0.3
-"""Least ratio of the second differences per step at both, one at a kink."""
+"""Smallest ratio of the second differences per step at both steps; it is 1 at a kink."""
 
 
 @dataclass(frozen=True)
 class Roughness:
-    """The worst that a flight meets: how large, where, whether it is a jump that is crossed, and one of states."""
+    """Worst nonsmooth point of a trajectory: size, location, whether it is a crossed jump, and whether in states."""
 
     value: float
     where: str
@@ -50,7 +50,7 @@ class Roughness:
 
 
 def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
-    """Return the first jump that a flight crosses inside a phase, else a kink on which it rests; None without any."""
+    """Return the first jump that a trajectory crosses inside a phase, else a kink on which it stays, else None."""
     rests = None
     for s in samples:
         kinks = find_kinks(problem, problem.phases[s.leg.name])
@@ -58,7 +58,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
             continue
         values = _evaluate_kink_arguments(s, kinks, s.times_within, s.x, s.u)
         for i, row in enumerate(values):
-            signed = np.flatnonzero(row)  # a sample on the surface itself is on neither side
+            signed = np.flatnonzero(row)  # samples on the surface are on neither side
             for k in np.flatnonzero(row[signed[1:]] * row[signed[:-1]] < 0):
                 found = _find_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
@@ -69,7 +69,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
 
 
 def check_concave_kinks(found: Roughness | None, fails: bool, *, falls: bool = False) -> Condition:
-    """The condition; a kink on which the flight rests leaves open what fails, and else only what suffices."""
+    """Return the condition; on a kink failures are inconclusive, otherwise only sufficiency is."""
     if found is None:
         return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
     if falls:
@@ -82,9 +82,9 @@ def check_concave_kinks(found: Roughness | None, fails: bool, *, falls: bool = F
 
 
 def mark_theorem_inapplicable(condition: Condition, found: Roughness) -> Condition:
-    """A failed condition that supposes smoothness shows nothing without it.
+    """Return a failed condition that requires smoothness as inconclusive.
 
-    The minimum principle compares values of H: it supposes nothing of how H depends on the controls.
+    The minimum principle compares values of H and does not require smoothness in the controls.
     """
     compares_values = condition.name == "minimum principle" and not found.of_states
     if condition.result is not ConditionResult.FAIL or compares_values:
@@ -99,10 +99,11 @@ def mark_theorem_inapplicable(condition: Condition, found: Roughness) -> Conditi
 
 
 def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness | None:
-    """Return a kink at which the cost falls to both sides, or None.
+    """Return a kink at which the cost decreases to both sides, or None.
 
-    Along ends, times, integrals and parameters, and along the states of phases on one of their kinks: second
-    differences of the Lagrangian that are proportional to the step.
+    It evaluates ends, times, integrals and parameters, and states of phases on one of their kinks: second differences
+    of the Lagrangian that are proportional to the step. differences of the Lagrangian that are proportional to the
+    step.
     """
     found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
     share = _largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
@@ -124,7 +125,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
 
 
 def _largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
-    """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero if there is none."""
+    """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero without a decrease."""
     ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
     kink = (ratio >= SAME_RATIO) & _is_concave(coarse, cost) & np.all(np.isfinite(fine), axis=0)
     fall = float(np.max(np.where(kink, -coarse[1], 0.0), initial=0.0))
@@ -132,7 +133,7 @@ def _largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> f
 
 
 def _is_concave(coarse: Array, cost: float) -> Mask:
-    """Whether second differences at the larger step are negative and not rounding (n,)."""
+    """Return whether second differences at the larger step are negative beyond rounding (n,)."""
     return np.asarray(-coarse[1] >= SMALL * np.maximum(np.abs(coarse[0]), cost))
 
 
@@ -142,12 +143,12 @@ def _evaluate_kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Arr
 
 
 def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> Roughness | None:
-    """What dx/dt and integrands jump by where an argument changes its sign between two times."""
+    """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
     def arguments_at(times: Array) -> Array:
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
-    aside = SAME_TIME * s.span  # at the samples themselves the side may be that of another segment
+    aside = SAME_TIME * s.span  # samples may belong to another segment
     left, right = bisect_sign_changes(arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside)
     sides = np.clip(np.append(left - aside, right + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
@@ -162,14 +163,14 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
 
 
 def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
-    """The longest time for which an argument stays at zero, if that is no passing."""
+    """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
     sizes = nonzero_magnitude(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
     long = lengths > SMEARED
     if not np.any(long):
         return None
-    of_states = bool(np.any(long & kinks.state_dependent))  # these are worse
+    of_states = bool(np.any(long & kinks.state_dependent))  # kinks in states have priority
     i = int(np.argmax(np.where(kinks.state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
     where = f"from {s.describe_sample(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"

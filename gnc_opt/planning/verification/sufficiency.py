@@ -1,10 +1,10 @@
-r"""Certificates: convexity, attained lower bound and uniqueness. They settle inconclusive conditions and fail nothing.
+r"""Sufficiency: convexity, attained lower bound and uniqueness, which resolve inconclusive conditions.
 
 **Convex problems.** With fixed times, dynamics, path constraints and end conditions that are affine in states, controls
 and parameters, and a convex cost, every extremal is a global minimum (O. L. Mangasarian, SIAM J. Control 4, 1966).
 
-**Least cost.** Interval arithmetic on integrands and end costs bounds the cost from below. A trajectory that reaches
-the bound is a global minimum; its costates vanish, up to rounding.
+**Least cost.** Interval arithmetic on integrands and end costs yields a lower bound of the cost. A trajectory that
+attains the bound is a global minimum; its costates vanish, up to rounding.
 
 **Uniqueness.** The difference :math:`\delta` of two solutions of a convex problem satisfies :math:`H \delta = 0` with
 the Hessian H of the integrands, and :math:`\dot{\delta x} = A \delta x + B \delta u`, :math:`\delta x(t_0) = 0`. It
@@ -13,8 +13,8 @@ vanishes if this system is left invertible: for constant A, B, H, if the pencil
 .. math:: \begin{pmatrix} A - s I & B \\ H_x & H_u \end{pmatrix}
 
 has full column rank for some s (Trentelman, Stoorvogel & Hautus, Control Theory for Linear Systems, 2001, section 8.2).
-A control on its bound whose switching function vanishes at isolated times only is the same in all solutions, and its
-column falls out.
+A control at its bound whose switching function vanishes at isolated times only is equal in all solutions, and its
+column is omitted.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ from gnc_opt.planning.verification.recomputed_solution import boundary_gradients
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
-"""A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
+"""Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
 
 
 def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
-    """Whether a problem is convex and has one solution; ``determined`` (m,) are controls common to all solutions."""
+    """Return whether a problem is convex with one solution; ``determined`` (m,): controls common to all solutions."""
     if not is_convex(problem) or problem.parameters.size:
         return False
     legs = list(problem.phases.values())
@@ -63,7 +63,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
     integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
     of_ends = np.ones(
         conditions.numel(), dtype=bool
-    )  # what depends on integrals says nothing of the ends alone
+    )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
     equal = rows[problem.constraint_interval().fixed & of_ends]
     same = np.concatenate([_mask_given_boundary_states(leg) for leg in legs])
@@ -85,7 +85,7 @@ def _mask_given_boundary_states(leg: Phase) -> Mask:
 
 
 def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
-    """Where initial and final states of each phase are among all of them."""
+    """Return the indices of initial and final states of each phase among all end states."""
     found, at = {}, 0
     for leg in legs:
         n = leg.model.states.size
@@ -95,7 +95,7 @@ def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indice
 
 
 def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool:
-    """Whether equations between states at ends leave all solutions the same start of a phase."""
+    """Return whether equations between end states imply the same initial state of a phase in all solutions."""
     left = initial[~same[initial]]
     others = np.setdiff1d(np.flatnonzero(~same), left)
     rows = equal[~np.any(equal[:, others] != 0, axis=1)]
@@ -103,7 +103,7 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
 
 
 def controls_determined_by_slope(s: PhaseSamples) -> Mask:
-    """Which controls are on bounds all along, their switching functions zero for a moment at most (m,)."""
+    """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
     opens = lasts_for_share_of_phase(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
     between = lasts_for_share_of_phase(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
@@ -143,13 +143,13 @@ def _has_full_column_rank(matrix: Array) -> bool:
 
 
 def _read_constant_matrix(expression: Any) -> Array | None:
-    """The numbers of an expression, or None if it depends on something."""
+    """Return the numbers of an expression, or None if it is not constant."""
     simple = ca.simplify(expression)
     return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
 
 
 def is_convex(problem: Problem) -> bool:
-    """Whether a problem is convex in its trajectory, as far as constant Hessians show."""
+    """Return whether a problem is convex in its trajectory, as far as constant Hessians show."""
     return (
         all(map(_has_fixed_times, problem.phases.values()))
         and _is_endpoint_problem_convex(problem)
@@ -172,7 +172,7 @@ def _are_phases_affine(problem: Problem) -> bool:
 
 
 def _is_endpoint_problem_convex(problem: Problem) -> bool:
-    """Whether end conditions are affine, and the cost is convex, in end points, parameters and integrals."""
+    """Return whether end conditions are affine, and the cost convex, in end points, parameters and integrals."""
     legs = problem.phases.values()
     integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
     points = [value for leg in legs for value in (leg.end_states("initial"), leg.end_states("final"))]
@@ -203,7 +203,7 @@ def _is_affine(expression: Any, z: Any) -> bool:
 
 
 def _is_convex_quadratic(expression: Any, z: Any) -> bool:
-    """Whether the Hessian of a scalar expression is constant and positive semidefinite, and it has no kinks."""
+    """Return whether the Hessian of a scalar expression is constant and positive semidefinite, without kinks."""
     hessian = ca.hessian(expression, z)[0]
     if not hessian.is_constant() or has_kinks(expression):
         return False
@@ -212,7 +212,7 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
 
 
 def cost_lower_bound(problem: Problem) -> float:
-    """Return what the minimised cost is at least, by interval arithmetic; minus infinity if nothing is known."""
+    """Return a lower bound of the minimised cost by interval arithmetic; -inf if unknown."""
     return float(_boundary_lower_bounds(problem, [problem.sense * problem.cost])[0])
 
 
@@ -228,7 +228,7 @@ def _boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Arra
 def attains_lower_bound(
     solution: Solution, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
 ) -> bool:
-    """Whether cost and costates are at their least possible value, to ``tolerance`` of the scale ``amount``."""
+    """Return whether cost and costates are at their lower bounds, to ``tolerance`` of the scale ``amount``."""
     problem = solution.need_problem("verify")
     worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
     if not max(worths) <= tolerance * amount:
@@ -238,7 +238,7 @@ def attains_lower_bound(
 
 
 def _excess_over_lower_bounds(solution: Solution) -> Array:
-    """Return how far each term of the cost is above its least value, in shares of its scale."""
+    """Return the excess of each cost term over its minimum, relative to its scale."""
     problem = solution.need_problem("verify").clone()
     terms = list(_split_sum(problem.sense * problem.cost))
     for leg in problem.phases.values():
@@ -273,7 +273,7 @@ def _excess_over_lower_bounds(solution: Solution) -> Array:
 
 
 def _split_sum(expression: Any, factor: float = 1.0) -> Iterator[Any]:
-    """Yield what a sum is made of, multiplied out where a factor is a number."""
+    """Yield the terms of a sum, multiplied out by constant factors."""
     if expression.op() in (ca.OP_ADD, ca.OP_SUB):
         first, second = (expression.dep(k) for k in range(2))
         yield from _split_sum(first, factor)

@@ -1,7 +1,7 @@
-"""Second order of switching times: no shift of the jumps of controls lowers the cost.
+"""Switching times condition: no shift of control jumps lowers the cost to second order.
 
-Where every switch is an unknown of its own, the module `bang_bang_second_order` decides. Elsewhere, at boundaries of
-phases and where switches coincide, the trajectory is integrated with shifted jumps (module `shifted_trajectory`).
+If every switch is an unknown, the module `bang_bang_second_order` applies. At phase boundaries and for coincident
+switches, the trajectory is integrated with shifted jumps (module `shifted_trajectory`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajec
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
 MOST_TOGETHER = 24
-"""Jumps whose shifts are combined, at most; not all combinations of more are tested."""
+"""Largest number of jumps whose shifts are combined; of more jumps not all combinations are tested."""
 
 _MEANING = (
     "Shifts of switching times that keep the end conditions must not lower the cost to second order (value: fall at "

@@ -1,6 +1,6 @@
-"""verify_trajectory: check a trajectory that another tool has found.
+"""verify_trajectory: optimality check of a trajectory from another tool.
 
-Samples of controls as a problem was stated, in those that it is solved in: parts, magnitudes and directions.
+Samples of reformulated problems are converted to the solved controls: parts, magnitudes and directions.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, NOTABLE, SAME_TIME, SMAL
 def reformulate_samples(
     problem: Problem, twin: Problem, samples: Mapping[str, Samples], q: Array
 ) -> dict[str, Samples]:
-    """Return samples of a problem as those of ``reformulate(problem)``, of which q are the first parameters."""
+    """Return the samples in the variables of ``reformulate(problem)``; q are its first parameters."""
     return {name: _reformulate_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
 
 
@@ -68,7 +68,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> 
 
 
 def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
-    """Samples of a model with the same variables, of which some are states instead of controls."""
+    """Return samples of a model with the same variables, some of which are states instead of controls."""
     if given.states.names == model.states.names:
         return own
     known = {name: own.x[given.states.slice(name)] for name in given.states.names}
@@ -81,12 +81,12 @@ def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
 
 
 def _fill_undefined_directions(size: Array, direction: Array) -> Array:
-    """Directions (n, n_times) of vectors of a size (n_times,), where it is zero those nearby."""
+    """Return directions (n, n_times) of vectors of a size (n_times,); for size zero the nearest direction."""
     return _extrapolate_directions(np.where(size <= AT_LIMIT * np.max(size), np.nan, direction))
 
 
 def _extrapolate_directions(directions: Array) -> Array:
-    """Directions (n, n_times) that go on where there are none: as they were before, at first as they will be."""
+    """Return directions (n, n_times) with missing ones replaced by the previous (at the start by the next) one."""
     known = np.flatnonzero(np.all(np.isfinite(directions), axis=0))
     if not known.size:
         return np.repeat(np.eye(directions.shape[0])[:, :1], directions.shape[1], axis=1)
@@ -95,59 +95,60 @@ def _extrapolate_directions(directions: Array) -> Array:
 
 
 PARTS = (2, 4)
-"""Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
-change faster than the states."""
+"""Numbers of parts into which sampling intervals are divided, one after the other, until the adjoint equation holds;
+costates may change faster than states."""
 
 INTERPOLATION_GROWTH, FEWEST_SAMPLES = 4.0, 8
-"""Least growth of an error of interpolation if every second sample is left out; least number of samples of a phase to
-measure that."""
+"""Smallest growth of an interpolation error if every second sample is omitted, and smallest number of samples of a
+phase for this test."""
 
 NEARER = 1e-7, 1e-9
-"""Distances from limits, in shares of their scales, beyond which they do not push: tried where estimated multipliers
-push though there is room. Beside a touch, many of fine samples are nearer than what is known of foreign ones."""
+"""Distances from limits, relative to their scales, above which they are inactive; smaller ones are tried if estimated
+multipliers act away from the limit. Near a touch point, fine samples are closer than the accuracy of other tools."""
 
 Values = Any
-"""Arrays (n, n_times) in the model's order, or a mapping from names to them; of several phases a mapping of those."""
+"""Arrays (n, n_times) in the order of the model, or a mapping from names; for several phases a mapping of these."""
 
 
 @one_thread()
 def verify_trajectory(
     problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = CONDITION_TOLERANCE
 ) -> Verdict:
-    """Check a trajectory from any tool, known at samples and without multipliers, by all conditions of `verify`.
+    """Return the verdict on a trajectory from any tool, sampled and without multipliers, with all conditions of
+    `verify`.
 
     Costs with kinks or norms are checked in the controls that `solve` uses: parts, magnitudes and directions.
 
-    The samples are joined by polynomials (module `trajectory_fit`), costates and multipliers are those that explain
-    the trajectory best (module `multipliers`): least squares of adjoint equation, stationarity, transversality. If
-    no multipliers explain it, the verdict fails where they do not.
+    The samples are interpolated by polynomials (module `trajectory_fit`). Costates and multipliers are estimated by
+    least squares from adjoint equation, stationarity and transversality (module `multiplier_estimate`). Without
+    such multipliers, conditions fail.
 
     Parameters
     ----------
     problem : Problem
     t : array (n_times,), s
-        Not decreasing; where a control jumps, give the time twice, with the values before and after it. A jump
-        between two samples is placed where the states show it. Several phases: a mapping from their names.
+        Ascending; at a control jump, repeat the time with the values before and after it. A jump between two samples is
+        located from the states. For several phases: a mapping from their names.
     x, u : array (n_states, n_times), (n_controls, n_times), or a mapping from names to (n_times,) or (size, n_times)
-        States and controls; split and vector controls by their own name or by those of their parts. Several phases: a
-        mapping from their names to such.
+        States and controls; split and vector controls by their own name or by those of their parts. For several phases:
+        a mapping from their names.
     p : array (n_parameters,) or mapping from names, optional
-        Of the problem's free parameters; needed if it has any.
+        Values of the problem's free parameters; required if it has any.
     tol : float
-        Tolerance of every condition. Samples allow no more than their interpolation errors, of the third order in
-        the sampling interval for controls and of the fourth for states.
+        Tolerance of every condition. Its lower limit is the interpolation error, of third order in the sampling
+        interval for controls and of fourth order for states.
 
     Returns
     -------
     Verdict
-        With ``estimated`` true: multipliers are estimates, so that a wrong sign of one may be the estimate's where
-        multipliers are not unique.
+        With ``estimated`` true: multipliers are estimates, and a wrong sign may be an estimation error if multipliers
+        are not unique.
 
     Raises
     ------
     ProblemError
-        Wrong sizes, missing or unknown names, times that decrease, numbers that are not finite, a control that nothing
-        depends on.
+        Wrong sizes, missing or unknown names, decreasing times, numbers that are not finite, or a control without
+        effect on the problem.
 
     Examples
     --------
@@ -195,9 +196,9 @@ def _check_samples(problem: Problem, samples: Mapping[str, Samples], q: Array, t
 def _mark_interpolation_errors_inconclusive(
     verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
 ) -> Verdict:
-    """Return the verdict with failures inconclusive that are errors of interpolation.
+    """Return the verdict with failures due to interpolation errors as inconclusive.
 
-    These grow with every second sample left out.
+    Such failures grow if every second sample is omitted.
     """
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
     few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
@@ -230,7 +231,7 @@ def _halve_samples(samples: Samples) -> Samples:
 def _check_reformulated(
     problem: Problem, twin: Problem, stated: Mapping[str, Samples], q: Array, tol: float
 ) -> Verdict:
-    """As a default call judges it: along controls without norms and kinks
+    """Return the verdict in the reformulated controls, without norms and kinks
     (`gnc_opt.planning.problem.reformulation`)."""
     samples = reformulate_samples(problem, twin, stated, q)
     q = _add_kink_parameters(twin, samples, q)
@@ -238,7 +239,7 @@ def _check_reformulated(
 
 
 def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
-    """Whether angles leave bounds of a whole turn, which are no limits to a twin."""
+    """Return whether angles exceed bounds of a full turn, which the reformulated problem does not have."""
     for name, leg in twin.phases.items():
         if leg.numbers.turns is not None:
             box, u = problem.phases[name].numbers.controls, stated[name].u
@@ -249,7 +250,7 @@ def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[s
 
 
 def _add_kink_parameters(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:
-    """Parameters and those in place of kinks at the ends, as small as their constraints allow."""
+    """Return the parameters, followed by those that replace kinks at the ends, as small as their constraints allow."""
     added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
     if not added:
         return q
@@ -260,7 +261,7 @@ def _add_kink_parameters(twin: Problem, samples: Mapping[str, Samples], q: Array
         missing = [-rows[label] for label in twin.constraints[name].labels]
         q[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
     priced = abs(_build_solution(twin, samples, q).objective - at_zero.objective)
-    return q if priced > EQUAL * abs(at_zero.objective) else none  # else it is rounding, on the kink
+    return q if priced > EQUAL * abs(at_zero.objective) else none  # rounding on the kink
 
 
 # --- a solution with estimated multipliers ----------------------------------------------------------------
@@ -299,7 +300,7 @@ def _build_solution(
 
 
 def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
-    """The samples' own trajectory and times, also where the problem would have others."""
+    """Return the phase with the trajectory and times of the samples, even if the problem has others."""
     breaks = phase.x.breaks
     return replace(
         leg,
@@ -313,7 +314,7 @@ def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution
 
 
 def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
-    """The samples with angles that other tools keep within a turn as they run on."""
+    """Return the samples with angles unwrapped that other tools keep within a turn."""
     found = {}
     for name, leg in samples.items():
         bounds = problem.phases[name].numbers.controls
@@ -323,7 +324,7 @@ def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -
 
 
 def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
-    """Arcs of controls that are on a bound throughout, between their jumps; none if one is not."""
+    """Return the arcs of controls at a bound at all times, between their jumps; none if a control is interior."""
     arcs: list[Arc] = []
     breaks = leg.breaks[list(leg.mesh.anchors)]
     slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
@@ -352,7 +353,7 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
     for what, given in (("times", t), ("states", x), ("controls", u)):
         if not isinstance(given, Mapping):
             raise ProblemError(
-                f"the {what} of a trajectory of '{problem.name}' are no mapping from the phases {names}: give one, "
+                f"the {what} of a trajectory of '{problem.name}' must be a mapping from the phases {names}, "
                 "since there are several."
             )
         for name in given:
@@ -395,7 +396,7 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
 
 
 def _remove_duplicate_samples(samples: Samples) -> Samples:
-    """The samples without those that repeat another one, its time a rounding later."""
+    """Return the samples without duplicates, whose times differ by rounding."""
     t, u = samples.t, samples.u
     near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
     jumps = np.any(np.abs(np.diff(u, axis=1)) > SMALL * np.ptp(u, axis=1, keepdims=True), axis=0)
@@ -406,7 +407,7 @@ def _remove_duplicate_samples(samples: Samples) -> Samples:
 
 
 def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
-    """Controls by name, those that are made of others as these: parts, or a magnitude and a direction."""
+    """Return controls by name; composed controls as their parts, or as magnitude and direction."""
     if not isinstance(u, Mapping):
         return u
     found = dict(u)

@@ -32,7 +32,7 @@ def test_phases_refused() -> None:
     for model, r in zip((here, there), vectors, strict=True):
         model.ode({r: [1.0, 1.0]})
     with refused(
-        go.ProblemError, "'r_0'", "no symbol of model", "another model's", "write model.symbol('r')"
+        go.ProblemError, "'r_0'", "not a symbol of model", "another model's", "write model.symbol('r')"
     ):
         go.Problem("p").phase("leg", here).path("wall", vectors[1][0], upper=1.0)
     with refused(
@@ -256,7 +256,7 @@ def test_cost_boundary_constraints_links_parameters_refused() -> None:
         "final_state",
     ):
         problem.minimize(model.symbol("u") ** 2)
-    with refused(go.ProblemError, "cost of problem 'decay' uses 'q'", "no phase of this problem"):
+    with refused(go.ProblemError, "cost of problem 'decay' uses 'q'", "not a symbol of this problem"):
         scalar()[1].minimize(cart().symbol("q"))
 
     problem, leg = voyage()

@@ -36,7 +36,7 @@ def ended(build: Build, scheme: str = "LG", **options: object) -> go.Solution:
         (ill_posed.path_out_of_reach, go.Status.INFEASIBLE, "path ceiling, phase leg, segment"),
         (ill_posed.free_ride, go.Status.UNBOUNDED, "u, phase leg, segment 10"),
         (ill_posed.concave, go.Status.UNBOUNDED, "u, phase leg, segment"),
-        (ill_posed.endless, go.Status.UNBOUNDED, "final time, phase leg runs off"),
+        (ill_posed.endless, go.Status.UNBOUNDED, "final time, phase leg diverges"),
         (
             ill_posed.root_of_clipped_state,
             go.Status.NOT_A_NUMBER,
@@ -99,7 +99,7 @@ def test_slow_growth_counts_as_unbounded() -> None:
     """The objective of this one never gets large, so only its variables tell."""
     solution = ended(ill_posed.slowly_growing)
     assert solution.status is go.Status.UNBOUNDED
-    assert "runs off to infinity" in solution.violations[0].name
+    assert "diverges" in solution.violations[0].name
 
 
 def test_solved_problems_have_no_violations() -> None:
@@ -226,12 +226,12 @@ def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Pr
 def test_the_guess_that_helps_is_named() -> None:
     """Which kind, and the states of which no number tells the size; not beside a trajectory, which is the user's."""
     with pytest.raises(
-        go.SolveError, match=r"go\.guess_from_simulation\(\) flies, waypoints .* polar .* Begin with 'v': no"
+        go.SolveError, match=r"go\.guess_from_simulation\(\) , waypoints .* polar .* Start with 'v', whose"
     ):
         go.solve(circle(), mesh="4x3", tol=None)
     with pytest.raises(go.SolveError, match=r"guess_from_simulation") as told:
         go.solve(circle(speed=1.0), mesh="4x3", tol=None)
-    assert "Begin with" not in str(told.value)
+    assert "Start with" not in str(told.value)
     with pytest.raises(go.SolveError) as own:
         go.solve(circle(np.linspace(0.0, 1.0, 5)), mesh="4x3", tol=None)
     assert "guess_from_simulation" not in str(own.value)

@@ -134,5 +134,5 @@ def test_bounds_of_a_split_control_are_those_of_its_parts() -> None:
     np.testing.assert_array_equal([box.lower, box.upper], [[0.0, 0.0], [2.0, 0.5]])
     box = fuel(None).phases["leg"].numbers.controls
     np.testing.assert_array_equal([box.lower, box.upper], [[0.0, 0.0], [np.inf, np.inf]])
-    with pytest.raises(go.ProblemError, match=r"bounds of 'a' in phase 'leg' .* leave out zero"):
+    with pytest.raises(go.ProblemError, match=r"bounds of 'a' in phase 'leg' .* exclude zero"):
         fuel((0.5, 1.0))

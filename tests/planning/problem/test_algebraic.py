@@ -105,5 +105,5 @@ def test_wrong_uses_are_named() -> None:
     z = model.algebraic("w", lambda w: w - x[0])
     model.ode({x: ca.vertcat(z, z)})
     leg = go.Problem("wrong").phase("leg", model)
-    with pytest.raises(go.ProblemError, match="'w', which its equation determines"):
+    with pytest.raises(go.ProblemError, match="'w', which is an algebraic variable"):
         leg.rates(w=(-1.0, 1.0))

@@ -52,8 +52,8 @@ def test_ends_can_be_compared() -> None:
     ("mistake", "message"),
     [
         (lambda x, a: {"expression": a <= 1, "upper": 3.0}, "is a comparison and has another limit"),
-        (lambda x, a: {"expression": a != 1}, "no inequality and no equation"),
-        (lambda x, a: {"expression": [a <= 1, x[0]]}, "no inequality and no equation"),
+        (lambda x, a: {"expression": a != 1}, "neither an inequality nor an equation"),
+        (lambda x, a: {"expression": [a <= 1, x[0]]}, "neither an inequality nor an equation"),
         (lambda x, a: {"expression": a}, "or write it as a <= b"),
         (lambda x, a: {"expression": a <= np.nan}, "contains nan"),
     ],

@@ -152,5 +152,5 @@ def test_rates_come_before_links() -> None:
     problem = go.Problem("late")
     legs = [problem.phase(name, model) for name in ("one", "two")]
     problem.link(*legs)
-    with pytest.raises(go.ProblemError, match=r"comes after link\(\) or sequence\(\)"):
+    with pytest.raises(go.ProblemError, match=r"is called after link\(\) or sequence\(\)"):
         legs[0].rates(a=(-1.0, 1.0))

@@ -66,5 +66,5 @@ def test_wrong_uses_are_named() -> None:
     with pytest.raises(go.ProblemError, match="increasing ones between 0 and 1"):
         problem.divide(leg, times=[0.6, 0.3])
     leg.integral(a**2)
-    with pytest.raises(go.ProblemError, match=r"call divide\(\) before these"):
+    with pytest.raises(go.ProblemError, match=r"call divide\(\) first"):
         problem.divide(leg, times=[0.5])

@@ -150,7 +150,7 @@ def test_open_initial_values_and_free_parameters() -> None:
         (lambda p: go.guess_from_simulation(p, {"u": "up"}), "law of 'u' .* is not a number"),
         (lambda p: go.guess_from_simulation(p, 0.0), "law of guess_from_simulation"),
         (lambda p: go.guess_from_simulation(p, {}, initial={"r": 0.0}), "rate of state 'v.0.' is nan at t = 0 s"),
-        (lambda p: go.guess_from_simulation(p, {}, until=p.phases["burn"].model.time + 1.0), "was never zero"),
+        (lambda p: go.guess_from_simulation(p, {}, until=p.phases["burn"].model.time + 1.0), "without a zero before"),
         (lambda p: go.guess_from_simulation(p, {}, duration=-1.0), "duration of guess_from_simulation"),
         (lambda p: go.guess_from_simulation(p, {}, n=1), "n of guess_from_simulation"),
         (lambda p: go.guess_from_simulation(None, {}), "what guess_from_simulation"),

@@ -147,9 +147,7 @@ def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float
 def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
     problem = cart(lambda x, v, a: a**2, limit)
     assert reformulate(problem) is problem
-    with pytest.warns(
-        go.ProblemWarning, match="kink: it is not convex, for it excludes values between others"
-    ):
+    with pytest.warns(go.ProblemWarning, match="kink: its feasible set is not convex"):
         problem.check()
 
 

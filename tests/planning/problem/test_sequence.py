@@ -120,7 +120,7 @@ def test_states_linked_in_other_units_are_warned_of(recwarn: pytest.WarningsReco
     problem.link(legs[2], legs[3])
     assert not recwarn.list
     with pytest.warns(
-        go.ProblemWarning, match=r"link_a_b .* hands 'x' over from m to km, and nothing is converted"
+        go.ProblemWarning, match=r"link_a_b .* links 'x' in m to km, but units are not converted"
     ):
         problem.link(legs[0], legs[1])
 

@@ -557,8 +557,7 @@ def test_of_two_controls_many_track_as_well() -> None:
     verdict = go.verify_trajectory(tracking(2.0, 2), T, PERFECT, {"a": np.vstack([0.3 + 0 * T, 0.7 + 0 * T])})
     assert verdict.ok and not verdict.minimum
     assert (
-        "the cost is the least that there can be, and the minimum may be one of many"
-        in verdict.inconclusive[0].where
+        "the cost is at its lower bound, and the minimum need not be unique" in verdict.inconclusive[0].where
     )
 
 

@@ -302,7 +302,7 @@ STRAIGHT = (line(5.0, 0.8), arch(10.0), line(-5.0, 1.4))
 def test_controls_that_jump_from_bound_to_bound_are_named() -> None:
     """H is straight in all controls; w does not jump if it stays, nor does what has no curvature in between."""
     once = ((-1.0, -1.0, -1.0), (-2.0, -2.0, 3.0))
-    late = "switch times that are not variables of the mesh do not vary"
+    late = "switching times are not variables of the mesh"
     assert _find_bang_bang_control([flight(STRAIGHT, FALLS)]) == f"phase leg, u: {late}"
     assert _find_bang_bang_control([flight(STRAIGHT, FALLS, once)]) == f"phase leg, w: {late}"
     assert _find_bang_bang_control([flight(STRAIGHT, FALLS, ((-1.0,) * 3, (-2.0,) * 3))]) == ""

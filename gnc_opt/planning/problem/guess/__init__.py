@@ -1,1 +1,1 @@
-"""Guesses: what users give, straight lines for the rest, and random trajectories."""
+"""Initial guesses: user data, default straight lines, simulations and random trajectories."""

@@ -1,4 +1,4 @@
-"""Guesses from data: a table of a trajectory, one column per component."""
+"""Initial guess from a table of a trajectory, with one column per component."""
 
 from __future__ import annotations
 
@@ -22,33 +22,32 @@ def guess_from_data(
     phase: str | None = None,
     time: str = "time",
 ) -> Problem:
-    """Return the problem with a trajectory as its guess: columns of a DataFrame, a mapping of arrays or a CSV file.
+    """Return the problem with a guess from data: columns of a DataFrame, a mapping of arrays or a CSV file.
 
     Parameters
     ----------
     problem : Problem
     data : mapping of str to array (n_times,), pandas.DataFrame, str or Path
-        A column per component of a state or control, named as in reports: ``q``, ``r[0]``, ``r[1]``. Unknown
-        names are ignored; missing components are guessed. A path refers to a CSV file with the names in its
-        first row.
+        One column per component of a state or control, labelled as in reports: ``q``, ``r[0]``, ``r[1]``. Other columns
+        are ignored; missing variables are guessed. A path refers to a CSV file with the labels in its first row.
     phase : str, optional
-        May be left out when there is one.
+        Optional for a problem with one phase.
     time : str
-        Name of the column of times, s, which must increase.
+        Name of the column of times, s, in ascending order.
 
     Returns
     -------
     Problem
-        Like ``problem.with_guess``.
+        See ``Problem.with_guess``.
 
     Raises
     ------
     ProblemError
-        No column of times, none of a state or control, missing components of a vector, or different lengths.
+        No time column, no column of a state or control, missing components of a vector, or different lengths.
     ArgumentError
-        The CSV file has entries that are no numbers, or no rows.
+        The CSV file has non-numeric entries or no rows.
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
 
     Examples
     --------
@@ -82,7 +81,7 @@ def guess_from_data(
         missing = [label for label in variable.labels if label not in known]
         if missing:
             raise ProblemError(
-                f"the data of guess_from_data() has a column '{given[0]}' and none '{missing[0]}': give all "
+                f"the data of guess_from_data() has a column '{given[0]}' but no '{missing[0]}': give all "
                 f"components of '{variable.name}', or none."
             )
         rows = [read_column(label) for label in given]

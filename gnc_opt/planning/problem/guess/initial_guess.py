@@ -1,4 +1,4 @@
-"""Default guesses: straight lines of states between known ends of linked phases, and controls in their middle."""
+"""Default initial guess: states linear between known ends of linked phases, controls at the middle of their range."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.phase import Phase
 
 PERTURBATION = 0.01
-"""Amplitude of the control perturbation of the default guess, as a share of the range: off planes of symmetry."""
+"""Amplitude of the control perturbation of the default guess, as a share of the range; breaks symmetries."""
 
 SUSTAINED = 0.2
-"""Share of a vector control's limit above which the straight line between the ends needs sustained control."""
+"""Share of a vector control's limit above which the linear trajectory requires sustained control."""
 
 
 @dataclass(frozen=True)
 class PhaseStart:
-    """The guess of one phase at given fractions: times (2,), states (n, N) and controls (m, N)."""
+    """Guess of a phase at given fractions: times (2,), states (n, N) and controls (m, N)."""
 
     times: Array
     states: Array
@@ -34,7 +34,7 @@ class PhaseStart:
 
 
 def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
-    """Return the guess of a phase at the given fractions of its duration, with or without `control_perturbation`."""
+    """Return the guess of a phase at fractions of its duration, optionally with `control_perturbation`."""
     times = guess_phase_times(leg)
     at = times[0] + fractions * (times[1] - times[0])
     model, numbers = leg.model, leg.numbers
@@ -58,7 +58,7 @@ def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -
 def _set_constant_vector_control(
     leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array
 ) -> None:
-    """Set a vector control to the constant that gives the mean rate between the ends, if sustained and allowed."""
+    """Set a vector control to the constant value with the mean rate between the ends, if large enough and feasible."""
     layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
     if leg.has_unit_direction(vector):  # at its centre the derivatives of the sphere vanish
         controls[layout.slice(vector.direction)] = vector.variable.size**-0.5
@@ -76,7 +76,7 @@ def _set_constant_vector_control(
 
 
 def set_control_values(model: Model, controls: Array, name: str, values: Array) -> None:
-    """Write values (size, N) of one control into those of all (m, N); of a composed one, into those of its parts."""
+    """Write values (size, N) of a control to all controls (m, N); a composed control sets its parts."""
     composed = model.composed_controls.get(name)
     if composed is None:
         controls[model.controls.slice(name)] = values
@@ -98,9 +98,9 @@ def control_perturbation(bounds: Interval, fractions: Array) -> Array:
 def record_known_states(
     constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
-    """Note in phases the values at which rows of a constraint hold that are affine in one end state alone.
+    """Record end values in phases from constraint rows that are affine in a single end state.
 
-    Free parameters are as guessed; of a range it is the middle, of an inequality the limit.
+    Free parameters have their guesses; ranges are replaced by their middle, inequalities by their limit.
     """
     owners = {
         symbol.element_hash(): (leg, end, name, i)
@@ -132,9 +132,9 @@ def record_known_states(
 def trim_vector_control(
     leg: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
 ) -> tuple[float, Array] | None:
-    r"""Return magnitude and direction of the vector by which states best follow a rate; None if undetermined.
+    r"""Return magnitude and direction of the vector that best produces a given rate; None if undetermined.
 
-    The least squares of :math:`f(x, 0) + B T - \dot x` over the rates that the vector moves, each in units of its
+    Solves :math:`f(x, 0) + B T = \dot x` by least squares over the rates that the vector affects, each scaled by its
     effect.
     """
     layout, size = leg.model.controls, vector.variable.size
@@ -161,7 +161,7 @@ def trim_vector_control(
 
 
 def guess_phase_times(leg: Phase) -> Array:
-    """Return guessed initial and final time (2,); phases without a known end share the time up to the next evenly."""
+    """Return guessed initial and final time (2,); phases without known end share the time to the next one equally."""
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
     initial, final = leg.time_ranges()
@@ -181,7 +181,7 @@ def guess_phase_times(leg: Phase) -> Array:
 
 
 def _find_time_links(leg: Phase) -> tuple[Phase | None, Phase | None]:
-    """Return the phases in whose end this one begins, and that begin in its end, by links of times."""
+    """Return the previous and the next phase according to links of times."""
     place = next(k for k, phase in enumerate(leg.all_phases) if phase.name == leg.name)
     before = (phase for phase in leg.all_phases[:place] if phase.name == leg.follows)
     after = (phase for phase in leg.all_phases[place + 1 :] if phase.follows == leg.name)
@@ -193,7 +193,7 @@ def _has_bounded_time(time: Interval) -> bool:
 
 
 def _divide_time_equally(leg: Phase | None, start: float) -> float:
-    """Return each phase's equal share, s, of the time from the previous start to the next specified end."""
+    """Return the equal share, s, of each phase in the time from the previous start to the next known end."""
     phases = 1
     while leg is not None:
         phases += 1
@@ -219,8 +219,8 @@ def _choose_guess_time(interval: Interval, wanted: float, default: float) -> flo
 def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
     """Return guessed initial and final states, each (n,).
 
-    A state that is open at an end is on a straight line between the known values before and after it in linked phases,
-    constant beyond these, and in the middle of its bounds if none is known.
+    A free end state is interpolated linearly between the nearest known values in linked phases, and extrapolated as a
+    constant. Without known values it is the middle of its bounds.
     """
     first, last = np.zeros((2, leg.model.states.size))
     for name in leg.model.states.names:
@@ -231,7 +231,7 @@ def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Link:
-    """A state in one phase of a chain: what is known at its ends (NaN: nothing), its bounds, and the jump into it."""
+    """State in one phase of a chain: known end values (NaN: unknown), bounds, and the jump at its start."""
 
     leg: Phase
     start: Array
@@ -289,7 +289,7 @@ def _guess_chain_states(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
 
 
 def _find_next_known_value(chain: list[_Link]) -> tuple[Array, Array]:
-    """Return the next known value after the start of a chain, without the jumps up to it, and in what time it comes."""
+    """Return the next known value after the start of a chain, without the jumps before it, and the time to it."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):
         if later is not None:

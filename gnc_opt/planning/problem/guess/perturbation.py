@@ -1,4 +1,4 @@
-"""Random guesses for `multistart`: times, whole turns of angles, ways past obstacles, bang-bang controls."""
+"""Random guesses for `multistart`: times, revolutions of angles, state perturbations, bang-bang controls."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ from gnc_opt.planning.problem.reformulation.problem_reformulation import build_a
 from gnc_opt.planning.problem.typical_magnitudes import phase_magnitudes
 
 DURATION_MAX_RATIO = 10.0
-"""A guessed duration is multiplied or divided by at most this: two decades, log-uniformly, within its bounds."""
+"""Largest factor between a random and the guessed duration; log-uniform over two decades, within bounds."""
 
 KNOWN_DURATION_MAX_RATIO = 1.4
-"""The same where the duration is known from another solution."""
+"""Largest factor if the duration is known from another solution."""
 
 VIGOUR = (0.03, 1.0)
-"""Range of a start's amplitude (drawn log-uniformly), as a share of the magnitude of each state."""
+"""Range of a start's amplitude (log-uniform), as a share of the magnitude of each state."""
 
 PERTURBATION_MIN_AMPLITUDE = 0.2
-"""Least amplitude of a start that takes about as long as a known solution."""
+"""Smallest amplitude of a start with about the duration of a known solution."""
 
 WAVES = 4
-"""Sine waves in a smooth perturbation; wave k has an amplitude of order 1/k."""
+"""Number of sine waves in a smooth perturbation; wave k has an amplitude of order 1/k."""
 
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
 def keeps_guess_shape(index: int) -> bool:
-    """Whether a start keeps the shape of the problem's own guess: every fourth one."""
+    """Return whether a start keeps the shape of the problem's guess, as every fourth one does."""
     return index % 4 == 2
 
 
 def with_random_guess(
     problem: Problem, seed: int, index: int, durations: Mapping[str, float] | None = None
 ) -> Problem:
-    """Return the problem with a random guess that depends on ``seed`` and ``index`` alone; index 0 is its own guess.
+    """Return the problem with a random guess that depends only on ``seed`` and ``index``; index 0 is its own guess.
 
     Free times are drawn over decades, or near ``durations`` (s, by phase) of another solution; free parameters within
-    their bounds. Angles with a free end make as many whole turns as the duration allows at the guessed rate, one more
-    or one less. Starts without `keeps_guess_shape` have smooth perturbations of states between fixed ends, and
-    controls that are bang-bang patterns or smooth waves.
+    their bounds. Angles with a free end make the number of revolutions that fits the duration at the guessed rate, or
+    one more or less. Starts without `keeps_guess_shape` have smooth state perturbations between fixed ends, and
+    bang-bang or smooth controls.
     """
     if index == 0:
         return problem
@@ -74,7 +74,7 @@ def with_random_guess(
 
 
 def find_angular_states(problem: Problem, leg: Phase) -> Array:
-    """Return the period of each state (n_states,): a turn for angles, 0 for others."""
+    """Return the period of each state (n_states,): one turn for angles, 0 for others."""
 
     def build() -> Array:
         probe = build_angle_probe(problem, leg, of_states=True)
@@ -86,7 +86,7 @@ def find_angular_states(problem: Problem, leg: Phase) -> Array:
 def _draw_angle_turns(
     problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
 ) -> Array:
-    """Return turns of angles to add to the states (n_states, n_fractions); ``turned`` carries them between phases."""
+    """Return revolutions of angles to be added to states (n_states, n_fractions); ``turned`` links the phases."""
     numbers, periods = leg.numbers, find_angular_states(problem, leg)
     first, last = (intersect(end, numbers.states) for end in (numbers.initial, numbers.final))
     guess = build_phase_guess(leg, FRACTIONS[[0, -1]]).states
@@ -115,7 +115,7 @@ def _values_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
 
 
 def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float | None = None) -> Array:
-    """Return initial and final time (2,); a free initial time follows the end of the phase before."""
+    """Return initial and final time (2,); a free initial time equals the end of the previous phase."""
     first, last = guess_phase_times(leg)
     initial, final = leg.time_ranges()
     span, spread, box = last - first, DURATION_MAX_RATIO, leg.numbers.duration
@@ -154,7 +154,7 @@ def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Gene
 def _draw_controls(
     box: Interval, guess: Array, magnitudes: Array, rng: np.random.Generator, full: bool
 ) -> Array:
-    """Return full bang-bang patterns, or such patterns or smooth waves of any level, both equally likely."""
+    """Return bang-bang patterns of full amplitude, or such patterns or smooth waves of random amplitude."""
     bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
     middle = np.where(bounded[:, None], box.midpoint[:, None], guess)
     reach = np.where(bounded, 0.5 * (box.upper - box.lower), magnitudes)
@@ -183,7 +183,7 @@ def _clip_to_bounds(values: Array, box: Interval) -> Array:
 
 
 def _draw_parameters(problem: Problem, rng: np.random.Generator) -> Problem:
-    """Draw free parameters: within finite bounds, else about their guess."""
+    """Return the problem with random guesses of free parameters: within finite bounds, else about their guess."""
     guesses: dict[str, Array] = {}
     for name, box in problem.parameter_bounds.items():
         old = problem.parameter_guess[name]

@@ -1,4 +1,4 @@
-"""Guesses by simulation: the dynamics integrated under a control law."""
+"""Initial guess by simulation: integration of the dynamics under a control law."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 
 def with_simulated_guess(problem: Problem) -> Problem | None:
-    """Return the problem with each phase simulated with its guessed mean controls, or None if that is impossible."""
+    """Return the problem with each phase simulated with the means of its guessed controls, or None on failure."""
     for name, leg in problem.phases.items():
         layout = leg.model.controls
         held = build_phase_guess(leg, FRACTIONS).controls.mean(axis=1)
@@ -46,12 +46,12 @@ def with_simulated_guess(problem: Problem) -> Problem | None:
 
 
 RTOL, STIFF_RTOL = 1e-8, 1e-5
-"""Of an explicit flight, and of an implicit one, whose steps are dear: a guess needs no digits."""
+"""Tolerances of the explicit and of the (more expensive) implicit integration; a guess needs few digits."""
 
 MOST_EXPLICIT, MOST_IMPLICIT = 50_000, 20_000
-"""Evaluations of the dynamics after which an explicit integration counts as stiff, and an implicit one fails."""
+"""Evaluations after which the explicit method is replaced by the implicit one, and after which that fails."""
 
-_SMOOTHER = " (one that jumps, such as sign(s), switches without end: write tanh(s / width) instead)"
+_SMOOTHER = " (replace discontinuous functions such as sign(s) by tanh(s / width))"
 
 
 def guess_from_simulation(
@@ -64,35 +64,35 @@ def guess_from_simulation(
     until: Any = None,
     n: int = 1001,
 ) -> Problem:
-    """Return the problem with a guess that follows the dynamics of one phase under a control law.
+    """Return the problem with a guess from a simulation of one phase under a control law.
 
     Parameters
     ----------
     problem : Problem
     controls : mapping of str to SX, number or array, or function of time
-        The law by name of control; expressions in time, states and parameters of the model, such as thrust
-        along the velocity. Values are clipped to the bounds; omitted controls are in the middle of theirs.
+        Control law by name of control: expressions in time, states and parameters of the model, such as thrust along
+        the velocity. Values are clipped to the bounds; omitted controls are at the middle of theirs.
     phase : str, optional
-        May be left out when there is one.
+        Optional for a problem with one phase.
     initial : mapping of str to number or array, optional
-        States to begin with, where the initial values of the phase leave them open.
+        Initial states that the phase leaves free.
     duration : float, optional
-        s; default: that of the present guess.
+        Duration, s; default: that of the current guess.
     until : SX, optional
-        The flight ends where this expression in time, states and parameters becomes zero; then ``duration`` is the
-        longest it may take.
+        Expression in time, states and parameters; the simulation ends at its zero, at the latest after
+        ``duration``.
     n : int
-        Times at which the flight is kept.
+        Number of samples of the guess.
 
     Returns
     -------
     Problem
-        Like ``problem.with_guess``.
+        See ``Problem.with_guess``.
 
     Raises
     ------
     ProblemError
-        Unknown names, a law that uses controls, an integration that fails, or an ``until`` that does not become zero.
+        Unknown names, a law that uses controls, a failed integration, or an ``until`` without a zero.
 
     Examples
     --------
@@ -123,14 +123,14 @@ def guess_from_simulation(
         flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:
         raise ProblemError(
-            f"the flight that guess_from_simulation() makes of {leg.label} cannot go on ({error}): change the law"
+            f"the simulation of {leg.label} by guess_from_simulation() failed ({error}): change the law"
             f"{_SMOOTHER if isinstance(error, SpentError) else ''}, the initial state or the duration."
         ) from None
     end = float(flight.times[-1])
     if stop is not None and end >= tf:
         raise ProblemError(
             f"the end condition of guess_from_simulation(), {leg.label}, is {stop(end, flight.states[:, -1]):.4g} at "
-            f"the end, t = {end:.4g} s, and was never zero: give a longer duration, or another law."
+            f"the end, t = {end:.4g} s, without a zero before: give a longer duration, or another law."
         )
     times = np.linspace(t0, end, n)
     assert flight.dense is not None, "asked for"
@@ -170,7 +170,7 @@ def _read_initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Ar
 def _make_control_law(
     problem: Problem, leg: Phase, controls: Mapping[str, Any]
 ) -> Callable[[float, Array], Array]:
-    """Return the controls as a function of t and x, within their bounds."""
+    """Return the controls, clipped to their bounds, as a function of t and x."""
     model, box = leg.model, leg.numbers.controls
     sizes = {name: v.size for name, v in leg.guessable_names.items() if name not in model.states}
     timed: dict[str, Callable[[float], Any]] = {}
@@ -202,7 +202,7 @@ def _make_control_law(
 
 
 def _build_stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
-    what = "what guess_from_simulation() flies until"
+    what = "the until= expression of guess_from_simulation()"
     function = _compile_expression(problem, leg, as_expression(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])
 

@@ -1,4 +1,4 @@
-"""Curved guesses that avoid points where a function or its derivatives are not finite."""
+"""Curved initial guesses that avoid singularities of functions and their derivatives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ P = TypeVar("P", bound=Statement)
 
 
 def with_curved_guess(problem: P) -> P:
-    """Return the problem with curved guesses in phases where this makes every function finite; user guesses stay."""
+    """Return the problem with curved guesses in phases where they make all functions finite; user guesses are kept."""
     for name, leg in problem.phases.items():
         if find_nonfinite_at_guess(problem, leg) is None:
             continue
@@ -35,9 +35,9 @@ def with_curved_guess(problem: P) -> P:
 
 
 def _curve_states(leg: Phase) -> dict[str, Any]:
-    """All states that the user does not guess, as functions of time."""
+    """Return all states without a user guess as functions of time."""
     start, layout, box = build_phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
-    # Each state by another share: r = (a, a) may be singular as well.
+    # Different shares, since r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
     states = start.states + (phase_magnitudes(leg)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)
     states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])

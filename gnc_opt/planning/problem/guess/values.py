@@ -1,4 +1,4 @@
-"""Guesses as users write them: a constant, a straight line, an array over time or a function of time."""
+"""User input of guesses: a constant, a straight line, an array over time or a function of time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLik
 
 
 def read_guess_times(time: ArrayLike, where: str) -> Array:
-    """Return the times (n_times,) of array-valued guesses, which must increase."""
+    """Return the times (n_times,) of array-valued guesses, in ascending order."""
     times = read_numbers(time, f"the time of the guess in {where}", ProblemError).reshape(-1)
     if times.size < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0):
         raise ProblemError(
@@ -30,7 +30,7 @@ def read_guess_times(time: ArrayLike, where: str) -> Array:
 def resample_guesses(
     old: Mapping[str, GuessValue], old_times: Array, new: Mapping[str, GuessValue], times: Array
 ) -> tuple[dict[str, GuessValue], Array]:
-    """Return two guesses with times of their own, of which the latter's ends are the phase's, on the times of both."""
+    """Return two guesses with different times on the union of their times, within the span of the second."""
     if not any(_is_time_table(value, old_times) for value in old.values()):
         return {**old, **new}, times
     shared = np.union1d(old_times, times)
@@ -55,7 +55,7 @@ def _interpolate_guess(value: GuessValue, times: Array, at: Array) -> Array:
 def sample_guess(
     value: GuessValue, size: int, at: Array, fractions: Array, times: Array | None, what: str
 ) -> Array:
-    """Return a guess of ``size`` components at the times ``at`` (N,), or fractions of a phase, shape (size, N)."""
+    """Return a guess with ``size`` components at times ``at`` (N,), or fractions of a phase, shape (size, N)."""
     if callable(value):
         sampled = np.stack([as_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
     elif isinstance(value, tuple):

@@ -1,18 +1,18 @@
 r"""Algebraic variables as states: index reduction of a semi-explicit system of index 1.
 
-A control z of which an equality :math:`g(t, x, z, p) = c` leaves nothing free is a function of time and states. Where
-:math:`\\partial g / \\partial z` is regular, it follows
+A control z that is determined by an equality :math:`g(t, x, z, p) = c` is a function of time and states. If
+:math:`\\partial g / \\partial z` is regular, it satisfies
 
 .. math::
 
     \\dot z = -\\left(\\frac{\\partial g}{\\partial z}\\right)^{-1}
               \\left(\\frac{\\partial g}{\\partial t} + \\frac{\\partial g}{\\partial x} \\dot x\\right)
 
-from a value with :math:`g = c` at the start of the phase, which keeps g = c: z is solved for as a state with
-that boundary constraint, without a path constraint. The costates are those of the states, with z appended.
-Equalities that were stated with `Phase.path` stay unless all other controls are bounded and enter affinely,
-where they would hide bang-bang arcs (U. M. Ascher and L. R. Petzold, Computer Methods for Ordinary
-Differential Equations and Differential-Algebraic Equations, 1998, section 9.1).
+with :math:`g = c` at the start of the phase, which preserves g = c. The solver treats z as a state with that boundary
+constraint, without a path constraint. The costate of z is appended to those of the states. Equalities from `Phase.path`
+are kept unless all other controls are bounded and enter affinely, because they would then hide bang-bang arcs (U. M.
+Ascher and L. R. Petzold, Computer Methods for Ordinary Differential Equations and Differential-Algebraic Equations,
+1998, section 9.1).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ P = TypeVar("P", bound=Statement)
 
 @dataclass(frozen=True, eq=False)
 class AlgebraicForm:
-    """An algebraic variable: its symbol, equality, rate and the symbols at both ends."""
+    """Algebraic variable: symbol, equality, rate and symbols at both ends."""
 
     symbol: Symbol
     constraint: str
@@ -49,7 +49,7 @@ class AlgebraicForm:
     ends: dict[str, dict[str, Any]]
 
     def is_needed(self, leg: Phase) -> bool:
-        """Whether the variable was declared as algebraic, or would hide bang-bang arcs of the other controls."""
+        """Return whether the variable is declared as algebraic, or would hide bang-bang arcs of the other controls."""
         model, name = leg.model, self.symbol.variable.name
         if name in model.equations:
             return True
@@ -63,7 +63,7 @@ class AlgebraicForm:
         )
 
     def is_regular(self, leg: Phase) -> bool:
-        """Whether the rate of the variable is finite along a phase's guess."""
+        """Return whether the rate of the variable is finite along the guess of a phase."""
         start, model = build_phase_guess(leg, SAMPLES, perturbed=False), leg.model
         first, last = guess_phase_times(leg)
         function = leg.cache(
@@ -80,7 +80,7 @@ class AlgebraicForm:
         return bool(np.all(np.isfinite(values)))
 
     def apply_to_phase(self, problem: Statement, leg: Phase) -> None:
-        """Let the variable be a state of a phase."""
+        """Make the variable a state of a phase."""
         t, x, _, _ = leg.model.arguments()
         constraint = leg.paths[self.constraint]
         leg.add_states({self.symbol: self.rate}, ends=self.ends)
@@ -95,7 +95,7 @@ class AlgebraicForm:
 
 
 def with_algebraic_states(problem: P) -> P:
-    """Return a problem whose algebraic variables are states; itself if it has none."""
+    """Return a problem with algebraic variables as states; the same problem if it has none."""
     found = []
     for name, leg in problem.phases.items():
         forms = problem.cache(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]

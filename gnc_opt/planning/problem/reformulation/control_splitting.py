@@ -1,8 +1,8 @@
-r"""Controls as differences of two parts, one on each side of the corner at which a kink of an integral bends.
+r"""Split controls: differences of two parts, one on each side of the corner of a kink in an integral.
 
-The larger of :math:`e_0` and :math:`e_1` is :math:`e_0 + c \max(u - k, 0)` if their difference is affine in one control
-u and vanishes at a number k, with a factor c >= 0 of anything else. The optimum uses one part at a time: each is a
-control with bounds, in which the cost is linear.
+The maximum of :math:`e_0` and :math:`e_1` is :math:`e_0 + c \max(u - k, 0)` if their difference is affine in one
+control u and vanishes at a constant k, with a factor c >= 0. At an optimum at most one part is nonzero. Each part is a
+bounded control in which the cost is linear.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from gnc_opt.tolerances import EQUAL
 
 @dataclass(frozen=True, eq=False)
 class Bend:
-    """A kink along the control ``place``: ``base + factor max(u - corner, 0)``, the factor of the sense of a cost."""
+    """Kink along the control ``place``: ``base + factor max(u - corner, 0)``, the factor signed as a cost."""
 
     node: Any
     base: Any
@@ -46,7 +46,7 @@ class Bend:
 
     @classmethod
     def from_kink(cls, kink: Extremum, controls: Mapping[int, Any], domain: Domain) -> Bend | None:
-        """Return the bend that a kink is; None if it has more pieces, or its corner is no number on one control."""
+        """Return the bend of a kink; None if it has more pieces, or no constant corner along one control."""
         if len(kink.pieces) != 2:
             return None
         first, second = kink.pieces
@@ -63,11 +63,11 @@ class Bend:
 
 
 BoundsByHand: TypeAlias = dict[str, Interval]
-"""Of all controls, by the path constraint that says them."""
+"""Bounds of all controls, by the path constraint that states them."""
 
 
 def find_constraint_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
-    """Return the bounds of controls that path constraints with kinks amount to, and nothing else."""
+    """Return the control bounds that are equivalent to path constraints with kinks."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
     controls = {place: symbols[place] for place in index_stated_controls(leg).values()}
     smooth = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
@@ -80,7 +80,7 @@ def find_constraint_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
 
 
 def apply_constraint_bounds(leg: Phase, found: BoundsByHand) -> None:
-    """Give controls the bounds that path constraints amount to, in place of those."""
+    """Replace path constraints by the equivalent control bounds."""
     box = leg.numbers.controls
     for own in found.values():
         box = intersect(box, own)
@@ -91,7 +91,7 @@ def apply_constraint_bounds(leg: Phase, found: BoundsByHand) -> None:
 
 
 def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
-    """Return the bounds that a constraint amounts to if each row is affine in one control alone, else None."""
+    """Return the bounds equivalent to a constraint if each row is affine in a single control, else None."""
     for i, row in enumerate(ca.vertsplit(constraint.expression)):
         own = ca.symvar(row)
         place = next((k for k, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
@@ -106,14 +106,14 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
 
 @dataclass(frozen=True, eq=False)
 class Bends:
-    """The bends of integrals that splitting controls removes, by integral, and corners by the place of the control."""
+    """Bends of integrals that control splitting removes, by integral; corners by the index of the control."""
 
     at: dict[str, list[Bend]]
     corners: dict[int, float]
 
     @classmethod
     def from_phase(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
-        """Find those of controls all of whose components bend a cost, at one corner each."""
+        """Return the bends of controls with exactly one corner of a cost in every component."""
         layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
         controls = {i: symbols[i] for i in index_stated_controls(leg).values()}
         bends = {
@@ -131,19 +131,19 @@ class Bends:
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
-        """The same for the same form."""
+        """Key that is equal for equal forms."""
         return tuple((name, *(b.node.element_hash() for b in own)) for name, own in self.at.items())
 
 
 @dataclass(frozen=True, eq=False)
 class SplitForm(PhaseForm):
-    """A phase with split controls in place of some controls."""
+    """Form of a phase with split controls."""
 
     controls: tuple[SplitControl, ...]
 
     @classmethod
     def split_controls(cls, leg: Phase, bends: Bends) -> SplitForm:
-        """Restate a phase in the parts of the controls that bend."""
+        """Return the form of a phase in the parts of the split controls."""
         old, layout = leg.model, leg.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[SplitControl]()
         instead, beyond = dict[int, Any](), dict[int, Any]()
@@ -193,7 +193,7 @@ class SplitForm(PhaseForm):
         )
 
     def apply_to_phase(self, leg: Phase) -> None:
-        """Give a phase this form with its own numbers."""
+        """Apply the form to a phase, with the numbers of that phase."""
         old, scales = leg.numbers, dict(leg.numbers.scales)
         boxes = by_name(old.controls, leg.model.controls)
         for control in self.controls:
@@ -217,4 +217,4 @@ def _find_corners(bends: Bends, places: range) -> tuple[float, ...]:
 def _split_text(control: SplitControl) -> str:
     plus, minus = control.parts
     corner = f"{', '.join(f'{c:g}' for c in control.corners)} + " if control.corners else ""
-    return f"{control.name} is solved for as {corner}{plus} - {minus}, parted where its cost has kinks"
+    return f"{control.name} is solved for as {corner}{plus} - {minus}, split at the kinks of its cost"

@@ -1,7 +1,7 @@
-r"""Epigraph form: a kink that costs becomes a control or free parameter above its smooth pieces.
+r"""Epigraph form: a kink of the cost becomes a control or free parameter above its smooth pieces.
 
-The least s above all of :math:`e_0, \ldots, e_k` is the largest of them (S. Boyd & L. Vandenberghe, Convex
-Optimization, Cambridge 2004, section 4.1.3). A limit of a kink is a limit of each of its pieces.
+The smallest s above all of :math:`e_0, \ldots, e_k` is their maximum (S. Boyd & L. Vandenberghe, Convex Optimization,
+Cambridge 2004, section 4.1.3). A limit of a kink becomes a limit of each of its pieces.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from gnc_opt.tolerances import EQUAL
 
 @dataclass(frozen=True, eq=False)
 class Extremum:
-    """A kink as extremum of its pieces; sense 1: largest, less is better; -1: least, more is better."""
+    """Kink as extremum of its pieces; sense 1: maximum, to be minimised; -1: minimum, to be maximised."""
 
     node: Any
     sense: int
@@ -37,7 +37,7 @@ class Extremum:
 
 
 def find_costed_kinks(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
-    """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
+    """Return the kinks of the integrands that are convex in the sense of the cost, by the names of their integrals."""
     ignored, found = _table_node_hashes(problem, leg), {}
     wanted = find_integral_senses(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
@@ -48,13 +48,13 @@ def find_costed_kinks(problem: Statement, leg: Phase, domain: Domain) -> dict[st
 
 
 def read_limit_sense(constraint: Constraint, row: int) -> int:
-    """Return 1 for a row with a limit from above alone, -1 from below alone, else 0."""
+    """Return 1 for a row with an upper limit only, -1 with a lower limit only, else 0."""
     below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
     return int(above) - int(below)
 
 
 def find_convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
-    """Yield those kinks of a scalar that are convex where less of it (sense 1), or more of it (-1), is better."""
+    """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
     for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
         own = sense * direction
         found = find_kink_pieces(node, own, domain) if own else None
@@ -63,7 +63,7 @@ def find_convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Dom
 
 
 def _is_smoothed(expression: Any, kink: Extremum) -> bool:
-    """Whether an expression has no slope, or no finite one, wherever two pieces of a kink meet: ``fmax(a, 0)**2``."""
+    """Return whether an expression has a zero or infinite slope where two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
     of_z = replace_in(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
@@ -83,7 +83,7 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
 
 
 def find_integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
-    """Return 1 for integrals of which less is never worse, -1 for more, 0 for both or neither, by name."""
+    """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = Domain.from_boundary(problem)
     ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
     box = problem.constraint_interval()
@@ -102,21 +102,21 @@ def _table_node_hashes(problem: Statement, leg: Phase) -> frozenset[int]:
 
 
 KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
-"""Operations by which kinks are written."""
+"""Operations that have kinks."""
 
 KINK_MAX_PIECES = 16
-"""Pieces of a kink: a sum of four absolute values has as many."""
+"""Largest number of pieces of a kink, as of a sum of four absolute values."""
 
 Pieces: TypeAlias = list[Any]
 
 
 def is_smooth(expression: Any) -> bool:
-    """Whether an expression holds no operation of `KINKED`."""
+    """Return whether an expression contains no operation of `KINKED`."""
     return not any(node.op() in KINKED for node in list_nodes(expression))
 
 
 def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
-    """Return the kinks of a scalar expression that are in no other one, without the nodes of these hashes."""
+    """Return the outermost kinks of a scalar expression, except nodes with these hashes."""
     found: dict[int, Any] = {}
     seen: set[int] = set()
     waiting = [expression]
@@ -134,7 +134,7 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domai
 
 
 def find_kink_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
-    """Return smooth expressions of which a node is the largest (sense 1) or the least (-1); None if it is of none."""
+    """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a node; None if there are none."""
     found = _find_smooth_pieces(node, sense, domain)
     return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated_constants(found, sense)
 
@@ -170,7 +170,7 @@ def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
 
 
 def _find_product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
-    """Of a product or quotient of a kink and a smooth factor of known sign."""
+    """Return the pieces of a product or quotient of a kink and a smooth factor of known sign."""
     kink, factor = node.dep(0), node.dep(1)
     if node.op() == ca.OP_MUL and not is_smooth(factor):
         kink, factor = factor, kink
@@ -196,7 +196,7 @@ def _scale_smooth_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
 
 
 def _read_extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
-    """Return 1 for a largest value, -1 for a least one, and of what; None if a node is neither."""
+    """Return 1 for a maximum, -1 for a minimum, with its arguments; None for other nodes."""
     operation = node.op()
     if operation == ca.OP_FABS:
         return 1, [node.dep(0), -node.dep(0)]
@@ -208,7 +208,7 @@ def _read_extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
 
 
 def _find_choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
-    """``if_else(a < b, ...)`` that is continuous, and bends where a = b, is the larger or the smaller of its values."""
+    """Return the pieces of a continuous ``if_else(a < b, ...)`` with a kink at a = b."""
     first, second = node.dep(0), node.dep(1)
     if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
         return None
@@ -230,12 +230,12 @@ def _find_choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
 
 
 def solve_affine_equation(gap: Any, symbol: Any) -> Any:
-    """Return where a scalar that is affine in a symbol vanishes."""
+    """Return the zero of a scalar that is affine in a symbol."""
     return -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
 
 
 def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
-    """Leave out constants that the larger of e and -e is never below."""
+    """Remove constants that never exceed the maximum of e and -e."""
     values = draw_values(ca.vertcat(*found))
     opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
     keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]
@@ -243,19 +243,19 @@ def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
 
 
 def split_column(column: Any) -> Iterator[Any]:
-    """Yield the rows of a column, of which there may be none."""
+    """Yield the rows of a column, which may be empty."""
     yield from ca.vertsplit(column) if column.numel() else ()
 
 
 def has_end_kinks(problem: Statement) -> bool:
-    """Whether cost or boundary constraints hold a kink."""
+    """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
     return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operations(ends)))
 
 
 @dataclass(frozen=True, eq=False)
 class EndForm:
-    """Cost and boundary constraints with free parameters, of which each has a lower bound, in place of kinks."""
+    """Cost and boundary constraints with kinks replaced by free parameters with a lower bound."""
 
     cost: Any
     constraints: dict[str, Constraint]
@@ -281,7 +281,7 @@ class EndForm:
             instead[kink.node.element_hash()] = kink.sense * symbol
         texts = (
             *(
-                f"a kink of the cost is solved for as parameter {name}, kept beyond its pieces"
+                f"a kink of the cost is solved for as parameter {name}, bounded by its pieces"
                 for name in parameters
             ),
             *(f"'{name}' is solved for as {c.size} smooth limits" for name, c in changed.items()),
@@ -290,7 +290,7 @@ class EndForm:
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
-        """The same for the same form."""
+        """Key that is equal for equal forms."""
         return tuple((name, c.size) for name, c in self.constraints.items())
 
     def apply_to_problem(self, problem: Statement) -> None:
@@ -305,7 +305,7 @@ class EndForm:
 
 @dataclass(frozen=True, eq=False)
 class Kinked:
-    """The kinks of integrals by name, and path constraints whose kinked rows are several smooth ones each."""
+    """Kinks of integrals by name, and path constraints with kinked rows split into smooth ones."""
 
     costs: dict[str, list[Extremum]]
     limits: dict[str, Constraint]
@@ -325,13 +325,13 @@ class Kinked:
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
-        """The same for the same form."""
+        """Key that is equal for equal forms."""
         costs = ((name, *(k.node.element_hash() for k in own)) for name, own in self.costs.items())
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
 
 
 def split_kinked_constraint(constraint: Constraint, domain: Domain) -> Constraint | None:
-    """Return a constraint with smooth rows for each row that is the largest or least of them; None if there is none."""
+    """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False
     for i, row in enumerate(split_column(constraint.expression)):
@@ -349,7 +349,7 @@ def split_kinked_constraint(constraint: Constraint, domain: Domain) -> Constrain
 
 
 def build_epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
-    """Return the constraint that keeps a symbol above the pieces of a kink, and the largest constant among them."""
+    """Return the constraint that a symbol is above the pieces of a kink, and the largest constant piece."""
     above = [kink.sense * e for e in kink.pieces]
     rows = [symbol - e for e in above if not e.is_constant()]
     constants = [float(e) for e in above if e.is_constant()]
@@ -363,7 +363,7 @@ def _is_constant_within(expression: Any, lower: float, upper: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class EpigraphForm(PhaseForm):
-    """A phase with controls in place of kinks, and the lower bounds of those, by the name of the control."""
+    """Form of a phase with controls in place of kinks, and the lower bounds of these controls by name."""
 
     kinks: dict[str, Extremum]
     least: dict[str, float]
@@ -385,7 +385,7 @@ class EpigraphForm(PhaseForm):
                 label = s.variable.name
                 kinks[label] = kink
                 paths[label], least[label] = build_epigraph_rows(s, kink)
-                texts.append(f"a kink of integral '{name}' is solved for as {label}, kept beyond its pieces")
+                texts.append(f"a kink of integral '{name}' is solved for as {label}, bounded by its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
             integrands[name] = (symbol, replace_in(integrand, value))
@@ -403,7 +403,7 @@ class EpigraphForm(PhaseForm):
         )
 
     def apply_to_phase(self, problem: Statement, leg: Phase) -> None:
-        """Give a phase this form with its own numbers."""
+        """Apply the form to a phase, with the numbers of that phase."""
         stated = leg.clone()
         least = np.array([self.least[name] for name in self.kinks])
         box = leg.numbers.controls

@@ -1,4 +1,4 @@
-"""Reformulation of a problem: norms, kinks, algebraic variables, and bounds of angles that leave out no direction."""
+"""Reformulation of a problem: norms, kinks, algebraic variables, and redundant bounds of angles."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
 
 FULL_TURN_BOUND_TOLERANCE = 1e-6
-"""Share of a turn that bounds may lack: pi is often written with six digits."""
+"""Largest share of a turn missing in bounds of a full turn; pi is often written with six digits."""
 
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
 def _without_redundant_bounds(problem: P) -> P:
-    """Return a problem without bounds of controls that exclude nothing; itself if it has none."""
+    """Return a problem without redundant bounds of controls; the same problem if there are none."""
     found = {name: _without_redundant_phase_bounds(problem, leg) for name, leg in problem.phases.items()}
     if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
         return problem
@@ -53,7 +53,7 @@ def _without_redundant_bounds(problem: P) -> P:
 
 
 def _without_redundant_phase_bounds(problem: Statement, leg: Phase) -> PhaseNumbers:
-    """Return the numbers of a phase without the bounds of whole turns, and those that a length implies."""
+    """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if leg.numbers.arcs is not None:
         return leg.numbers
     old, box = leg.numbers.controls, _find_bounds_beyond_length(problem, leg)
@@ -66,9 +66,9 @@ def _without_redundant_phase_bounds(problem: Statement, leg: Phase) -> PhaseNumb
 
 
 def _find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
-    """Return the bounds of controls without those that a vector of given length implies.
+    """Return the bounds of controls without those implied by a vector of constant length.
 
-    Where a component is the length, the gradients of both limits are one, and their multipliers are not unique.
+    If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
     """
     lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
     for name, constraint in leg.paths.items():
@@ -84,7 +84,7 @@ def _find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
 
 
 def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
-    """Return the controls whose sum of squares an expression is; empty if it is no such sum."""
+    """Return the controls whose sum of squares an expression is; empty if it is not such a sum."""
     t, x, u, p = leg.model.arguments()
     if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
         return []
@@ -98,7 +98,7 @@ def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
 
 
 def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> Turns:
-    """Return the angles whose bounds leave out no direction."""
+    """Return the angles whose bounds exclude no direction."""
     width, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = Turns(none - np.inf, none + np.inf, none)
     bounded = np.isfinite(width) & (width > 0)
@@ -118,7 +118,7 @@ def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> 
 
 
 def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
-    """Return a probe of all that varies along a phase, at random times, states, controls and free parameters."""
+    """Return a probe of all functions along a phase at random times, states, controls and free parameters."""
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
@@ -135,9 +135,9 @@ P = TypeVar("P", bound=Statement)
 
 
 def reformulate(problem: P) -> P:
-    """Return the problem in the form in which it is solved, with the same states, costates and cost; maybe itself.
+    """Return the problem in the form that is solved, with the same states, costates and cost; possibly unchanged.
 
-    Variations of a problem with other numbers are reformulated as variations of one another.
+    Variations of a problem with other numbers have reformulations that are variations of one another.
     """
     return _without_redundant_bounds(_reformulate_norms_and_kinks(with_algebraic_states(problem)))
 

@@ -1,4 +1,4 @@
-"""The form of a phase in other controls: all of it but the numbers."""
+"""Form of a phase with reformulated controls: all data except its numbers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def used_variable_names(model: Model) -> frozenset[str]:
 
 
 def unused_name(model: Model, wanted: str) -> str:
-    """Return a name that a model does not have yet."""
+    """Return a name that the model does not contain."""
     taken = used_variable_names(model)
     while wanted in taken:
         wanted += "_"
@@ -40,7 +40,7 @@ def copy_parameter_values(model: Model, old: Model) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class PhaseForm:
-    """A phase reformulated in other controls."""
+    """Form of a phase in reformulated controls."""
 
     model: Model
     paths: dict[str, Constraint]
@@ -48,7 +48,7 @@ class PhaseForm:
     restatement: Restatement
 
     def apply_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
-        """Give a phase this form, and numbers in its controls."""
+        """Apply the form to a phase, with numbers in the new controls."""
         leg.model = copy_parameter_values(self.model, leg.model)
         leg.numbers = numbers
         leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
@@ -56,7 +56,7 @@ class PhaseForm:
 
 
 def guess_column(problem: Statement, stated: Phase, column: Any) -> GuessValue:
-    """Return the values of a column along the guess of a phase, as a function of time."""
+    """Return the values of a column along the guess of a phase as a function of time."""
     function = build_phase_function(problem, stated, "guessed", column)
     q = problem.guessed_parameters()
 

@@ -1,7 +1,7 @@
-r"""The form of a phase with vector controls in place of explicit norms of its controls, and limits without roots.
+r"""Vector norms: phases with vector controls in place of explicit norms, and limits without square roots.
 
-:math:`\sqrt{S} \le c` holds where :math:`S / (2 c) + c / 2 \le c` does. Both sides and their gradients are the same at
-the limit, hence multipliers too; but the root has no derivative where S is zero.
+:math:`\sqrt{S} \le c` is equivalent to :math:`S / (2 c) + c / 2 \le c`. Both sides have equal values and gradients at
+the limit, and therefore equal multipliers; the root has no derivative at S = 0.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Names: TypeAlias = tuple[str, ...]
 
 
 def find_norm_vector(leg: Phase) -> Names | None:
-    """Return the controls of the largest vector of which a root is the norm, or whose norm is limited by a control."""
+    """Return the controls of the largest vector whose norm is a square root or is limited by a control."""
     return max(
         [*_find_vectors_in_norms(leg), *(names for names, _, _ in _find_norm_limits(leg))],
         key=len,
@@ -46,7 +46,7 @@ def find_norm_vector(leg: Phase) -> Names | None:
 
 
 def index_stated_controls(leg: Phase) -> dict[int, int]:
-    """Return the places of the control components that are no parts of composed ones, by the hash of their symbols."""
+    """Return the indices of the control components that are not parts of composed controls, by symbol hash."""
     model = leg.model
     parts = {part for composed in model.composed_controls.values() for part in composed.parts}
     taken = {i for part in parts for i in range(*model.controls.slice(part).indices(model.controls.size))}
@@ -55,7 +55,7 @@ def index_stated_controls(leg: Phase) -> dict[int, int]:
 
 
 def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
-    """Yield vectors, whole controls, of which a root is the norm: there it has no derivative at zero."""
+    """Yield vectors (whole controls) whose norm is a square root, not differentiable at zero."""
     stated, controls = index_stated_controls(leg), leg.model.controls
     for node in list_nodes(stack_terms(leg)):
         if node.op() in ROOTS:
@@ -73,7 +73,7 @@ def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
 
 
 def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
-    """Yield vectors with the control >= 0 and the path constraint that limit their norms: ``T.T @ T <= d**2``."""
+    """Yield vectors with the control >= 0 and the path constraint that limit their norm: ``T.T @ T <= d**2``."""
     layout, box = leg.model.controls, by_name(leg.numbers.controls, leg.model.controls)
     stated = set(index_stated_controls(leg))
     for label, row, limits in _split_path_rows(leg):
@@ -90,7 +90,7 @@ def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
 
 
 def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Interval) -> bool:
-    """Whether a row with one limit, an expression of a norm and a control alone, says that the former is no larger."""
+    """Return whether a one-sided row of a norm and a control states that the norm is at most the control."""
     if {s.element_hash() for s in ca.symvar(expression)} != {size.element_hash(), control.element_hash()}:
         return False
     end = limits.upper[0] if np.isfinite(limits.upper[0]) else limits.lower[0]
@@ -112,7 +112,7 @@ _SIZES = (0.7, 1.3, 2.1)
 
 
 def read_norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
-    """Return the range of a norm that limits of a linear or quadratic expression of it alone amount to, else None."""
+    """Return the range of a norm equivalent to limits of a linear or quadratic expression of it, else None."""
     if any(s.element_hash() != size.element_hash() for s in ca.symvar(expression)):
         return None
     value = ca.Function("value", [size], [expression])
@@ -127,7 +127,7 @@ def read_norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[floa
 
 
 def remove_roots(leg: Phase) -> dict[str, Constraint]:
-    """Return those constraints of a phase that have rows ``root <= c``, as they are without the root."""
+    """Return the constraints of a phase with rows ``root <= c``, in the form without the root."""
     changed = {}
     for name, c in leg.paths.items():
         rows = [
@@ -141,7 +141,7 @@ def remove_roots(leg: Phase) -> dict[str, Constraint]:
 
 
 def _remove_root(row: Any, limits: Interval) -> Any | None:
-    """Return a row that is a function of a root alone, with a limit from above, without it; else None."""
+    """Return a row with an upper limit on a function of one root in the form without the root; else None."""
     root = next((node for node in list_nodes(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
     if root is None:
         return None
@@ -162,16 +162,16 @@ def _vanishes_at_origin(root: Any) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class NormForm(PhaseForm):
-    """A phase with a magnitude and a direction in place of a vector, the controls ``names``.
+    """Form of a phase with a magnitude and a direction in place of a vector, the controls ``names``.
 
     Attributes
     ----------
     product : casadi.SX
-        The vector as magnitude times direction.
+        Vector as the product of magnitude and direction.
     limits : tuple of float
-        Of the norm, from the constraints that were removed.
+        Limits of the norm from the removed constraints.
     on_sphere : bool or None
-        True if a vector shorter than the magnitude could violate a limit, False if it is allowed, None if
+        True if a vector shorter than the magnitude could violate a limit, False if it cannot, None if
         `Phase.has_unit_direction` decides.
     """
 
@@ -183,7 +183,7 @@ class NormForm(PhaseForm):
 
     @classmethod
     def from_phase(cls, leg: Phase, names: Names) -> NormForm:
-        """Restate a phase in the norm of some of its controls."""
+        """Return the form of a phase in the norm of some controls."""
         old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
         norms = NormNodes.of(ca.vertcat(stack_terms(leg), *outputs), vector)
@@ -225,7 +225,7 @@ class NormForm(PhaseForm):
         )
 
     def apply_to_phase(self, problem: Statement, leg: Phase) -> tuple[str, ...]:
-        """Give a phase this form with its own numbers; return the names of the constraints that are added."""
+        """Apply the form to a phase, with the numbers of that phase; return the names of the added constraints."""
         stated, old, magnitude = leg.clone(), leg.numbers, self.control.magnitude
         rows = self._component_constraints(stated)
         boxes = by_name(old.controls, stated.model.controls)
@@ -269,7 +269,7 @@ class NormForm(PhaseForm):
 
 
 def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Symbol]:
-    """Return the name of a vector, that of its control or what those of several begin with, magnitude and direction."""
+    """Return the name of a vector, the name or common prefix of its controls, the magnitude and the direction."""
     variables = [model.controls[name] for name in names]
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
     common = "".join(letters[0] for letters in alike).rstrip("_")
@@ -299,9 +299,9 @@ def _build_composed_controls(
 
 @dataclass(frozen=True, eq=False)
 class _NormLimits:
-    """Limits of a norm by the path constraints ``labels`` of a phase, and all others.
+    """Limits of a norm from the path constraints ``labels`` of a phase, and the remaining constraints.
 
-    ``control`` limits the norm from above, which occurs nowhere else, and is the magnitude; None without one.
+    ``control`` is the magnitude: a control that limits the norm from above and occurs nowhere else; None without one.
     """
 
     kept: list[Constraint]
@@ -341,7 +341,7 @@ def _removed_limits_text(labels: list[str]) -> str:
 def _reformulate_path_constraints(
     rows: list[Constraint], express: Callable[[Any], Any], magnitude: Symbol
 ) -> tuple[dict[str, Constraint], bool]:
-    """Return constraints of magnitude and direction, and whether one of them requires the norm to be the magnitude."""
+    """Return constraints of magnitude and direction, and whether one requires the norm to equal the magnitude."""
     paths: dict[str, Constraint] = {}
     on_sphere = False
     for row in rows:
@@ -354,7 +354,7 @@ def _reformulate_path_constraints(
 
 
 def _drop_cone_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
-    """Return a row whose limits are zero, that of a cone, without the magnitude if that is a factor of it."""
+    """Return a row with zero limits (a cone), divided by the magnitude if that is a factor."""
     ends = np.array([limits.lower[0], limits.upper[0]])
     is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)
     is_cone = is_cone and not np.any(draw_values(ca.substitute(expression, magnitude, 0.0)))
@@ -364,8 +364,8 @@ def _drop_cone_magnitude(expression: Any, limits: Interval, magnitude: Any) -> A
 def _remove_squared_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
     r"""Return a limit proportional to the square of the magnitude as one proportional to the magnitude.
 
-    :math:`r^2 \le c^2` is :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit, hence the same multiplier;
-    but the square has no slope where the vector is zero, and H is linear in the magnitude.
+    :math:`r^2 \le c^2` becomes :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit and the same
+    multiplier. The square has zero slope at a zero vector, whereas H is linear in the magnitude.
     """
     ends = [end for end in (limits.lower[0], limits.upper[0]) if np.isfinite(end)]
     at_one = ca.substitute(expression, magnitude, 1.0)
@@ -373,12 +373,12 @@ def _remove_squared_magnitude(expression: Any, limits: Interval, magnitude: Any)
     if len(ends) != 1 or not ends[0] > 0 or not np.all(np.abs(left) <= EQUAL * np.abs(whole)):
         return expression
     most = float(np.sqrt(ends[0]))
-    root = (at_one**0.25) ** 2  # CasADi makes fabs of the root of a square
+    root = (at_one**0.25) ** 2  # CasADi converts the root of a square to fabs
     return 2 * most * magnitude * root - most**2
 
 
 def _allows_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
-    """Whether what a scalar expression is limited to is kept by any shorter vector, as numbers show."""
+    """Return whether every shorter vector also satisfies the limits of a scalar expression, tested numerically."""
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
     function = ca.Function("row", [size, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])
     rest = np.random.default_rng(20).uniform(0.5, 1.5, (len(others), 5))
