@@ -214,7 +214,7 @@ class PhaseSamples:
 
     @cached_property
     def control_span(self) -> Array:
-        """Variation scale of each control, from its own variation or from the costates (m,); see module `variation_scales`."""
+        """Variation scale of each control, from its own variation or the costates (m,); module `variation_scales`."""
         terms = np.abs(self.switching - self.cost_gradient)
         most = float(np.nanmax(self._costate_terms, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)

@@ -134,7 +134,7 @@ def function(names: list[str], sizes: list[int], outputs: int = 1) -> Any:
     ("make", "message"),
     [
         (wrong(f="free"), "also uses k: name all"),
-        (wrong(f="short"), r"has the shape \(1, 1\): the states ask for \(2, 1\)"),
+        (wrong(f="short"), r"has the shape \(1, 1\): the states require \(2, 1\)"),
         (wrong(f="nonsense"), "give an expression"),
         (wrong(x=ca.SX.sym("x", 2) * 2), "states of model 'm' are given as .* give columns"),
         (wrong(x=ca.MX.sym("x", 2, 2)), "give columns"),

@@ -179,7 +179,7 @@ def test_mistakes_get_a_sentence(x: Any, values: Any, options: Any, message: str
 
 def test_calls_that_cannot_be_meant() -> None:
     table = go.table([X, Y], VALUES[:, :, 0], name="thrust")
-    with pytest.raises(go.ArgumentError, match="has 2 axes and got 1 arguments"):
+    with pytest.raises(go.ArgumentError, match="has 2 axes but 1 arguments"):
         table(0.5)
     with pytest.raises(go.ArgumentError, match="shapes"):
         table([1, 2, 3], [1, 2])

@@ -155,7 +155,7 @@ def test_open_initial_values_and_free_parameters() -> None:
         (lambda p: go.guess_from_simulation(p, {}, n=1), "n of guess_from_simulation"),
         (lambda p: go.guess_from_simulation(None, {}), "what guess_from_simulation"),
         (lambda p: go.guess_from_data(p, {"t": [0, 1]}), "no column 'time'"),
-        (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0, 1]}), "a column 'r.0.' and none 'r.1.'"),
+        (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0, 1]}), "a column 'r.0.' but no 'r.1.'"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "q": [0, 1]}), "no column of a state or control"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0], "r[1]": [0]}), "differ in length, 1 and 2"),
         (lambda p: go.guess_from_data(p, {"time": [1, 0], "r[0]": [0, 1], "r[1]": [0, 1]}), "must be finite"),
@@ -255,7 +255,7 @@ def test_a_law_that_switches_without_end_is_refused(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(guess_simulation, "MOST_IMPLICIT", 4000)
     problem = filtered(1e5)
     x, v = (problem.phases["leg"].model.symbol(name) for name in "xv")
-    with pytest.raises(go.ProblemError, match=r"4,000 evaluations .* led to t = .* s only\): .*tanh"):
+    with pytest.raises(go.ProblemError, match=r"4,000 evaluations .* reached only t = .* s\): .*tanh"):
         go.guess_from_simulation(problem, {"u": -ca.sign(x + v)})
 
 
