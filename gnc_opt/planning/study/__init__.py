@@ -1,4 +1,4 @@
-"""Many solutions, or derivatives of one: multistart, sweeps, continuation, sensitivity, lower bounds."""
+"""Studies of solutions: multistart, sweeps, continuation, sensitivity, lower bounds."""
 
 from gnc_opt.planning.study.local_minima import Minimum
 from gnc_opt.planning.study.multistart import Multistart, multistart

@@ -1,11 +1,11 @@
-r"""The first-order conditions of the transcribed program as a linear system, for derivatives of its solution.
+r"""KKT sensitivity: derivatives of a solution from the linearised first-order conditions of its program.
 
-With the variables on their limits fixed and the rows on theirs active (set C), a minimum solves
+With the variables at their limits fixed and the rows at theirs active (set C), a minimum solves
 
 .. math:: \nabla_F \mathcal L(z, \lambda; p) = 0, \qquad g_C(z; p) = b, \qquad z_P = \beta,
 
-:math:`\mathcal L = f + \lambda^T g`, F the free and P the fixed variables. A change of the data p, b and
-:math:`\beta` moves the minimum by the implicit function theorem (Fiacco 1976),
+with :math:`\mathcal L = f + \lambda^T g`, F the free and P the fixed variables. For a change of the data p, b and
+:math:`\beta`, the implicit function theorem gives the derivatives of the minimum (Fiacco 1976),
 
 .. math::
     \begin{pmatrix} \mathcal L_{FF} & g_F^T \\ g_F & 0 \end{pmatrix}
@@ -13,9 +13,9 @@ With the variables on their limits fixed and the rows on theirs active (set C), 
     -\begin{pmatrix} \mathcal L_{FP}\dot\beta + \mathcal L_{Fp}\dot p \\
                      g_P\dot\beta + g_p\dot p - \dot b \end{pmatrix},
 
-and the minimum itself by :math:`\dot f = \mathcal L_p \dot p + \mathcal L_P \dot\beta - \lambda^T \dot b`.
+and those of the minimum value, :math:`\dot f = \mathcal L_p \dot p + \mathcal L_P \dot\beta - \lambda^T \dot b`.
 
-Prediction: where a solution goes when the numbers of its problem change a little.
+The module also predicts solutions of problems with slightly changed numbers.
 """
 
 from __future__ import annotations
@@ -49,32 +49,32 @@ from gnc_opt.planning.transcription.transcription import Transcription, transcri
 from gnc_opt.tolerances import ACTIVE
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
-"""Solver tolerance that tells active limits from others."""
+"""Solver tolerance that separates active limits from others."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovedSolution:
-    """A predicted solution as a guess, its variables in its program, physical, and their scales (n_variables,)."""
+    """Predicted solution as a guess, with its physical variables and their scales (n_variables,)."""
 
     guess: Solution
     variables: Array
     scales: Array
 
     def prediction_error(self, found: Solution) -> float:
-        """Return the largest error of the prediction, in shares of the variables' scales."""
+        """Return the largest error of the prediction, relative to the scales of the variables."""
         here = _transcribe_solution(found.need_problem("compare"), found)[1].x
         if here.shape != self.variables.shape:
-            return 0.0  # on another mesh, by a refinement: nothing to compare
+            return 0.0  # not comparable on a refined mesh
         return float(np.max(np.abs(here - self.variables) / self.scales))
 
 
 def predict_solution(
     problem: Problem, last: Solution, before: Solution | None, ratio: float
 ) -> MovedSolution:
-    """Return where the solution is likely to go for ``problem``, from the ``last`` one and the one ``before`` that.
+    """Return the predicted solution of ``problem`` from the ``last`` one and the one ``before`` it.
 
-    By the sensitivities of the last solution, if both problems are variations of one another; else along the line
-    through both, ``ratio`` being the length of this step over that of the last one.
+    The prediction uses the sensitivities of the last solution if both problems are variations of one another; otherwise
+    it extrapolates both solutions linearly, ``ratio`` being the length of this step relative to the last one.
     """
     problem = reformulate(problem)
     transcription, start = _transcribe_solution(problem, last)
@@ -99,13 +99,15 @@ def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcri
 
 
 def _predict_change(problem: Problem, last: Solution) -> Array | None:
-    """Return the first-order change of the variables (n_variables,), or None where it is not known."""
+    """Return the first-order change of the variables (n_variables,), or None if it is unknown."""
     old = last.need_problem("differentiate")
     if problem.builds is not old.builds:
         return None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ProblemWarning)  # one-sided derivatives predict, too
+            warnings.simplefilter(
+                "ignore", ProblemWarning
+            )  # one-sided derivatives are sufficient for a prediction
             point = KktPoint(last)
             return point.differentiate_solution(
                 _subtract_problem_data(point.program.transcription, old, problem)
@@ -115,7 +117,7 @@ def _predict_change(problem: Problem, last: Solution) -> Array | None:
 
 
 def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> Change:
-    """Return the difference between the data of two problems; limits that are not finite do not move."""
+    """Return the difference between the data of two problems; infinite limits do not change."""
 
     def moved(before: Array, after: Array) -> Array:
         finite = np.isfinite(before) & np.isfinite(after)
@@ -133,22 +135,22 @@ def _subtract_problem_data(transcription: Transcription, old: Problem, new: Prob
 
 
 _RESIDUAL = 1e-10
-"""Residual of the scaled conditions to which Newton's method must bring them."""
+"""Largest residual of the scaled conditions after Newton's method."""
 
 _KKT_ROUNDING_RESIDUAL = 1e-13
-"""Residual at which only rounding is left."""
+"""Residual at rounding level."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A direction in the data of a program, physical.
+    """Direction in the data of a program, physical.
 
     Attributes
     ----------
     numbers : array (n_numbers,)
-        Of model parameters and fixed times, in the order of ``Transcription.problem_data``.
+        Model parameters and fixed times, in the order of ``Transcription.problem_data``.
     limits, row_limits : array (n_variables,), (n_constraints,)
-        Of the active limits of variables and rows.
+        Active limits of variables and rows.
     """
 
     numbers: Array
@@ -158,19 +160,19 @@ class Change:
 
 @dataclass(frozen=True)
 class Response:
-    """What the minimum does in that direction: the minimised functional and the variables, physical."""
+    """Derivatives of the minimised functional and of the variables in a direction of the data, physical."""
 
     objective: float
     variables: Array
 
 
 class KktPoint:
-    """A solution as a point of its program, with the system of first-order conditions factorised.
+    """Solution as a point of its program, with the factorised system of first-order conditions.
 
     Raises
     ------
     GncOptError
-        The system is singular, or the limits that the multipliers name are not those of the minimum.
+        The system is singular, or the active limits implied by the multipliers are not those of the minimum.
     """
 
     def __init__(self, solution: Solution) -> None:
@@ -184,12 +186,12 @@ class KktPoint:
     # --- the point --------------------------------------------------------------------------------
 
     def _solve_conditions(self, solution: Solution) -> str:
-        """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
+        """Determine the active limits of a solution and solve the conditions; return an error message or ""."""
         self.program = ProgramPoint.from_solution(solution, held=add_constraint_contacts)
         return self._solve_newton() or self._find_wrong_limit()
 
     def _solve_newton(self) -> str:
-        """Apply Newton's method to the conditions; return what is wrong if it fails, else an empty text."""
+        """Apply Newton's method to the conditions; return an error message or ""."""
         best = np.inf
         for _ in range(8):
             self._factorise_kkt_system()
@@ -203,7 +205,7 @@ class KktPoint:
             worst = self._system.labels[int(np.argmax(np.abs(residual)))]
             return (
                 f"the first-order conditions of '{self.program.problem.name}' do not hold at '{worst}' (residual "
-                f"{size:.1e}): solve with a tighter tolerance, or refine the solution, before asking for sensitivities."
+                f"{size:.1e}): solve with a tighter tolerance, or refine the solution first."
             )
         return ""
 
@@ -215,7 +217,7 @@ class KktPoint:
         self._system = SaddlePoint(matrix, free.size, labels, self.program.problem.name)
 
     def _find_wrong_limit(self) -> str:
-        """Return which multiplier has the wrong sign or which limit is violated now; else an empty text."""
+        """Return an error message if a multiplier has the wrong sign or a limit is violated; else ""."""
         culprits = [
             limits.labels[i]
             for limits, values, multipliers in self._limits_and_multipliers()
@@ -226,9 +228,9 @@ class KktPoint:
         if not culprits:
             return ""
         return (
-            f"the limit of '{culprits[0]}' of '{self.program.problem.name}' is neither kept nor left when the "
+            f"the limit of '{culprits[0]}' of '{self.program.problem.name}' is neither active nor inactive when the "
             "first-order conditions are solved exactly: refine the solution (bang-bang arcs with structure='auto') "
-            "before you ask for sensitivities."
+            "first."
         )
 
     def _warn_of_weak_limits(self) -> None:
@@ -246,7 +248,7 @@ class KktPoint:
 
     def _limits_and_multipliers(self) -> list[tuple[ProgramLimits, Array, Array]]:
         point = self.program
-        # Multipliers that are not unique tell nothing by their signs.
+        # The signs of multipliers that are not unique have no meaning.
         unique = np.nan if self._system.redundant else 1.0
         bounds, rows = point.multiplier_densities
         return [(point.variables, point.x, unique * bounds), (point.rows, point.row_values, unique * rows)]
@@ -293,7 +295,7 @@ def _directional_derivatives(transcription: Transcription) -> Any:
 
 
 def tighten_solution_tolerance(solution: Solution) -> Solution:
-    """Return the solution on its own mesh, sharp enough to separate active limits from others; itself if that fails."""
+    """Return the solution on its own mesh with a tolerance that separates active limits; unchanged on failure."""
     problem = solution.need_problem("solve")
     options = SolverOptions(tolerance=SENSITIVITY_SOLVE_TOLERANCE)
     again = solve_mesh(problem, scheme=solution.scheme, guess=solution, options=options)

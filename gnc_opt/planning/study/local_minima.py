@@ -1,4 +1,4 @@
-"""Local minima and which of them are the same."""
+"""Local minima: comparison, merging and ranking."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from gnc_opt.planning.solution.propagation import compute_state_magnitudes
 from gnc_opt.planning.solution.solution import Solution
 
 SAME_MINIMUM_TOLERANCE = 1e-6
-"""Relative difference of the objective below which two minima are one."""
+"""Relative difference of the objective below which two minima are equal."""
 
 SAME_TRAJECTORY = 1e-2
-"""Difference of two trajectories, in shares of the states' magnitudes, beyond which they are distinct."""
+"""Difference of two trajectories, relative to the magnitudes of the states, above which they are distinct."""
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """A local minimum.
+    """Local minimum.
 
     Attributes
     ----------
     solution : Solution
-        The best of those that are equal.
+        Best of several equal solutions.
     objective : float
     hits : int
-        How many starts ended here.
+        Number of starts that led to it.
     starts : tuple of int
-        Which ones; 0 is the problem's own guess.
+        Indices of these starts; 0 is the problem's own guess.
     trajectories : int
-        How many different trajectories with this objective were met, e.g. 2 for mirror twins.
+        Number of distinct trajectories with this objective, e.g. 2 for mirror images.
     coarse_objectives : tuple of float
-        The objectives on the coarse mesh that led here; one minimum may have several discretisations.
+        Objectives on the coarse mesh that led to it; one minimum may have several discretisations.
     refined : bool
-        Whether the solution has been refined, or comes from the coarse mesh.
+        Whether the solution is refined, or from the coarse mesh.
     verdict_ok : bool
-        Whether it passed the verdict; False if it was not verified.
+        Whether it passed the optimality check; False if not checked.
 
     Examples
     --------
@@ -59,14 +59,14 @@ class Minimum:
 
     @property
     def standing(self) -> Literal["ok", "NOT ok", "coarse"]:
-        """Whether the objective passed the optimality check, failed it, or is that of the coarse mesh."""
+        """Result of the optimality check of the objective, or "coarse" for the coarse mesh."""
         if self.verdict_ok:
             return "ok"
         return "NOT ok" if self.refined else "coarse"
 
 
 def merge_minima(minima: Iterable[Minimum]) -> list[Minimum]:
-    """Return the distinct minima, best first, whatever the order they come in."""
+    """Return the distinct minima in ascending order, independent of the input order."""
     groups: list[list[Minimum]] = []
     for minimum in sorted(minima, key=_rank_minimum):
         if groups and is_same_objective(groups[-1][-1].objective, minimum.objective):
@@ -82,12 +82,12 @@ def _rank_minimum(minimum: Minimum) -> tuple[float, int]:
 
 
 def is_same_objective(a: float, b: float) -> bool:
-    """Whether two objectives are one within `SAME_MINIMUM_TOLERANCE`."""
+    """Return whether two objectives are equal within `SAME_MINIMUM_TOLERANCE`."""
     return abs(a - b) <= SAME_MINIMUM_TOLERANCE * max(abs(a), abs(b), SAME_MINIMUM_TOLERANCE)
 
 
 def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
-    """Join equal minima under the most trustworthy solution; among these, that of the earliest start."""
+    """Return equal minima merged, with the most reliable solution; of several, that of the earliest start."""
     chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
     starts = sorted(start for minimum in group for start in minimum.starts)
     return replace(
@@ -100,7 +100,7 @@ def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
 
 
 def _distinct_values(objectives: Iterable[float]) -> tuple[float, ...]:
-    """Return values in increasing order, equal ones once."""
+    """Return distinct values in ascending order."""
     kept: list[float] = []
     for value in sorted(objectives):
         if not (kept and is_same_objective(kept[-1], value)):
@@ -109,7 +109,7 @@ def _distinct_values(objectives: Iterable[float]) -> tuple[float, ...]:
 
 
 def _count_trajectories(group: Sequence[Minimum]) -> int:
-    """Count different trajectories among equal minima, each of which may stand for several already."""
+    """Return the number of distinct trajectories among equal minima, each of which may represent several."""
     samples: list[Array] = []
     for minimum in group:
         sample = _sample_states(minimum.solution)
@@ -119,7 +119,7 @@ def _count_trajectories(group: Sequence[Minimum]) -> int:
 
 
 def _sample_states(solution: Solution) -> Array:
-    """Return all states at 21 times of each phase, in shares of their magnitudes."""
+    """Return all states at 21 times of each phase, relative to their magnitudes."""
     rows: list[Array] = []
     for leg in solution.phases.values():
         times = np.linspace(leg.initial_time, leg.final_time, 21)

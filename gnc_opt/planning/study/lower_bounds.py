@@ -1,20 +1,20 @@
-r"""Problems whose first-order conditions suffice for a global minimum.
+r"""Lower bounds of the cost, and problems whose first-order conditions are sufficient for a global minimum.
 
 **Convex problems**: see `gnc_opt.planning.verification.sufficiency`.
 
-**Linear time-optimal control**: :math:`\dot x = A x + b(u)`, :math:`u \in U`, from given or free initial states to a
-given :math:`x_f` in the least time, states within a convex set. If :math:`A x_f + b(u_f) = 0` for a
+**Linear time-optimal control**: :math:`\dot x = A x + b(u)`, :math:`u \in U`, from fixed or free initial states to a
+fixed :math:`x_f` in minimum time, with states in a convex set. If :math:`A x_f + b(u_f) = 0` for some
 :math:`u_f \in U`, every normal extremal is a global minimum.
 (For a target at the origin and a polyhedron U: L. S. Pontryagin et al., The Mathematical Theory of Optimal Processes,
-1962, ch. III.) For suppose that another trajectory x' with u' arrives earlier and rests until T. Between 0 and T, with
-the costate of the extremal and :math:`d = x' - x`,
+1962, ch. III.) Proof: suppose that another trajectory x' with u' arrives earlier and stays until T. Between 0 and T,
+with the costate of the extremal and :math:`d = x' - x`,
 
 .. math:: 0 \ge [\lambda^T d] = \int \lambda^T (b(u') - b(u))\, dt - \int d^T d\mu \ge 0,
 
-for u minimises H and what limits of the states push, :math:`d\mu`, points out of a convex set. So u' minimises H as
-well, and while x' rests, :math:`\min_u \lambda^T (A x_f + b(u)) = 0`, although it tends to -1 at T, where H = 0.
+because u minimises H and the multipliers :math:`d\mu` of state limits point out of a convex set. So u' minimises H too,
+and while x' stays, :math:`\min_u \lambda^T (A x_f + b(u)) = 0`, although it tends to -1 at T, where H = 0.
 
-lower_bound: distance of a solution from the global optimum, bounded by a relaxation.
+`lower_bound` bounds the distance of a solution from the global optimum by a relaxation.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     """Return the solution with a lower bound of its problem's cost, if one is found: `Solution.bound`, `Solution.gap`.
 
     If the problem is convex, or linear and time-optimal with an equilibrium as target, its own cost is the bound.
-    Otherwise states on which the others do not depend are dropped with their limits. Each remaining part with all
-    states of the cost is solved from the trajectory as a guess, refined and verified. The highest bound counts,
-    certified ones first. An uncertified one is the value of a local minimum; see ``bound.certified``.
+    Otherwise states that do not affect the others are removed with their limits. Each remaining part with all states of
+    the cost is solved from the trajectory as a guess, refined and checked. The highest certified bound is returned, or
+    else the highest value of a local minimum; see ``bound.certified``.
 
     Parameters
     ----------
     solution : Solution
-        With its problem, solved.
+        Solved solution with its problem.
     tol : float
-        Of the refinement of each part, as for `solve`.
+        Tolerance of the refinement of each part, as in `solve`.
 
     Returns
     -------
     Solution
-        The same numbers. ``bound`` is None if nothing can be dropped, or no part was solved to an ok verdict.
+        The same solution. ``bound`` is None if no state can be removed, or no part has an ok verdict.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
 
 
 def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:
-    """Return what a relaxation bounds the cost by; None if it is not solved or known to be no bound."""
+    """Return the bound of the cost from a relaxation; None if it is not solved or not a bound."""
     problem = _with_solution_guess(relaxation, solution)
     relaxed = solve(problem, tol=tol, throw=False)
     if not relaxed.converged:
@@ -96,7 +96,7 @@ def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) ->
     theorem = find_sufficiency_theorem(relaxed, verify(relaxed))
     beyond = problem.sense * (relaxed.objective - solution.objective)
     if not theorem and beyond > tol * abs(solution.objective):
-        return None  # the solution's own flight costs less: a minimum of the relaxation, but not its least
+        return None  # the solution costs less, so that this minimum of the relaxation is not global
     kept = solution.need_problem("bound").phases
     labels = [
         label
@@ -151,7 +151,7 @@ def _fulfils_time_optimal_theorem(problem: Problem, solution: Solution) -> bool:
 
 
 def _is_time_optimal(problem: Problem, leg: Phase, found: float) -> bool:
-    """Whether the cost is the final time, and the solution's is not the least that is allowed."""
+    """Return whether the cost is the final time, and not at its lower limit in the solution."""
     initial, final = leg.time_ranges()
     slope = ca.jacobian(problem.sense * problem.cost, leg.final_time)
     others = [s for s in ca.symvar(problem.cost) if s.element_hash() != leg.final_time.element_hash()]
@@ -162,7 +162,7 @@ def _is_time_optimal(problem: Problem, leg: Phase, found: float) -> bool:
 
 
 def _has_linear_dynamics(leg: Phase) -> bool:
-    """Whether dx/dt = A x + b(u), and no path constraint is other than one of controls, or a convex one of states."""
+    """Return whether dx/dt = A x + b(u), with path constraints on controls only or convex ones on states."""
     t, x, u, _ = leg.model.arguments()
     rates, rows = leg.model.derivative(), leg.path_expression()
     curved = has_kinks(rates) or _does_depend(ca.jacobian(rates, x), ca.vertcat(x, u))
@@ -179,7 +179,7 @@ def _has_linear_dynamics(leg: Phase) -> bool:
 
 
 def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
-    """Whether ``lower <= row(x) <= upper`` is a convex set, by its constant Hessian."""
+    """Return whether ``lower <= row(x) <= upper`` is a convex set, by its constant Hessian."""
     hessian = ca.hessian(row, x)[0]
     p = leg.model.symbols("parameter")
     if _does_depend(hessian, x) or has_kinks(row):
@@ -196,7 +196,7 @@ def _does_depend(expression: Any, symbols: Any) -> bool:
 
 
 def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
-    """Whether an admissible control holds the final state, as far as least squares find one."""
+    """Return whether an admissible control makes the final state an equilibrium, by least squares."""
     flown = solution.phase()
     t, target = flown.final_time, leg.numbers.final.lower
     box, limits = leg.numbers.controls, leg.path_interval()

@@ -1,9 +1,9 @@
-"""multistart: solves from many initial guesses to find the best of several local minima.
+"""multistart: search for the best of several local minima from many initial guesses.
 
-Starts differ in durations, whole turns of angles, ways past obstacles and switches of controls
-(`gnc_opt.planning.problem.guess.perturbation`). Every start is solved on a coarse mesh; a solution that its integrated
-dynamics do not confirm, once more on halved segments. Equal solutions are merged; the best distinct minima are refined,
-verified and merged again.
+Starts differ in durations, revolutions of angles, state perturbations and control switches
+(`gnc_opt.planning.problem.guess.perturbation`). Every start is solved on a coarse mesh, and again with halved segments
+if the integrated dynamics do not confirm it. Equal solutions are merged; the best distinct minima are refined, checked
+and merged again.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from gnc_opt.runtime_environment import one_thread
 from gnc_opt.text_formatting import Printed
 
 MOST_POINTS = 1000
-"""Of a phase on a refined mesh."""
+"""Largest number of points of a phase on a refined mesh."""
 
 MOST_PASSES = 20
-"""Of one refinement."""
+"""Work limit of one refinement."""
 
 MISS = 0.1
-"""Relative propagation error and defect that both mark a spurious solution (rendezvous: from 0.3 and 0.8)."""
+"""Relative propagation error and defect above which, together, a solution is spurious (rendezvous: 0.3 and 0.8)."""
 
 
 @dataclass(frozen=True)
 class Refining:
-    """Refine and verify a minimum; return it unchanged if that fails."""
+    """Return a refined and checked minimum; unchanged after a failure."""
 
     structure: StructureChoice
     tol: float
@@ -56,7 +56,7 @@ class Refining:
         try:
             return self._refine_minimum(problem, minimum)
         finally:
-            for key in set(problem.builds) - known:  # its meshes are its own, and no other minimum needs them
+            for key in set(problem.builds) - known:  # its meshes are not needed for other minima
                 del problem.builds[key]
 
     def _refine_minimum(self, problem: Problem, minimum: Minimum) -> Minimum:
@@ -83,25 +83,25 @@ def _halve_segments(mesh: Mesh) -> Mesh:
 
 
 def is_spurious(solution: Solution) -> bool:
-    """Whether a collocation solution is none of the differential equations; see `MISS`."""
+    """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
     quality = solution.quality
     return not (quality.propagation_error < MISS or quality.max_defect < MISS)
 
 
 def raise_interrupt(solution: Solution, options: SolverOptions) -> None:
-    """Raise KeyboardInterrupt if it was Ctrl-C, and not the time limit, that the solver obeyed."""
+    """Raise KeyboardInterrupt if Ctrl-C, and not the time limit, stopped the solver."""
     limit = options.max_wall_time
     if solution.status is Status.INTERRUPTED and (limit is None or solution.statistics.solve_s < limit):
         raise KeyboardInterrupt
 
 
-if TYPE_CHECKING:  # executors bring sockets and queues along, which most programs do without
+if TYPE_CHECKING:  # slow import
     from concurrent.futures import Executor
 
     from gnc_opt.workers import Done, Shared, WorkerPool
 
 ShowEnding: TypeAlias = Callable[["float | None"], None]
-"""Shows the objective with which a task ended, None if without one."""
+"""Displays the objective of a completed task, None without one."""
 
 Builder: TypeAlias = Callable[[], Problem]
 Item = TypeVar("Item")
@@ -110,28 +110,28 @@ Answer = TypeVar("Answer")
 COARSE_MESH = "20x3"
 
 PLAIN_BARRIER, NEAR_BARRIER = 1e-3, 1e-5
-"""First barrier parameters of plain starts and of every second start; others have IPOPT's 0.1."""
+"""Initial barrier parameters of plain starts and of every second start; others have IPOPT's 0.1."""
 
 COARSE_MAX_ITERATIONS = 200
-"""Of a coarse solve."""
+"""Iteration limit of a coarse solve."""
 
 
 @dataclass(frozen=True)
 class Multistart(Printed):
-    """What `multistart` found.
+    """Result of `multistart`.
 
     Attributes
     ----------
     problem_name : str
     minima : tuple of Minimum
-        Best first.
+        In ascending order.
     failures : dict of str to int
-        How many starts gave no minimum, by the solver's status, "spurious" (not confirmed by the dynamics) or "bad
-        guess" (functions that are not finite along it).
+        Number of starts without a minimum, by solver status, "spurious" (not confirmed by the dynamics) or "bad guess"
+        (functions that are not finite along it).
     starts : int
-        Requested starts.
+        Number of requested starts.
     finished : int
-        Starts solved, with or without success; fewer than ``starts`` after an interrupt.
+        Number of completed starts; fewer than ``starts`` after an interrupt.
     seed : int
     interrupted : bool
         Whether Ctrl-C ended the search early.
@@ -153,7 +153,7 @@ class Multistart(Printed):
 
     @property
     def best(self) -> Minimum:
-        """The best minimum; raises `GncOptError` if there is none."""
+        """Best minimum; raises `GncOptError` if there is none."""
         if not self.minima:
             raise GncOptError(
                 f"none of {self.finished} starts of '{self.problem_name}' found a minimum "
@@ -204,46 +204,46 @@ def multistart(
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> Multistart:
-    """Solve a problem from many guesses and rank the distinct minima.
+    """Return the distinct local minima of a problem, found from many guesses.
 
     Parameters
     ----------
     problem : Problem or callable
-        The problem, or a function without arguments that builds it, such as ``functools.partial(build, case=2)``, which
-        executors of processes need unless processes fork (Linux).
+        Problem, or function without arguments that returns it, such as ``functools.partial(build, case=2)``; process
+        executors need the function unless processes are forked (Linux).
     n : int
-        Starts. The first one is the problem's own guess, the others are random.
+        Number of starts. The first one is the problem's own guess, the others are random.
     seed : int
-        The answer depends on it, and not on the executor or the order in which the starts end.
+        Seed; the result does not depend on the executor or on the order in which starts are completed.
     mesh : Mesh, str or mapping, optional
-        The coarse mesh; default "20x3".
+        Coarse mesh; default "20x3".
     structure, tol
-        For `refine`.
+        See `refine`.
     refine : bool
-        Whether to refine and verify the minima, or leave them on the coarse mesh.
+        Whether to refine and check the minima, or leave them on the coarse mesh.
     max_refined : int
-        Refine the best minima until so many distinct ones are known, and at most twice as many.
+        Number of distinct refined minima at which the refinement ends; at most twice as many are refined.
     within : float, optional
-        Leave minima on the coarse mesh that are worse than the best by more than this share of its objective.
+        Minima whose objective exceeds the best by more than this share stay on the coarse mesh.
     executor : concurrent.futures.Executor or "serial", optional
-        Default: one process per processor. Threads of one process take turns, since the solver serves one at a time.
+        Default: one process per processor. Threads of one process take turns, because the solver is not thread-safe.
     options : SolverOptions, optional
-        For the coarse solves. Default: at most `COARSE_MAX_ITERATIONS` iterations. Without a ``mu_init`` of theirs,
+        Options of the coarse solves. Default: at most `COARSE_MAX_ITERATIONS` iterations. Unless ``mu_init`` is set,
         most starts use a small one.
     progress : bool
-        Show how many starts have ended and the best objective.
+        Display the number of completed starts and the best objective.
 
     Returns
     -------
     Multistart
-        Ctrl-C ends the search and returns what has been found until then.
+        After Ctrl-C, the result so far.
 
     Raises
     ------
     ProblemError
-        The problem is not well stated.
+        The problem is invalid.
     GncOptError
-        The problem cannot be sent to the executor's processes.
+        The problem cannot be pickled for the processes of the executor.
 
     Examples
     --------
@@ -261,7 +261,7 @@ def multistart(
         read_positive(within, "within of multistart()", or_zero=True)
     if structure not in get_args(StructureChoice):
         raise ProblemError(
-            f"multistart() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
+            f"multistart() has no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
     if options is not None:
         expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
@@ -291,14 +291,14 @@ def multistart(
 
 @dataclass(frozen=True)
 class _Search:
-    """The starts and refinements of one search, and what shows their progress."""
+    """Starts and refinements of one search, with progress display."""
 
     pool: WorkerPool[Problem]
     problem: Problem
     progress: bool
 
     def solve_starts(self, coarse: _Coarse, n: int) -> list[_StartEnding]:
-        """Solve n starts: the problem's own guess and random ones, every second about as long as the best so far."""
+        """Solve n starts: the problem's guess and random ones, every second one with about the best duration so far."""
         endings: list[_StartEnding] = []
         with _progress_meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
             try:
@@ -314,7 +314,7 @@ class _Search:
         return endings
 
     def refine_minima(self, refining: Refining, minima: Sequence[Minimum], most: int) -> list[Minimum]:
-        """Refine minima, best first, until there are so many distinct ones; return the others as they are."""
+        """Refine minima in ascending order up to a number of distinct ones; return the others unchanged."""
         finer: list[Minimum] = []
         waiting = list(minima)
         while not self.pool.interrupted:
@@ -330,13 +330,13 @@ class _Search:
 
 
 def _find_phase_durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
-    """Return how long each phase takes in the best of the solutions; nothing without one."""
+    """Return the duration of each phase in the best solution; empty without a solution."""
     best = next(iter(merge_minima(_collect_coarse_minima(endings))), None)
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
 def _problem_for_workers(problem: Problem | Builder) -> Shared[Problem]:
-    """Return the problem for all workers; only a function that builds it can be sent to other processes."""
+    """Return the problem for all workers; for other processes only as a function that builds it."""
     from gnc_opt.workers import Shared
 
     if isinstance(problem, Problem):
@@ -356,13 +356,13 @@ def _build_problem(builder: Builder) -> Problem:
 
 
 def _task_result(done: Done[Item, Answer]) -> Answer:
-    """Return what a task answered, or raise what prevented it."""
+    """Return the answer of a task, or raise its exception."""
     from gnc_opt.workers import WorkerDied
 
     error = done.error
     if isinstance(error, WorkerDied):
         raise GncOptError(
-            "a process of multistart() has died, perhaps for want of memory: try a coarser mesh, or "
+            "a process of multistart() has died, possibly out of memory: use a coarser mesh, or "
             'executor="serial".'
         ) from error
     if error is not None:
@@ -372,7 +372,7 @@ def _task_result(done: Done[Item, Answer]) -> Answer:
 
 
 def _count_worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
-    """Return how many of the minima, best first, are not far worse than the best."""
+    """Return the number of minima, in ascending order, that are not far worse than the best."""
     if within is None or not minima:
         return len(minima)
     best = minima[0].objective
@@ -387,12 +387,12 @@ def _progress_meter(name: str, total: int, visible: bool, sense: float) -> Abstr
     return search_meter(name, total, sense)
 
 
-# --- what the workers do ----------------------------------------------------------------------------------
+# --- worker tasks -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _StartEnding:
-    """How one start ended; the solution, without its problem, if it is a minimum."""
+    """Result of one start; if it is a minimum, the solution without its problem."""
 
     index: int
     failure: str = ""
@@ -405,7 +405,7 @@ class _StartEnding:
 
 @dataclass(frozen=True)
 class _Coarse:
-    """Solve one start and look whether its dynamics confirm it; durations, if known, are those of another solution."""
+    """Solve one start and check it by its dynamics; ``durations`` are those of another solution, if known."""
 
     seed: int
     mesh: MeshLike | Mapping[str, MeshLike]

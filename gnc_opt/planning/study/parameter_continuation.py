@@ -1,4 +1,4 @@
-"""continuation: a solution followed along a parameter, from a problem that is easy to the one that is wanted."""
+"""continuation: solutions along a parameter, from an easy problem to the required one."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from gnc_opt.text_formatting import Printed
 Family: TypeAlias = Callable[[float], Problem]
 
 SMALLEST = 1e-4
-"""The smallest step, as a share of the whole way."""
+"""Smallest step, as a share of the range."""
 
 PREDICTION_ERROR_MAX = 0.3
-"""Error of a prediction, in scales of the variables, beyond which a step is taken again in halves."""
+"""Error of a prediction, in scales of the variables, above which a step is halved."""
 
 GOOD = 0.05
-"""Error of a prediction below which the next step is twice as long."""
+"""Error of a prediction below which the next step is doubled."""
 
 CONTINUATION_MAX_ITERATIONS = 300
-"""Of a step's solve; one that needs more is taken again in halves."""
+"""Iteration limit of a step; the step is halved if it is exceeded."""
 
 
 class ContinuationStatus(StatusWord):
-    """How a continuation ended."""
+    """Status of a continuation."""
 
     COMPLETE = "complete"
     BRANCH_ENDED = "branch_ended"
@@ -50,17 +50,17 @@ class ContinuationStatus(StatusWord):
 
 @dataclass(frozen=True, eq=False)
 class Continuation(Printed):
-    """A family of solutions along a parameter.
+    """Family of solutions along a parameter.
 
     Attributes
     ----------
     values : array (n,)
-        Of the parameter, all that were solved, in their order.
+        Parameter values of all solutions, in order.
     solutions : tuple of Solution
-        One per value.
+        One solution per value.
     status : ContinuationStatus
     events : tuple of str
-        Jumps to another branch, changes of the structure, and where and how the solution vanished.
+        Jumps to another branch, changes of the structure, and the end of the branch.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class Continuation(Printed):
 
     @property
     def final(self) -> Solution:
-        """The last solution."""
+        """Last solution."""
         return self.solutions[-1]
 
     @property
@@ -86,11 +86,11 @@ class Continuation(Printed):
 
     @property
     def objectives(self) -> Array:
-        """Of the solutions (n,), as stated."""
+        """Objectives of the solutions (n,), as stated."""
         return np.array([solution.objective for solution in self.solutions])
 
     def at(self, value: float) -> Solution:
-        """Return the solution at a value that was solved; raise `ArgumentError` if there is none."""
+        """Return the solution at a solved value; raise `ArgumentError` for other values."""
         near = np.flatnonzero(np.isclose(self.values, value, rtol=1e-9, atol=1e-12))
         if not near.size:
             raise ArgumentError(f"the continuation has no solution at {value}: its values are {self.values}.")
@@ -127,38 +127,38 @@ def continuation(
     scheme: Scheme = GAUSS,
     options: SolverOptions | None = None,
 ) -> Continuation:
-    """Follow a solution along a parameter with adaptive steps.
+    """Return solutions along a parameter, with adaptive steps.
 
     Each step is predicted by the sensitivities of the last solution (if the problems are variations of one another) or
-    along the last two solutions, and corrected by a warm solve. A step that fails, or was predicted badly, is halved;
-    the one after a good prediction is longer.
+    by linear extrapolation, and corrected by a warm-started solve. A step that fails or has a poor prediction is
+    halved; after a good prediction the step is doubled.
 
     Parameters
     ----------
     problem_of : callable
         Returns the problem for a value, such as ``lambda k: problem.with_parameters(k=k)``.
     values : sequence of float
-        Where to start, what to visit, where to end: two or more, increasing or decreasing.
+        Values at which solutions are required, from start to end: two or more, ascending or descending.
     step : float, optional
-        The first step, > 0; default: to the next of the values.
+        First step, > 0; default: to the second value.
     smallest : float, optional
-        The smallest step, > 0; default: `SMALLEST` of the whole way.
+        Smallest step, > 0; default: `SMALLEST` of the whole range.
     first : Solution, optional
-        At the first value; default: solved from its problem's guess.
+        Solution at the first value; default: solved from its problem's guess.
     tol : float, optional
-        Refine every solution to this; detected arcs are used again, as by `solve`.
+        Tolerance of the refinement of every solution; detected arcs are reused, as in `solve`.
     mesh, scheme, options
         As in `solve`.
 
     Returns
     -------
     Continuation
-        With all solutions there are, also when the last value was not reached or Ctrl-C came.
+        All solutions so far, also if the last value was not reached or after Ctrl-C.
 
     Raises
     ------
     ArgumentError
-        Fewer than two values, or values that turn back.
+        Fewer than two values, or values that are not monotonic.
     SolveError
         The first problem has no solution.
 
@@ -171,10 +171,12 @@ def continuation(
     way = read_numbers(values, "the values of continuation()").reshape(-1)
     turns = np.diff(way)
     if way.size < 2 or not np.all(np.isfinite(way)) or not (np.all(turns > 0) or np.all(turns < 0)):
-        raise ArgumentError(f"the values of continuation() are {way}: give two or more that rise, or fall.")
+        raise ArgumentError(
+            f"the values of continuation() are {way}: give two or more, ascending or descending."
+        )
     if not callable(problem_of):
         raise ArgumentError(
-            "continuation() got no function: write continuation(lambda k: problem.with_..., values)."
+            "continuation() needs a function: write continuation(lambda k: problem.with_..., values)."
         )
     whole = abs(way[-1] - way[0])
     least = (
@@ -189,8 +191,8 @@ def continuation(
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
         raise SolveError(
-            f"the first problem of continuation(), at {way[0]:g}, has no solution ({start.status.value}): start where "
-            "it is easy.",
+            f"the first problem of continuation(), at {way[0]:g}, has no solution ({start.status.value}): start at an "
+            "easier value.",
             start,
         )
     return _Walk(problem_of, way, max(least, 1e-14 * whole), tol, options).follow_branch(start, length)
@@ -206,7 +208,7 @@ def _build_problem(problem_of: Family, value: float) -> Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """One continuation on its way."""
+    """Continuation in progress."""
 
     problem_of: Family
     way: Array
@@ -216,7 +218,7 @@ class _Walk:
 
     def follow_branch(self, start: Solution, length: float) -> Continuation:
         values, solutions, events = [float(self.way[0])], [start], list[str]()
-        branch = 0  # where the present one begins: no line is drawn across a jump
+        branch = 0  # start of the present branch; no extrapolation across a jump
         status = ContinuationStatus.COMPLETE
         ahead = float(np.sign(self.way[-1] - self.way[0]))
         try:
@@ -236,14 +238,14 @@ class _Walk:
                     continue
                 if not found.status.solved:
                     events.append(
-                        f"no solution beyond {values[-1]:.10g}: at {value:.10g} the solve ends as {found.status.value}"
+                        f"no solution beyond {values[-1]:.10g}: at {value:.10g} the solve ended as {found.status.value}"
                     )
                     status = ContinuationStatus.BRANCH_ENDED
                     break
                 if not smooth:
                     events.append(
                         f"jump between {values[-1]:.10g} and {value:.10g}: the solution leaves its branch (a "
-                        f"bifurcation or a fold), by {miss:.2g} of its size"
+                        f"bifurcation or a fold), by {miss:.2g} of its magnitude"
                     )
                     branch = len(values)
                 if (
@@ -262,7 +264,7 @@ class _Walk:
     def _solve_at(
         self, value: float, values: Sequence[float], solutions: Sequence[Solution]
     ) -> tuple[Solution, float]:
-        """Return the solution at a value, and how wrong its prediction was."""
+        """Return the solution at a value, and the error of its prediction."""
         problem, last = _build_problem(self.problem_of, value), solutions[-1]
         before, ratio = None, 0.0
         if len(values) > 1:

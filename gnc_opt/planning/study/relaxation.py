@@ -1,8 +1,8 @@
-"""Relaxations: parts of a problem without the states on which the others do not depend.
+"""Relaxations: subproblems without the states that do not affect the others.
 
-A set of states is closed if no derivative in it depends on a state outside, such as a spacecraft's attitude and rate
-without its position. Every feasible trajectory of the problem is feasible for the closed set, whose minimum cost is
-therefore a lower bound.
+A set of states is closed if no derivative in it depends on other states; an example is attitude and rate of a
+spacecraft without its position. Every feasible trajectory of the problem is feasible for a closed set, whose minimum
+cost is therefore a lower bound.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """A problem of fewer states, and by phase which components of states and controls are left."""
+    """Problem with fewer states, with masks of the remaining components of states and controls by phase."""
 
     problem: Problem
     states: dict[str, Mask]
@@ -32,7 +32,7 @@ class Relaxation:
 
 
 def find_relaxations(problem: Problem) -> list[Relaxation]:
-    """Return the relaxed problem of each largest closed set with all states of the cost."""
+    """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
         _restrict_problem(problem, part) for part in _find_maximal_sets(list(_closed_state_sets(problem)))
     )
@@ -46,7 +46,7 @@ def _find_maximal_sets(sets: list[Mask]) -> Iterator[Mask]:
 
 
 def _closed_state_sets(problem: Problem) -> Iterator[Mask]:
-    """Yield, per state, all that it needs: each set once, with at least a state in every phase."""
+    """Yield the closure of each state, without duplicates, with at least one state in every phase."""
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
     needs = np.eye(owner.size, dtype=bool)
@@ -58,7 +58,7 @@ def _closed_state_sets(problem: Problem) -> Iterator[Mask]:
         rows[:, own] = _dependence_matrix(leg.path_expression(), x)
         ties.append(rows)
     every = np.vstack(ties)
-    # Phases stay joined: what links them ties states, whatever else is left out.
+    # Phases stay linked: links couple states, even if other states are removed.
     linking = every[[np.unique(owner[row]).size > 1 for row in every]]
     known: set[bytes] = set()
     for rows in (every, linking):
@@ -102,7 +102,7 @@ def _end_dependence_on_states(problem: Problem, expression: Any) -> Mask:
 
 
 class _Part:
-    """A phase restricted to a closed set of states, with the integrals that the cost and the end conditions need."""
+    """Phase restricted to a closed set of states, with the integrals in the cost and the end conditions."""
 
     def __init__(self, leg: Phase, states: Mask, integrals: Mask) -> None:
         self.leg, self.states = leg, states
@@ -118,7 +118,7 @@ class _Part:
         alone = ~np.any(_dependence_matrix(paths, x)[:, ~states], axis=1)
         limited = _dependence_matrix(paths, u)
         self.rows = alone & ~np.any(limited, axis=1)
-        while True:  # rows on states and controls that are left bring their other controls along
+        while True:  # rows on remaining states and controls include their other controls
             more = alone & (self.rows | np.any(limited[:, self.controls], axis=1))
             if np.array_equal(more, self.rows):
                 break
@@ -157,7 +157,7 @@ class _Part:
 
 
 def _restrict_problem(problem: Problem, kept: Mask) -> Relaxation | None:
-    """Return the problem of a closed set of states; None if the cost needs others."""
+    """Return the problem of a closed set of states; None if the cost needs other states."""
     conditions, cost = problem.constraint_expression(), problem.cost
     if np.any(_end_dependence_on_states(problem, cost)[:, ~kept]):
         return None
@@ -211,7 +211,7 @@ def _build_relaxed_problem(
 def _declare_parameters(
     problem: Problem, relaxed: Problem, parts: list[_Part], used: set[int]
 ) -> tuple[list[Any], list[Any]]:
-    """Declare the free parameters that are used, with all their components; return old symbols and the new ones."""
+    """Declare the used free parameters with all their components; return old and new symbols."""
     before, after = [], []
     for name in problem.parameters.names:
         symbols = [problem.parameter_symbols()[problem.parameters.slice(name)]]
@@ -229,7 +229,7 @@ def _declare_parameters(
 
 
 def _declare_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
-    """State the limits, path constraints and integrals of the reduced phase."""
+    """Declare the limits, path constraints and integrals of the reduced phase."""
     old, states, controls = part.leg.numbers, part.states, part.controls
     leg.numbers = replace(
         leg.numbers,
@@ -263,7 +263,7 @@ def _row_constraint_name(label: str) -> str:
 
 
 def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
-    """Return an expression in other symbols; phases that share a model bring its symbols more than once."""
+    """Return an expression in other symbols; phases with the same model repeat its symbols."""
     first = {s.element_hash(): i for i, s in reversed(list(enumerate(ca.vertsplit(before))))}
     places = list(first.values())
     return ca.substitute(expression, before[places], after[places])

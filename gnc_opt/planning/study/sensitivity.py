@@ -1,7 +1,7 @@
-"""Sensitivity: derivatives of an optimal solution with respect to the numbers of its problem.
+"""Sensitivity: derivatives of an optimal solution in the numbers of its problem.
 
-They are derivatives of the transcribed program (see `gnc_opt.planning.study.kkt_sensitivity`), hence of the continuous
-problem up to the error of its mesh. They hold while the same limits stay active.
+They are derivatives of the transcribed program (see `gnc_opt.planning.study.kkt_sensitivity`), and of the continuous
+problem up to its discretisation error. They are valid while the set of active limits does not change.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ from gnc_opt.runtime_environment import one_thread
 
 @dataclass(frozen=True)
 class SignalSensitivity:
-    """Derivative of a state or control at fixed time, shaped like it; a vector quantity adds a first axis."""
+    """Derivative of a state or control at fixed time, of the same shape; a vector quantity adds a first axis."""
 
     name: str
     scalar: bool
     components: tuple[Signal, ...]
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
-        """Evaluate at time t (s)."""
+        """Return the derivative at time t (s)."""
         values = [signal(t, side) for signal in self.components]
         return values[0] if self.scalar else np.stack([np.asarray(v) for v in values])
 
 
 @dataclass(frozen=True, eq=False)
 class PhaseSensitivity:
-    """Derivatives of one phase.
+    """Derivatives of the solution of one phase.
 
     Attributes
     ----------
     initial_time, final_time : float or array (n_components,)
     switching_times : array (n_movable,) or (n_components, n_movable)
-        Of the free mesh boundaries.
+        Derivatives of the times of free mesh breaks.
     """
 
     name: str
@@ -68,19 +68,19 @@ class PhaseSensitivity:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives of a solution with respect to one quantity (per unit of it).
+    """Derivatives of a solution in one quantity (per unit of it).
 
-    A quantity of several components puts them on the first axis of every derivative.
+    For a quantity with several components, they are the first axis of every derivative.
 
     Attributes
     ----------
     quantity : str
-        E.g. ``"parameter 'k'"``.
+        Name, e.g. ``"parameter 'k'"``.
     objective : float or array (n_components,)
-        Of the objective as stated (not negated when maximised).
+        Derivative of the objective as stated (not negated for a maximum).
     phases : mapping of PhaseSensitivity
     parameters : mapping of float or array
-        Of the optimised parameters.
+        Derivatives of the optimised parameters.
 
     Examples
     --------
@@ -95,7 +95,7 @@ class Sensitivity:
     parameters: Mapping[str, Array | float]
 
     def phase(self, name: str | None = None) -> PhaseSensitivity:
-        """Return the derivatives of a phase; the name may be left out when there is only one."""
+        """Return the derivatives of a phase; the name is optional for a single phase."""
         if name is None and len(self.phases) == 1:
             return next(iter(self.phases.values()))
         if name is None:
@@ -120,12 +120,12 @@ class Sensitivity:
 
     @property
     def initial_time(self) -> Array | float:
-        """Of the initial time of the only phase."""
+        """Derivative of the initial time of the only phase."""
         return self.phase().initial_time
 
     @property
     def final_time(self) -> Array | float:
-        """Of the final time of the only phase."""
+        """Derivative of the final time of the only phase."""
         return self.phase().final_time
 
 
@@ -136,7 +136,7 @@ def _get_signal(signals: Mapping[str, SignalSensitivity], name: str, kind: str) 
 
 
 FREE_CONTROL_CURVATURE_MIN_SHARE = 1e-10
-"""Curvature of H in a free control, relative to the largest, that counts as none."""
+"""Curvature of H in a free control, relative to the largest, below which it counts as zero."""
 
 _POINTS: WeakKeyDictionary[Solution, KktPoint] = WeakKeyDictionary()
 
@@ -153,44 +153,44 @@ def sensitivity(
     constraint: str | None = None,
     phase: str | None = None,
 ) -> Sensitivity:
-    """Differentiate the optimal solution with respect to one quantity.
+    """Return the derivatives of the optimal solution in one quantity.
 
     Parameters
     ----------
     solution : Solution
-        Solved, with its problem.
+        Solved solution with its problem.
     parameter : str, optional
-        A model parameter, in every phase that has it (or in ``phase``).
+        Model parameter, in every phase that has it (or in ``phase``).
     initial, final : str, optional
-        A state whose initial or final value is given or at its limit.
+        State with a fixed initial or final value, or one at its limit.
     time : {"initial", "final"}, optional
-        A time that is given or at its limit.
+        Time that is fixed or at its limit.
     constraint : str, optional
-        A boundary constraint, by the limit that is active.
+        Boundary constraint; its active limit is varied.
     phase : str, optional
-        May be left out when there is only one.
+        Optional for a single phase.
 
     Returns
     -------
     Sensitivity
-        Derivatives of objective, times, states and controls (at fixed time) and optimised parameters. Those of
-        the objective are the costates: d(objective)/d(initial q) is costate("q")(t0), negated when maximised.
+        Derivatives of objective, times, states and controls (at fixed time) and optimised parameters. Those of the
+        objective are the costates: d(objective)/d(initial q) is costate("q")(t0), negated for a maximum.
 
     Raises
     ------
     ProblemError
-        No quantity or several, an unknown one, or one that is optimised itself.
+        No quantity or several, an unknown one, or an optimised one.
     GncOptError
         No problem, not solved, or first-order conditions that do not determine the solution.
 
     Warns
     -----
     ProblemWarning
-        A limit is weakly active, where derivatives are one-sided.
+        A limit is weakly active, so that derivatives are one-sided.
 
     Examples
     --------
-    From rest at a distance q the least time is 2 sqrt(q):
+    From rest at a distance q the minimum time is 2 sqrt(q):
 
     >>> print(f"{go.sensitivity(solution, initial='q').objective:.6f}")
     1.000000
@@ -205,7 +205,7 @@ def sensitivity(
     chosen = [(kind, name) for kind, name in given.items() if name is not None]
     if len(chosen) != 1:
         raise ProblemError(
-            f"sensitivity() got {len(chosen)} quantities: name one, as in sensitivity(solution, 'k'), or by "
+            f"sensitivity() needs one quantity, not {len(chosen)}: name one, as in sensitivity(solution, 'k'), or by "
             "initial='x', final='x', time='final' or constraint='c'."
         )
     _check_solution(solution)
@@ -221,7 +221,7 @@ def _check_solution(solution: Solution) -> None:
     if not solution.status.solved:
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
-            "differentiate one that is solved."
+            "use a solved solution."
         )
 
 
@@ -233,7 +233,7 @@ def _get_factorised_kkt(solution: Solution) -> KktPoint:
 
 
 def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> None:
-    """A control between its limits needs curvature of H; else the mesh decides on its derivative."""
+    """Warn if a control between its limits has no curvature of H; its derivative then depends on the mesh."""
     for name, part in program.transcription.parts.items():
         leg, collocation = solution.phases[name], part.collocation
         free = ~program.variables.active[collocation.point_controls]
@@ -259,7 +259,7 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
                 f"control '{label}' of '{solution.problem_name}' is singular at "
                 f"t = {times[j]:.6g} {functions.time_unit}, phase {name} (the Hamiltonian has no curvature in it): "
                 "the derivatives of the controls there depend on the mesh; "
-                "refine(solution, structure='auto') settles bang-bang arcs."
+                "refine(solution, structure='auto') resolves bang-bang arcs."
             )
             return
 
@@ -270,7 +270,7 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
 def _find_quantity_changes(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[Change]]:
-    """Name the quantity and return one direction per component."""
+    """Return the name of the quantity and one direction per component."""
     if kind == "parameter":
         return f"parameter '{name}'", _parameter_data_changes(program, name, phase)
     if kind == "constraint":
@@ -279,7 +279,7 @@ def _find_quantity_changes(
     if kind == "time":
         if name not in ("initial", "final"):
             raise ProblemError(
-                f"sensitivity() knows no time {name!r}: {did_you_mean(str(name), ('initial', 'final'))}"
+                f"sensitivity() has no time {name!r}: {did_you_mean(str(name), ('initial', 'final'))}"
             )
         return f"{name} time of phase '{leg.name}'", [_time_data_change(program, leg.name, name)]
     return f"{kind} value of '{name}' in phase '{leg.name}'", _state_data_changes(program, leg, kind, name)
@@ -295,12 +295,12 @@ def _zero_data_change(program: ProgramPoint) -> Change:
 
 
 def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None) -> list[Change]:
-    """Model parameters, in every phase that has them (or in one)."""
+    """Return the directions of a model parameter, in every phase that has it (or in one)."""
     problem = program.problem
     if name in problem.parameters:
         raise ProblemError(
-            f"parameter '{name}' of problem '{problem.name}' is optimised, so that nothing depends on its value: ask "
-            "for a parameter of a model, or read Sensitivity.parameter()."
+            f"parameter '{name}' of problem '{problem.name}' is optimised, so that its value has no effect: choose "
+            "a parameter of a model, or read Sensitivity.parameter()."
         )
     starts, offset = {}, 0
     for leg in problem.phases.values():
@@ -327,8 +327,8 @@ def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, nam
     for place, label in zip(places, leg.states.labels[rows], strict=True):
         if not program.variables.active[place]:
             raise ProblemError(
-                f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not held by a "
-                "given value or limit, so that there is nothing to differentiate by: choose a state that is."
+                f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not fixed and "
+                "not at a limit, so that there is no derivative: choose another state."
             )
         change = _zero_data_change(program)
         change.limits[place] = 1.0
@@ -347,14 +347,14 @@ def _time_data_change(program: ProgramPoint, phase: str, end: str) -> Change:
         change.limits[place] = 1.0
     else:
         raise ProblemError(
-            f"the {end} time of phase '{phase}' of '{program.problem.name}' is optimised, so that nothing depends on "
-            "its value: fix it with time() first."
+            f"the {end} time of phase '{phase}' of '{program.problem.name}' is optimised, so that "
+            "its value has no effect: fix it with time() first."
         )
     return change
 
 
 def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: str) -> list[Change]:
-    solution.multiplier(name)  # refuses unknown names
+    solution.multiplier(name)  # raises an error for unknown names
     rows = program.transcription.constraint_rows
     changes = []
     for label, row in zip(solution.constraint_labels, rows, strict=True):
@@ -389,7 +389,7 @@ def _collect_derivatives(
 
 
 def _stack_components(components: list[Array]) -> Array | float:
-    """One value per component; a single component and a single value lose their axis."""
+    """Return the values of all components; single components and single values have no axis."""
     flat = [c[0] if c.size == 1 else c for c in components]
     if len(flat) > 1:
         return np.asarray(flat)
@@ -431,7 +431,7 @@ def _phase_sensitivity(
 def _differentiate_phase(
     program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, response: Response
 ) -> tuple[Array, PiecewisePolynomial, PiecewisePolynomial]:
-    """Derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
+    """Return the derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
     transcription, collocation = program.transcription, part.collocation
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
@@ -444,7 +444,7 @@ def _differentiate_phase(
 
 
 def _boundary_time_derivatives(transcription: Transcription, part: PhasePart, anchors: Array) -> Array:
-    """Derivatives of the times of the segment boundaries, (K + 1,)."""
+    """Return the derivatives of the break times, (K + 1,)."""
     mesh = part.collocation.mesh
     starts = anchors[mesh.segment_arcs] + mesh.arc_starts * np.diff(anchors)[mesh.segment_arcs]
     return np.append(starts, anchors[-1])
@@ -453,7 +453,7 @@ def _boundary_time_derivatives(transcription: Transcription, part: PhasePart, an
 def _remove_node_motion(
     change: PiecewisePolynomial, signal: PiecewisePolynomial, shifts: Array
 ) -> PiecewisePolynomial:
-    """Take the motion of the nodes out: dx/dp at fixed t is dX/dp at a node less dx/dt times the node's dt/dp."""
+    """Return the derivative at fixed time: dX/dp at a node minus dx/dt times the node's dt/dp."""
     if not np.any(shifts):
         return change
     slopes = signal.derivative()
@@ -467,7 +467,7 @@ def _remove_node_motion(
 def _scaled_rate_derivatives(
     program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, moved: Array
 ) -> Array:
-    """Derivatives of dx/dt times the arc's duration at the points, (n_states, N)."""
+    """Return the derivatives of dx/dt times the arc duration at the points, (n_states, N)."""
     collocation, problem = part.collocation, program.problem
     own = problem.phases[part.name]
     variables = program.x * program.scaling.variables
@@ -482,7 +482,7 @@ def _scaled_rate_derivatives(
     functions = phase_functions(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
         other.model.parameters.size for other in _list_earlier_phases(problem, part.name)
-    )  # where this phase's parameters start among the numbers
+    )  # index of the parameters of this phase
     directions = [
         time_changes[None, :],
         moved[collocation.point_states],

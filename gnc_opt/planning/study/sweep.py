@@ -1,4 +1,4 @@
-"""sweep: a family of problems solved over a grid of parameters, line by line, each from its neighbour."""
+"""sweep: solutions of a family of problems on a parameter grid, each started from a neighbour."""
 
 from __future__ import annotations
 
@@ -29,29 +29,29 @@ Family: TypeAlias = Callable[..., Problem]
 Output: TypeAlias = Callable[[Solution], float]
 
 NOT_REACHED = "not reached"
-"""The ending of a point that an interrupt prevented."""
+"""Ending of points that were not solved because of an interrupt."""
 
 MISTAKES = (NameError, AttributeError, TypeError, ImportError)
-"""Exceptions of a function that is wrong at every point; they end a sweep."""
+"""Exceptions of a function that fails at every point; they end a sweep."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep(Printed):
-    """Solutions over a grid.
+    """Solutions on a parameter grid.
 
     Attributes
     ----------
     grid : mapping of str to array
         Values of each parameter, in the order of the axes.
     solutions : array of Solution or None
-        One per point of the grid, shape (n_1, n_2, ...); None where there is none. They carry no problem: join it by
+        One solution per grid point, shape (n_1, n_2, ...), or None. They have no problem; add it with
         ``solution.with_problem(problem_of(...))``.
     endings : array of str
-        How each point ended: the solver's status, or what prevented it.
+        Ending of each point: the solver status, or the error.
     outputs : mapping of str to array
-        Further quantities, NaN where there is no solution.
+        Additional quantities, NaN without a solution.
     interrupted : bool
-        Whether Ctrl-C ended it before its time.
+        Whether Ctrl-C ended the sweep early.
 
     Examples
     --------
@@ -68,16 +68,16 @@ class Sweep(Printed):
 
     @property
     def solved(self) -> Any:
-        """Which points have a solution, bool array of the grid's shape."""
+        """Whether each point has a solution, bool array of the grid's shape."""
         return np.array([s is not None for s in self.solutions.flat]).reshape(self.solutions.shape)
 
     @property
     def objective(self) -> Array:
-        """The objectives, NaN where there is no solution."""
+        """Objectives, NaN without a solution."""
         return self.array("objective")
 
     def array(self, name: str) -> Array:
-        """Return "objective", "final_time" (of the last phase), "iterations", outputs or parameters of the grid."""
+        """Return "objective", "final_time" (of the last phase), "iterations", an output or a parameter on the grid."""
         own: dict[str, Output] = {
             "objective": lambda s: s.objective,
             "final_time": lambda s: list(s.phases.values())[-1].final_time,
@@ -95,16 +95,16 @@ class Sweep(Printed):
         return np.array(values, dtype=float).reshape(self.solutions.shape)
 
     def pareto(self, **senses: Literal["min", "max"]) -> list[dict[str, float]]:
-        """Return parameters and quantities of the points that no other one beats in all named quantities, sorted.
+        """Return parameters and quantities of the Pareto-optimal points for the named quantities, sorted.
 
         Parameters
         ----------
         **senses : "min" or "max"
-            By quantity, see `array`: ``sweep.pareto(final_time="min", fuel="min")``; two or more.
+            Sense of each quantity, see `array`: ``sweep.pareto(final_time="min", fuel="min")``; two or more.
         """
         if len(senses) < 2 or any(sense not in ("min", "max") for sense in senses.values()):
             raise ArgumentError(
-                f"pareto() got {shown(senses)}: name two quantities or more, each with 'min' or 'max'."
+                f"the arguments of pareto() are {shown(senses)}: name two quantities or more, each with 'min' or 'max'."
             )
         worth = np.stack([self.array(n).ravel() * (1 if s == "min" else -1) for n, s in senses.items()])
         front = []
@@ -121,7 +121,7 @@ class Sweep(Printed):
         ]
 
     def to_xarray(self) -> Any:
-        """Return an xarray.Dataset of objective, final time, iterations, ending and outputs over the grid."""
+        """Return an xarray.Dataset of objective, final time, iterations, ending and outputs on the grid."""
         try:
             import xarray
         except ImportError as error:
@@ -162,19 +162,19 @@ def sweep(
     options: SolverOptions | None = None,
     executor: Executor | Literal["serial"] | None = None,
 ) -> Sweep:
-    """Solve a family of problems over a grid of parameters.
+    """Return the solutions of a family of problems on a parameter grid.
 
-    Lines along the last parameter are solved side by side; along a line every problem starts from its neighbour's
-    solution and, where that fails, from its own guess. A point without a solution costs only itself.
+    Lines along the last parameter are solved in parallel. Within a line, every problem starts from the solution of its
+    neighbour and, if that fails, from its own guess. A failed point does not affect others.
 
     Parameters
     ----------
     problem_of : callable
-        Returns the problem for keyword arguments named as in ``grid``; for executors of other processes it must be
-        picklable, hence a function of a module.
+        Returns the problem for keyword arguments named as in ``grid``; for process executors it must be picklable, that
+        is, a module-level function.
     grid : mapping of str to sequence of float
     outputs : mapping of str to callable, optional
-        Further quantities of a solution, evaluated with its problem: ``{"peak": lambda s: ...}``.
+        Additional quantities of a solution, evaluated with its problem: ``{"peak": lambda s: ...}``.
     mesh, tol, options
         As in `solve`.
     executor : concurrent.futures.Executor or "serial", optional
@@ -183,15 +183,15 @@ def sweep(
     Returns
     -------
     Sweep
-        Ctrl-C ends it and returns the lines that were complete.
+        After Ctrl-C, the complete lines.
 
     Raises
     ------
     ArgumentError
-        An empty grid, values that are no numbers, a function that does not take the grid's parameters, or outputs that
-        are no functions.
+        An empty grid, values that are not numbers, a function that does not accept the grid's parameters, or outputs
+        that are not functions.
     GncOptError
-        The family cannot be sent to the executor's processes.
+        The family cannot be pickled for the processes of the executor.
 
     Examples
     --------
@@ -202,7 +202,7 @@ def sweep(
     from gnc_opt.workers import Shared, WorkerDied, WorkerPool
 
     if not callable(problem_of):
-        raise ArgumentError("sweep() got no function: write sweep(build, {...}), build returns a problem.")
+        raise ArgumentError("sweep() needs a function: write sweep(build, {...}), build returns a problem.")
     axes = _read_grid(grid)
     _check_arguments(problem_of, axes)
     named = read_mapping(outputs, "outputs of sweep()", 'write {"miss": lambda solution: ...}')
@@ -241,16 +241,16 @@ def sweep(
 
 
 def _check_arguments(problem_of: Family, axes: Mapping[str, Array]) -> None:
-    """Raise `ArgumentError` if the family does not take the grid's parameters: at every point it would fail alike."""
+    """Raise `ArgumentError` if the family does not accept the grid's parameters."""
     try:
         signature = inspect.signature(problem_of)
-    except ValueError:  # of a function that is not written in Python
+    except ValueError:  # functions not written in Python
         return
     try:
         signature.bind(**dict.fromkeys(axes))
     except TypeError as error:
         raise ArgumentError(
-            f"the function of sweep() takes {signature} and the grid has {', '.join(axes)} ({error}): name its "
+            f"the function of sweep() takes {signature}, but the grid has {', '.join(axes)} ({error}): name its "
             "arguments as in the grid."
         ) from None
 
@@ -270,12 +270,12 @@ def _read_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:
     return axes
 
 
-# --- what the workers do ----------------------------------------------------------------------------------
+# --- worker tasks -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Point:
-    """How one point ended."""
+    """Result of one grid point."""
 
     solution: Solution | None
     ending: str
@@ -284,7 +284,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Functions:
-    """The user's definition."""
+    """User-defined functions of a sweep."""
 
     problem_of: Family
     outputs: Mapping[str, Output]
@@ -319,12 +319,12 @@ class _Line:
                     raise KeyboardInterrupt
                 outputs = functions.outputs if solution.status.solved else {}
                 more = {name: float(output(solution)) for name, output in outputs.items()}
-            except GncOptError as error:  # a point of the grid that makes no sense
+            except GncOptError as error:  # invalid grid point
                 yield _Point(None, str(error), {})
                 continue
             except MISTAKES:
                 raise
-            except Exception as error:  # of numbers in the user's functions, as a division by zero
+            except Exception as error:  # error of a user function, such as a division by zero
                 yield _Point(None, f"{type(error).__name__}: {error}", {})
                 continue
             if not solution.status.solved:

@@ -288,8 +288,8 @@ def test_singular_arc_is_named() -> None:
 def test_mistakes() -> None:
     solution = solve(regulator(), "2x3")
     for arguments, message in (
-        ({}, "got 0 quantities"),
-        ({"initial": "x", "time": "final"}, "got 2 quantities"),
+        ({}, "needs one quantity, not 0"),
+        ({"initial": "x", "time": "final"}, "needs one quantity, not 2"),
         ({"initial": "y"}, "no state 'y'"),
         ({"final": "x"}, "final value of 'x'.*is not held"),
         ({"time": "end"}, "no time 'end'"),

@@ -116,11 +116,11 @@ def test_a_structure_is_carried_along() -> None:
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ((stiff, [1.0]), "give two or more that rise, or fall"),
-        ((stiff, [1.0, 3.0, 2.0]), "give two or more that rise, or fall"),
+        ((stiff, [1.0]), "give two or more, ascending or descending"),
+        ((stiff, [1.0, 3.0, 2.0]), "give two or more, ascending or descending"),
         ((stiff, [1.0, np.nan]), "give two or more"),
         ((stiff, ["a", 1]), "not a number"),
-        ((stiff(), [1.0, 2.0]), "got no function"),
+        ((stiff(), [1.0, 2.0]), "needs a function"),
         ((lambda k: k, [1.0, 2.0]), "what the function of continuation"),
         ((rest_to_rest, [1.0, 2.0]), "the first problem of continuation.*, at 1, has no solution"),
     ],

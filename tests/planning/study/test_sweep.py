@@ -145,7 +145,7 @@ def test_xarray(swept: go.Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ((stiff(), GRID), "got no function"),
+        ((stiff(), GRID), "needs a function"),
         ((stiff, [1.0]), "the grid of sweep"),
         ((stiff, {}), "grid of sweep.. is empty"),
         ((stiff, {"k": []}), "give finite numbers"),
