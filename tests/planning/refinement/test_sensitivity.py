@@ -291,7 +291,7 @@ def test_mistakes() -> None:
         ({}, "needs one quantity, not 0"),
         ({"initial": "x", "time": "final"}, "needs one quantity, not 2"),
         ({"initial": "y"}, "no state 'y'"),
-        ({"final": "x"}, "final value of 'x'.*is not held"),
+        ({"final": "x"}, "final value of 'x'.*is not fixed"),
         ({"time": "end"}, "no time 'end'"),
         ({"constraint": "c"}, "no boundary constraint 'c'"),
     ):
