@@ -94,7 +94,7 @@ def path_gradients(
 
 
 def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return the jumps at inner segment boundaries with the parts that active constraints explain.
+    """Return the unexplained part of the costate jumps and the multipliers of active constraints at segment boundaries.
 
     Adjacent multiplier densities may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`.
 

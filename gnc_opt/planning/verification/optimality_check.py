@@ -82,7 +82,7 @@ _AFTER_OTHERS = "not evaluated, as other conditions fail"
 _NO_COSTATES = (
     "The solution has no costates (none finite and non-zero): the minimum principle cannot be checked."
 )
-_INCOMPLETE = "It holds as far as can be seen, but a number is missing."
+_INCOMPLETE = "It holds for all available numbers, but one is missing."
 _CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is unknown."
 
 

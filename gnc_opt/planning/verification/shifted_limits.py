@@ -1,13 +1,13 @@
-r"""Active limits of the states in the Lagrangian of a shifted trajectory (module `shifted_trajectory`).
+r"""Active state limits in the Lagrangian of a shifted trajectory (module `shifted_trajectory`).
 
-A limit that is touched at :math:`t_k` with the multiplier :math:`\eta`, the jump of the costates along its gradient,
-adds :math:`\eta \max_t g(t, x(t))`. The touch moves with the trajectory: where g changes by :math:`\Delta g` and its
+A limit with a touch point at :math:`t_k` and the multiplier :math:`\eta`, the costate jump along its gradient,
+adds :math:`\eta \max_t g(t, x(t))`. The touch point moves with the trajectory: if g changes by :math:`\Delta g` and its
 rate by :math:`\Delta\dot g` at :math:`t_k`, its maximum changes to second order by
 
 .. math:: \Delta g - \frac{\Delta\dot g^2}{2 \ddot g}
 
-with :math:`\ddot g` of the side to which the touch moves (Hermant, SIAM J. Control Optim. 48(3), 2009, for limits of
-second order).
+with :math:`\ddot g` on the side to which the touch point moves (Hermant, SIAM J. Control Optim. 48(3), 2009, for
+second-order limits).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
 
 ACTIVE_LIMIT_TIMES = 24
-"""Times of a phase, at most, at which limits that act along arcs are kept."""
+"""Largest number of times per phase at which limits active along arcs are imposed."""
 
 
 def find_costate_jumps(s: PhaseSamples) -> dict[float, Array]:
-    """Return the jumps of the costates (n,) that change the cost, by their times."""
+    """Return the costate jumps (n,) that affect the cost, by time."""
     inner = s.leg.breaks[1:-1]
     jumps = s.leg.lam(inner, "left") - s.leg.lam(inner, "right")
     sizes = np.max(np.abs(jumps) * s.state_scale[:, None], axis=0)
@@ -40,10 +40,10 @@ def find_costate_jumps(s: PhaseSamples) -> dict[float, Array]:
 def touch_terms(
     problem: Problem, s: PhaseSamples, functions: PhaseFunctions, time: float, jump: Array, x: Array
 ) -> Array:
-    """Return the change of the Lagrangian by a jump of the costates (n,), for states (n, n_columns) at its time.
+    """Return the change of the Lagrangian due to a costate jump (n,), for states (n, n_columns) at its time.
 
-    ``functions`` are those with the parameters of each column; the last column is the trajectory itself. A jump that
-    limits do not explain counts by the states.
+    ``functions`` contain the parameters of each column; the last column is the reference trajectory. A costate
+    jump that no limit explains multiplies the change of the states.
     """
     rows, count = StateConstraints(problem, s), x.shape[1]
     shifted = StateConstraints(problem, replace(s, functions=functions))
@@ -71,14 +71,14 @@ def touch_terms(
 
 
 def find_acting_limits(s: PhaseSamples, times: Array) -> Mask:
-    """Whether path constraints, then bounds of states, change the cost at times, (n_rows, n_times)."""
+    """Return whether path constraints and state bounds affect the cost at times (n_rows, n_times), in this order."""
     density = np.vstack([s.leg.path_multiplier(times), s.leg.state_multiplier(times)])
     scale = np.concatenate([s.path_scale, s.state_scale])[:, None]
     return np.asarray(np.abs(density) * scale * s.span > NEGLIGIBLE * s.cost_scale)
 
 
 def find_held_controls(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
-    """Whether each control is one by which a limit of the path or of a state can be followed (m, n_times)."""
+    """Return whether an active path constraint or state limit determines each control (m, n_times)."""
     held = np.zeros((s.leg.controls.size, times.size), dtype=bool)
     for row, acting in enumerate(find_acting_limits(s, times)):
         if np.any(acting):
@@ -87,7 +87,7 @@ def find_held_controls(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
 
 
 def find_active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
-    """Return gradients (n,) of the limits that act along arcs, at some edges of cells, by what they change the cost."""
+    """Return the gradients (n,) of limits active along arcs at cell edges, scaled by their effect on the cost."""
     chosen = edges[1:-1]
     chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
     if not chosen.size or not np.any(acting := find_acting_limits(s, chosen)):

@@ -46,7 +46,7 @@ SHIFT_STEP_SHARE = 0.02
 """Larger step, as a share of the shorter arc next to a jump."""
 
 SLOPE_STEP, LARGEST_MOVE = 0.01, 0.1
-"""Share of the larger step by which slopes are measured; by what share of their reach a step moves the ends at most."""
+"""Steps for slopes, relative to the larger step; largest change of the end conditions by a step, relative to range."""
 
 SECOND_ORDER = (0.1, 0.6)
 """Ratios of the decreases at a step and half of it that indicate second order."""
@@ -94,7 +94,7 @@ class ShiftedTrajectory:
         if not np.all(np.isfinite(values)):
             return None
         slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :]) / SLOPE_STEP
-        # Unstable dynamics leave the range of second order by less than whole steps.
+        # With unstable dynamics, full steps exceed the range of the second-order expansion.
         steps = 1 / np.maximum(1, np.max(np.abs(slopes), axis=0, initial=0.0) / LARGEST_MOVE)
         slopes *= steps
         basis = steps[:, None] * _directions_keeping_end_conditions(slopes[:, :n], slopes[:, n:])
@@ -107,7 +107,7 @@ class ShiftedTrajectory:
         return self._second_order_decrease(*_sample_directions(basis, half), steps)
 
     def _second_order_decrease(self, directions: Array, terms: Array, steps: Array) -> Worst | None:
-        """Return the largest fall along directions (n_unknowns, n), of steps at most, if it is of second order."""
+        """Return the largest second-order decrease along directions (n_unknowns, n), with limited ``steps``."""
         n = len(self.jumps)
         largest = np.max(np.abs(directions) / steps[:, None], axis=0)
         directions = directions / np.maximum(largest, TINY)
@@ -177,7 +177,7 @@ class ShiftedTrajectory:
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         moved, reach = psi - psi[:, -1:], self.scales.constraints[0]
         unreached = np.max(np.abs(moved), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        size = np.where(reach > 0, reach, unreached)  # no reach: links of times
+        size = np.where(reach > 0, reach, unreached)  # without range: links of times
         box = problem.constraint_interval()
         at = box.near(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
         active = (at[0] | at[1] | box.fixed) & (size > 0)
@@ -194,7 +194,7 @@ class ShiftedTrajectory:
         return total
 
     def _shift_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
-        """Return a phase with amounts (n_unknowns, n_columns) and free parameters (n, n_columns)."""
+        """Return a phase for amounts (n_unknowns, n_columns) and free parameters (n, n_columns)."""
         name, problem = s.leg.name, self.solution.need_problem("verify")
         jumps = [
             (jump, jump.time + SHIFT_STEP_SHARE * jump.shorter_arc * shifts)
@@ -215,7 +215,7 @@ class _ShiftedPhase:
     Attributes
     ----------
     jumps : list of (Jump, array (n_columns,))
-        With their shifted times.
+        Control jumps with shifted times.
     variations : list of (times, array (m, n_times), array (n_columns,))
         Control variations and their amounts.
     times : array (2, n_columns)
@@ -231,7 +231,7 @@ class _ShiftedPhase:
 
     @cached_property
     def edges(self) -> Array:
-        """Cells of the mesh outside of windows around the jumps, within which columns have times of their own."""
+        """Mesh cell edges outside the windows around jumps, in which columns have different times."""
         cells = compute_cell_edges(self.samples.leg.breaks)
         windows = [(np.min(own), np.max(own)) for own in self.times]
         for jump, _ in self.jumps:
@@ -336,7 +336,7 @@ def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
 
 
 def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
-    """Return variations that move the end of a phase in each of its directions, of controls that nothing holds."""
+    """Return variations of unconstrained controls that move the end of a phase in each of its directions."""
     leg, own = s.leg, scales.phases[s.leg.name]
     times, response = final_state_response(s)
     u = leg.applied(times)
@@ -426,7 +426,7 @@ def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
 
 
 def _null_space(rows: Array, least: float) -> Array:
-    """Return an orthonormal basis (n, d) of the directions that change rows by less than a share."""
+    """Return an orthonormal basis (n, d) of the directions with relative changes of the rows below ``least``."""
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
     rank = int(np.sum(sizes > max(least, TINY)))
     return np.asarray(basis[rank:].T)

@@ -31,18 +31,18 @@ from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajec
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
 MOST_TOGETHER = 24
-"""Largest number of jumps whose shifts are combined; of more jumps not all combinations are tested."""
+"""Largest number of jumps whose shifts are combined; with more jumps, not all combinations are tested."""
 
 _MEANING = (
-    "Shifts of switching times that keep the end conditions must not lower the cost to second order (value: fall at "
-    "the named shifts, in shares of the cost scale): a cheaper trajectory has its switches there."
+    "Shifts of switching times that preserve the end conditions must not lower the cost to second order (value: "
+    "decrease for the named shifts, relative to the cost scale): otherwise a cheaper trajectory has its switches there."
 )
 
 
 def check_switching_times(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Condition:
-    """No shift of switching times lowers the cost to second order."""
+    """Return the condition that no shift of switching times lowers the cost to second order."""
     problem = solution.need_problem("verify")
     jumps = find_jumps(problem, samples) if all(s.has_duration for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
@@ -60,8 +60,8 @@ def check_switching_times(
 
 
 def _are_all_jumps_free_times(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
-    """Whether the second order has every jump as an unknown of its own: bang-bang arcs, or boundaries of a movable mesh
-    at which one control jumps and no limit of the states acts."""
+    """Return whether every jump is an unknown of the second-order condition: bang-bang arcs, or movable breaks with the
+    jump of a single control and no active state limit."""
     if any(jump.beyond for jump in jumps):
         return False
     if not explain_inapplicable_theorem(samples):
@@ -73,7 +73,7 @@ def _are_all_jumps_free_times(jumps: list[Jump], samples: list[PhaseSamples]) ->
 
 
 def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
-    """Return the jumps of the applied controls inside phases and between phases that follow each other."""
+    """Return the jumps of the applied controls inside phases and between consecutive phases."""
     jumps = []
     order = sorted(samples, key=lambda s: s.leg.initial_time)
     for s in order:
@@ -113,7 +113,7 @@ def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
 
 
 def _are_constrained(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
-    """Whether a limit of the path or of a state acts on each control beside times, (m, n_times)."""
+    """Return whether an active path constraint or state limit determines each control near times, (m, n_times)."""
     near = np.argmin(np.abs(s.times[:, None] - times), axis=0)
     sides = [np.clip(near + k, 0, s.times.size - 1) for k in (-3, 3)]
     return np.logical_or(*(find_held_controls(problem, s, s.times[at]) for at in sides))

@@ -92,7 +92,7 @@ def test_times_refused() -> None:
         rest_to_rest()[1].time(initial=0.0, final=np.nan)
     with refused(go.ProblemError, "final time of phase 'leg'", "'ten seconds'", "not a number"):
         rest_to_rest()[1].time(initial=0.0, final="ten seconds")
-    with refused(go.ProblemError, "initial time of phase 'leg'", "infinity", "None"):
+    with refused(go.ProblemError, "initial time of phase 'leg'", "infinite", "None"):
         rest_to_rest()[1].time(initial=np.inf, final=None)
     with refused(go.ProblemError, "final time of phase 'leg'", "3 entries", "(lower, upper)"):
         rest_to_rest()[1].time(initial=0.0, final=(1.0, 2.0, 3.0))
@@ -123,7 +123,7 @@ def test_boundary_values_and_bounds_refused() -> None:
         rest_to_rest()[1].final(q=np.nan)
     with refused(go.ProblemError, "initial value of 'r'", "'x'", "not a number"):
         voyage()[1].initial(r=[0.0, "x", None])
-    with refused(go.ProblemError, "initial value of 'q'", "infinity"):
+    with refused(go.ProblemError, "initial value of 'q'", "infinite"):
         rest_to_rest()[1].initial(q=-np.inf)
     with refused(go.ProblemError, "initial value of 'q'", "'1.0'", "not a number"):
         rest_to_rest()[1].initial(q="1.0")

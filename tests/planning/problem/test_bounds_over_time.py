@@ -61,9 +61,9 @@ def test_magnitude_of_a_vector_over_time() -> None:
 def test_later_ranges_replace_functions() -> None:
     problem, leg, a = ride("replaced")
     leg.bounds(a=(-1.0, lambda t: t))
-    assert list(leg.path_kinds) == ["upper bound of a"]
+    assert list(leg.paths) == ["upper bound of a"]
     leg.bounds(a=(-1.0, 2.0))
-    assert not leg.path_kinds
+    assert not leg.paths
     frozen = problem.frozen()
     with pytest.raises(go.ProblemError, match="cannot be changed"):
         frozen.phases["leg"].bounds(a=(-1.0, a))
