@@ -1,4 +1,4 @@
-"""What one pass of the structure loop solves: pieces, how finely each is collocated, which boundaries may move."""
+"""Mesh of a control structure: pieces, their segments and degrees, fixed and movable boundaries."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE
 
 FIRST_DEGREE, ARC_MAX_DEGREE = 6, 12
-"""Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
+"""First number of collocation points of a piece, and largest number in one segment."""
 
 SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
-"""Degree of the polynomial that a control is over a singular piece, to begin with and at most."""
+"""First and largest degree of the polynomial of a control over a singular piece."""
 
 DEGREE_GAIN_RATIO = 0.3
-"""A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
+"""Largest ratio of dH/du after and before a useful rise of the degree of a singular control."""
 
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
-"""First degree of an interior piece, and the number of its segments if it were the whole phase."""
+"""First degree of an interior piece, and number of segments of one that is the whole phase."""
 
 ARC_MAX_SEGMENTS = 64
-"""Segments of a piece at most."""
+"""Largest number of segments of a piece."""
 
 DECADES_PER_POINT, ADDED_POINTS_MIN = 1.0, 3
-"""A point more gains so many decades where a piece is smooth; fewer points than this are not worth a solve."""
+"""Decades that the error falls per additional point in a smooth piece, and least number of points that are added."""
 
 DECADES_PER_HALVING = 3.0
 """Decades that halving a segment of `ARC_MAX_DEGREE` points gains: its polynomials converge like their
@@ -41,21 +41,21 @@ DECADES_PER_HALVING = 3.0
 length where it is smooth, and hardly where it is not."""
 
 MAX_DECADES_PER_ITERATION = 6.0
-"""No more decades than this are expected of one pass."""
+"""Largest number of decades that one pass aims at."""
 
 COARSE_POINTS = 100
-"""Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
+"""Collocation points per phase above which pieces begin with more than the coarsest resolution."""
 
 POINT_RATIO = 1.5
-"""Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
+"""Ratio of points of the mesh without arcs to points of the pieces."""
 
 ARC_OVERLAP_SHARE = 0.9
-"""Share of both that pieces of two structures have in common to be the same."""
+"""Least common share of two pieces that count as the same one."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely a piece is collocated.
+    """Segments and collocation degree of a piece.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Resolution:
         return np.linspace(0.0, 1.0, self.segments + 1)
 
     def refine_by_decades(self, decades: Array) -> Resolution:
-        """Return the resolution with which errors fall by so many decades; the finest one is itself.
+        """Return the resolution with which errors fall by a number of decades; the finest one is returned unchanged.
 
         First with more points, then by halving segments where that is not enough: those that are worst first, as far as
         there may be more. Along a singular control's polynomial, whose degree is what most of the errors come from, all
@@ -195,7 +195,7 @@ class Plan:
         )
 
     def replace_structure(self, structure: PhaseStructure) -> Plan:
-        """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
+        """Return the plan of another structure with its first resolution; `loose` is kept if the touches are the same.
 
         What is left of a piece with singular controls keeps their degree: stiffer polynomials have another optimum.
         """
@@ -216,7 +216,7 @@ class Plan:
         return replace(plan, resolutions=kept)
 
     def _find_matching_resolution(self, structure: PhaseStructure, piece: int) -> Resolution | None:
-        """The resolution of the piece of this plan that does the same at nearly the same time, or None."""
+        """The resolution of the piece with the same kinds at nearly the same time, or None."""
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
             shared = min(right, end) - max(left, begin)
@@ -227,7 +227,7 @@ class Plan:
         return None
 
     def _inherit_smooth_degree(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
-        """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
+        """The resolution with the highest degree of singular controls of pieces of the same kinds, or the first one."""
         now = [
             r
             for kinds, r in zip(self.structure.kinds, self.resolutions, strict=True)
@@ -268,7 +268,7 @@ class Plan:
         """Return the problem with controls, path constraints and states held as the structure says."""
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.control_kinds), len(structure.path_kinds)
-        # An interior control may leave its bounds: by how much tells where its arc has to end.
+        # Interior controls are unbounded: the excess shows where their arc has to end.
         controls = select_kind(
             structure.control_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_kinds
         )

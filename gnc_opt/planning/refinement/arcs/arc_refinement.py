@@ -1,4 +1,4 @@
-"""How much finer a structure is collocated where its solution does not meet dynamics or costates between the nodes."""
+"""Refinement of pieces whose solution does not satisfy dynamics or adjoint equations between the nodes."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, TINY
 
 SINGULAR_GAIN_MAX = 1e-4
-"""Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
+"""Largest gain in H with which the polynomial of a singular control approximates the control."""
 
 
 def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
-    """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
+    """Return the plan with finer pieces where dynamics or adjoint equations are violated, or None."""
     errors = compute_dynamics_defects(samples)
     gradient = samples.functions.state_gradient(
         samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
     )
     residual = samples.integrate_magnitudes(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
-    # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
+    # Multipliers along a state constraint contain differences of rounding errors that grow on finer pieces.
     contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.n_pieces)])
     residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
@@ -39,7 +39,7 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> P
 
 
 def compute_dynamics_defects(samples: PhaseSamples) -> Array:
-    """How far the dynamics are off in each segment, in shares of what the states move, (n_states, K)."""
+    """Defects of the dynamics in each segment relative to the ranges of the states, (n_states, K)."""
     rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
     return np.asarray(samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None])
 
@@ -51,7 +51,7 @@ def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: f
     ----------
     r : Resolution
     errors : array (segments,)
-        Of states and costates in every segment of the piece.
+        Errors of states and costates in every segment of the piece.
     gradient, tol : float
     """
     smoother = r.raise_control_degree(gradient) if gradient > EQUAL else r

@@ -1,4 +1,4 @@
-"""Where constraints push on the nodes of a mesh, and the contacts that this shows."""
+"""Detection of contacts with state constraints from the multipliers at the nodes of a mesh."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE, SMALL
 
 CONTACT_MIN_COST_SHARE = 1e-5
-"""A multiplier counts from this share of the cost, and from a `SMALL` share of the largest one of its constraint."""
+"""Least multiplier relative to the cost; the other threshold is `SMALL` of the largest one of the constraint."""
 
 SHORT_ARC_SEGMENTS = 2.0
-"""An arc shorter than so many segments may be an error of the mesh, and so is a shift of a time by less."""
+"""Arcs shorter than this number of segments, and shifts of a time by less, may be errors of the mesh."""
 
 TOUCH_MAX_NODES = 5
-"""A contact of second order over no more nodes than this is a touch to begin with."""
+"""A contact of second order over at most this number of nodes is a touch at first."""
 
 CONTACT_MIN_NODES = 3
 """A control keeps a constraint at its limit where the multiplier is positive at so many neighbouring nodes.
@@ -35,7 +35,7 @@ some of its points may oscillate between the others."""
 
 @dataclass(frozen=True, eq=False)
 class ContactNodes:
-    """Neighbouring nodes of a mesh near a limit at some of which a constraint pushes.
+    """Neighbouring nodes of a mesh near a limit, some of them with a multiplier.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class ContactNodes:
         return structure
 
     def _touched_end(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
-        """Return the end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
+        """Return the end of the phase, 0 or -1, at which free states touch a path constraint, or None.
 
         A mesh of Gauss points has no row there, so that its points next to the end push for it.
         """
@@ -101,12 +101,12 @@ class ContactNodes:
         return None
 
     def is_end_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether it is what the barrier of an interior-point method leaves next to an end that is touched already."""
+        """Whether the multipliers are those of the interior-point barrier next to an end that the structure touches."""
         end = self._touched_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
-        """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
+        """Controls that can keep the constraint on its limit and are off their own limits at most multipliers."""
         pushing = self.times[self.worth > 0]
         pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.n_pieces - 1)
         return [
@@ -118,7 +118,7 @@ class ContactNodes:
     def _nearby_switch(
         self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int
     ) -> float:
-        """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it.
+        """Return the time of a nearby switch of a control that keeps the constraint on its limit, else the given time.
 
         The one holder of an arc is on no bound along it: it leaves one at the start (side 0), and meets one at the end
         (side 1).
@@ -180,7 +180,7 @@ def _do_times_cover_segment(times: Array, samples: PhaseSamples) -> bool:
 
 
 def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
-    """Times of points and inner boundaries, rows there and what they push on costates (n_rows, n_nodes)."""
+    """Times of points and inner boundaries, values of the rows and their multipliers there, (n_rows, n_nodes)."""
     leg = constraints.samples.leg
     inner, points = leg.breaks[1:-1], leg.point_times
     weights = np.concatenate([r.weights for r in leg.rules]) * np.repeat(
@@ -190,7 +190,7 @@ def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Arr
     x = np.hstack([get_states_at_points(leg), leg.x(inner)])
     u = np.hstack([*leg.u.values, leg.u(inner)])
     densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
-    # Path constraints have no row at a boundary: there they push as long as they do on both sides.
+    # Path constraints have no row at a boundary: their multiplier there is the mean of both sides.
     paths = densities[: len(leg.path_labels)]
     first = np.array(leg.mesh.offsets[1:-1], dtype=int)
     left, right = paths[:, first - 1], paths[:, first]
@@ -201,7 +201,7 @@ def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Arr
 
 
 def _join_adjacent_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Join runs with one node between them: a boundary of the mesh, where a limit held at the points may be left."""
+    """Join runs with one node between them: a boundary of the mesh, at which no multiplier acts."""
     joined = runs[:1]
     for a, b in runs[1:]:
         if a - joined[-1][1] == 1:
@@ -212,6 +212,6 @@ def _join_adjacent_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def find_true_runs(here: Mask) -> list[tuple[int, int]]:
-    """First places, and those after the last ones, of the runs in which something holds."""
+    """Return first and end index of every run of True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

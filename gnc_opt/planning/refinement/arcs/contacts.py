@@ -1,4 +1,4 @@
-r"""Contacts of a trajectory with state constraints: arcs on a limit and touches, found and mended.
+r"""Contacts of a trajectory with state constraints: arcs on a limit and touches, their detection and correction.
 
 Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.state_constraints`), and H be strictly convex in
 the controls that
@@ -39,7 +39,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 
 BETWEEN_BOUNDS_MIN_SHARE = 0.05
-"""A control is between its bounds on average if the mean is this far from them, relative to its range."""
+"""Least distance of the mean of a control from its bounds, relative to its range, between the bounds."""
 
 
 # --- controls that are determined -------------------------------------------------------------------------------
@@ -124,7 +124,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
-    """Where constraints push that determine a control, but for the contacts of the structure."""
+    """Nodes with multipliers of constraints that determine a control, except at contacts of the structure."""
     first, found = len(structure.control_kinds), []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         worth = np.where(structure.is_at_limit(first + run.row, run.times), 0.0, run.worth)
@@ -133,20 +133,20 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
     return [run for run in found if not run.is_end_touch(structure, constraints.samples)]
 
 
-# --- mended ---------------------------------------------------------------------------------------------------
+# --- corrected ------------------------------------------------------------------------------------------------
 
 
 def add_missing_contact(
     constraints: StateConstraints, structure: PhaseStructure
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with a contact where a constraint pushes, and what was done; None if none does."""
+    """Return the structure with a contact at the largest missing multiplier and the action, or None."""
     return _add_most_severe_contact(constraints, structure, _find_new_contact_nodes(constraints, structure))
 
 
 def replace_saturated_controls(
     samples: PhaseSamples, structure: PhaseStructure, pieces: Indices
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure in which other controls go on to hold a limit, and what was done; None if they need not.
+    """Return the structure in which other controls keep a constraint on its limit and the action, or None.
 
     Where a control that enters H linearly comes to its bound while it holds a limit, and others that H determines could
     hold it as well, H goes on without a jump only if they do, for as long as the costate takes for its own: shortly.

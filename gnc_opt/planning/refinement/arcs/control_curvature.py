@@ -1,4 +1,4 @@
-"""How H bends in each control: linear, convex, or convex for as long as what it moves has something."""
+"""Curvature of the Hamiltonian in each control: linear, convex or neither."""
 
 from __future__ import annotations
 

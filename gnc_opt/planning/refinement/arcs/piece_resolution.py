@@ -18,13 +18,13 @@ PIECE_MIN_POINTS = 4
 """Collocation points of a segment at least."""
 
 N_TERMS = ARC_MAX_DEGREE + 4
-"""Of the series; those beyond them are nothing beside the last."""
+"""Number of terms of the series."""
 
 HALVING_GAIN_RATIO = 0.1
-"""Halving a segment has helped if it leaves at most this share."""
+"""Largest ratio of remainders after and before a useful halving of a segment."""
 
 RESOLUTION_TOLERANCE_SHARE = 0.1
-"""Share of the tolerance that the terms left out may amount to."""
+"""Largest sum of the omitted terms in tolerances."""
 
 
 def set_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:

@@ -1,4 +1,4 @@
-"""What a solution asks of the structure that it was found with: arcs dropped, added or moved, finer pieces."""
+"""Corrections of a control structure by its solution: arcs removed, added or moved, pieces refined."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SMOOTHED = "singular controls of higher degree"
 def correct_plans(
     solution: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]], tol: float
 ) -> tuple[dict[str, Plan], str]:
-    """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
+    """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
@@ -71,7 +71,7 @@ def correct_plans(
 
 
 def _move_kinks_and_refine(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
-    """Move kinks and raise resolutions where the solution asks for it."""
+    """Move kinks to where the solution has them and refine pieces with large errors."""
     moved, raised = (move_kinks(constraints, plan), refine_inaccurate_pieces(constraints.samples, plan, tol))
     if moved is not None:
         emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
@@ -94,14 +94,14 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: Plan, tol: float
 def remove_vanished_piece(
     samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure after a piece has vanished and what was done, or None if none has."""
+    """Return the structure without a piece of zero length and the action, or None if there is no such piece."""
     structure, lengths = plan.structure, plan.structure.piece_lengths
     shortest = int(np.argmin(lengths))
     if structure.n_pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
     other = structure.swap_switches(shortest)
     left.add((samples.leg.name, structure.with_times(())))
-    # Only an order that has been left before is not tried again.
+    # The swapped order is tried unless it has been rejected before.
     if other is not None and (samples.leg.name, other.with_times(())) not in left:
         return _lengthen_piece(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.collapse_piece(shortest), f"piece {shortest + 1} dropped"
@@ -123,7 +123,7 @@ def _lengthen_piece(structure: PhaseStructure, piece: int) -> PhaseStructure:
 def _add_missing_arc(
     samples: PhaseSamples, plan: Plan, problem: Problem
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
+    """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
     pieces = plan.segment_pieces[samples.segments]
     kinds = plan.structure.kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
@@ -135,7 +135,7 @@ def _add_missing_arc(
 def _add_most_severe_arc(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with the arc that the largest violation asks for and what was done, or None."""
+    """Return the structure with an arc at the largest violation and the action, or None without a violation."""
     if not violation.size or violation.max() < GONE:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
@@ -148,11 +148,11 @@ def _add_most_severe_arc(
 def _compute_structure_violations(
     samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
 ) -> tuple[Array, KindArray]:
-    """Violation of each control and path constraint where it is, and the place that it asks for.
+    """Return the violation of each control and path constraint (n_rows, n_samples), and the kind that removes it.
 
-    A control on a bound with a switching function of the wrong sign violates by the gain in H; it asks for the other
-    bound, or to become interior where H is not linear in it. An interior control violates by the share of
-    its range by which it leaves its bounds, and asks for the bound. Mixed path constraints likewise.
+    For a control on a bound with a switching function of the wrong sign, the violation is the gain in H; the other kind
+    is the opposite bound, or interior where H is not linear in the control. For an interior control outside its bounds,
+    it is the excess relative to the range; the other kind is the bound. Mixed path constraints are treated alike.
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
     values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
@@ -183,11 +183,10 @@ def _compute_structure_violations(
 def _add_saturated_arc(
     samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
+    """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
-    A polynomial that is held within its bounds, where the control of the optimum jumps to one and back, leaves a
-    switching function of that bound's sign, which a higher degree does not take away. Structures that have been left
-    are not tried again.
+    Where the optimal control jumps to a bound and back, a polynomial between the bounds leaves a switching function of
+    the sign of that bound, which no higher degree removes. Rejected structures are not tried again.
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
     singular = plan.structure.control_kinds == ArcKind.SINGULAR
@@ -224,7 +223,7 @@ def _find_run_around(holds: Mask, j: int) -> slice:
 
 
 def _mask_own_switches(violation: Array, kinds: KindArray) -> None:
-    """Zero the violations that reach up to one of the channel's own switches, but for such on both sides of it.
+    """Set violations next to a switch of the same channel to zero, unless they are on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
     sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch.

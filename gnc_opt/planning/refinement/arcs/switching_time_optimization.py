@@ -1,10 +1,10 @@
-"""Switch-time optimisation: the structure loop.
+"""Optimisation of switching times with an iteration on the control structure.
 
-Controls are held on their bounds piece by piece, the times of the switches are variables, and each piece is
-collocated with a high degree; controls between bounds (interior and singular arcs) stay free inside their pieces. The
-costates of the optimum then check the structure: a piece whose length goes to zero is dropped (or the two switches
-at its ends change places), a switching function of the wrong sign asks for an arc that is missing. The loop ends
-when signs and structure agree everywhere and the error between the nodes is small.
+The switching times are variables. Along each piece between two of them a control is fixed on a bound, or free
+(interior and singular arcs), and the piece is collocated with a high degree. The costates of the optimum check the
+structure: a piece whose length is zero is removed, or the switches at its ends change places; where a switching
+function has the wrong sign, an arc is added. The iteration ends when all signs agree with the structure and the error
+between the nodes is small.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import EQUAL
 
 STALLED_MAX_ITERATIONS = 4
-"""Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
+"""Largest number of passes that only move kinks or refine pieces without halving the error."""
 
 UNSOLVED_MAX_ITERATIONS = 2
-"""Structures without a solution, one made of the other, after which the loop gives up."""
+"""Largest number of successive structures without a solution."""
 
 ARC_SOLVE_TOLERANCE, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
-"""Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
+"""Solver settings: errors of the switching times are of the order of the tolerance, warm starts need few iterations."""
 
 
 Segments: TypeAlias = Literal["few", "kept"]
@@ -63,7 +63,7 @@ def optimise_switching_times(
     progress: bool = False,
     segments: Segments = "few",
 ) -> tuple[Solution, History]:
-    """Return the solution with exact switch times and its `structure`, and the history of the loop.
+    """Return the solution with exact switching times and its `structure`, and the history of the passes.
 
     Parameters
     ----------
@@ -73,18 +73,17 @@ def optimise_switching_times(
         On the error between the nodes; see `gnc_opt.planning.refinement.error_estimation`.
     limits : IterationLimits, optional
     structures : mapping of PhaseStructure, optional
-        What to start from, by phase, if it has been detected already.
+        Initial structures by phase; by default those detected in the solution.
     options : SolverOptions, optional
     progress : bool
         Show one line per pass.
     segments : {"few", "kept"}
-        Begin with few, or with those that these very structures were refined to.
+        Begin with few segments per piece, or with those of the mesh of the solution.
 
     Returns
     -------
     Solution
-        Where the loop comes to rest; else that of the pass with the least error, or the given one if no pass had a
-        solution.
+        The converged one, else that with the smallest estimated error, or the given one if no pass had a solution.
     History
     """
     begin = time.perf_counter()
@@ -92,27 +91,27 @@ def optimise_switching_times(
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=ARC_SOLVE_MAX_ITERATIONS)
     found = structures or detect_structures(solution)
     plans = {name: _build_initial_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
-    tries: list[_Try] = []
+    iterates: list[_Iterate] = []
     with show_progress(solution.problem_name, tol, progress) as show:
         try:
-            loop = _StructureLoop(problem, tol, limits or IterationLimits(), chosen, show, tries)
-            guess, settled, flown = (
+            loop = _StructureLoop(problem, tol, limits or IterationLimits(), chosen, show, iterates)
+            guess, settled, integrated = (
                 _start_from_newton(solution, plans, loop.target_error)
                 if segments == "few"
                 else (solution, plans, None)
             )
-            status = loop.iterate_structures(guess, settled, flown)
+            status = loop.iterate_structures(guess, settled, integrated)
             if status is RefinementStatus.FAILED and guess is not solution:
                 status = loop.iterate_structures(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
-    best = _select_best_iterate(tries, status, tol)
-    records = [t.record for t in tries] or [_record_try(solution, begin, "not begun")]
+    best = _select_best_iterate(iterates, status, tol)
+    records = [t.record for t in iterates] or [_record_iterate(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
     if best is None:
         return solution, history
-    solution, plans = tries[best].solution, tries[best].plans
+    solution, plans = iterates[best].solution, iterates[best].plans
     if status is RefinementStatus.CONVERGED:
         solution = _determine_unique_costates(solution, plans, chosen, loop.limits.deadline)
     return replace(solution, structure=_list_arcs(solution, plans)), history
@@ -127,34 +126,34 @@ def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segment
 def _determine_unique_costates(
     solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
 ) -> Solution:
-    """Return the solution with costates that make every switching function vanish where switches share a time."""
+    """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
     if not any(simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
         return solution
-    apart = solve_with_split_switches(solution, plans, options, deadline)
-    if apart is None or verify(apart).ok:
-        return apart or solution
-    return min(solution, apart, key=lambda each: each.objective_error.value)
+    split = solve_with_split_switches(solution, plans, options, deadline)
+    if split is None or verify(split).ok:
+        return split or solution
+    return min(solution, split, key=lambda each: each.objective_error.value)
 
 
 Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
-"""Phase and its order of arcs, without times, before and after it is mended."""
+"""Phase and its structures, without times, before and after an update."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Try:
-    """One pass: what was found for which structure."""
+class _Iterate:
+    """One pass: the solution of a structure."""
 
     solution: Solution
     plans: dict[str, Plan]
     record: RefinementIteration
 
 
-def _select_best_iterate(tries: list[_Try], status: RefinementStatus, tol: float) -> int | None:
-    """Return the pass to keep: where the loop came to rest, or the one whose objective has the least estimated error.
+def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol: float) -> int | None:
+    """Return the index of the converged pass, else of the one with the smallest estimated error of the objective.
 
-    None without any; of passes within the tolerance the one with the least local error.
+    Of passes within the tolerance, the local error decides. None if no pass has a solution.
     """
-    solved = {k: t for k, t in enumerate(tries) if t.record.solved}
+    solved = {k: t for k, t in enumerate(iterates) if t.record.solved}
     if not solved or status is RefinementStatus.CONVERGED:
         return max(solved, default=None)
     return min(
@@ -163,11 +162,12 @@ def _select_best_iterate(tries: list[_Try], status: RefinementStatus, tol: float
 
 
 def _start_from_newton(
-    solution: Solution, plans: dict[str, Plan], aim: float
+    solution: Solution, plans: dict[str, Plan], mesh_tolerance: float
 ) -> tuple[Solution, dict[str, Plan], Solution | None]:
-    """Go to the optimum, where Newton's method on switch times finds it, with a mesh fine enough for that.
+    """Optimise the switching times by Newton's method and choose the mesh that its trajectory needs.
 
-    Returned are a guess, the plans and, where no limit is in its way, the flight as their solution.
+    Returns a guess, the plans and, unless a limit is violated, the trajectory as the solution on their mesh. Where
+    Newton's method does not apply, the given solution and plans are returned.
     """
     if len(plans) > 1:
         return solution, plans, None  # The flow of one phase says nothing about the others.
@@ -177,31 +177,33 @@ def _start_from_newton(
         return solution, plans, None
     structure, flight = found
     guess = flight.build_solution(solution)
-    plan = set_resolutions(Plan.from_structure(structure, plan.points), solution.samples()[name], guess, aim)
+    plan = set_resolutions(
+        Plan.from_structure(structure, plan.points), solution.samples()[name], guess, mesh_tolerance
+    )
     return guess, {name: plan}, collocate_trajectory(solution, flight, plan)
 
 
 @dataclass(frozen=True, eq=False)
 class _StructureLoop:
-    """What it is asked for, and what it has tried."""
+    """The iteration on the structure: settings, and all passes so far."""
 
     problem: Problem
     tol: float
     limits: IterationLimits
     options: SolverOptions
     show: Callable[[RefinementIteration], None]
-    tries: list[_Try]
+    iterates: list[_Iterate]
 
     def iterate_structures(
-        self, solution: Solution, plans: dict[str, Plan], flown: Solution | None = None
+        self, solution: Solution, plans: dict[str, Plan], integrated: Solution | None = None
     ) -> RefinementStatus:
         """Solve, except in the first pass if its solution is integrated, and update until nothing changes.
 
-        Every pass is added to ``tries``.
+        Every pass is added to ``iterates``.
         """
-        left: set[tuple[str, PhaseStructure]] = set()
-        asked: set[Change] = set()
-        vain = 0
+        rejected: set[tuple[str, PhaseStructure]] = set()
+        changed: set[Change] = set()
+        failures = 0
         for _ in range(self.limits.passes):
             begin = time.perf_counter()
             if begin > self.limits.deadline:
@@ -212,71 +214,72 @@ class _StructureLoop:
             if self.limits.are_exhausted(spent):
                 return RefinementStatus.BUDGET_LIMIT
             within = self.limits.limit_solve((plan.mesh() for plan in plans.values()), spent)
-            found = flown or _solve_program(self.problem, plans, solution, self.options, within)
-            flown = None
+            found = integrated or _solve_program(self.problem, plans, solution, self.options, within)
+            integrated = None
             if not found.status.solved:
-                self._append_try(
-                    _Try(found, plans, _record_try(found, begin, f"not solved ({found.status.value})"))
+                self._append_iterate(
+                    _Iterate(
+                        found, plans, _record_iterate(found, begin, f"not solved ({found.status.value})")
+                    )
                 )
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
-                vain += 1
-                others = _propose_alternative_plans(found, plans, left)
-                if others is None or vain == UNSOLVED_MAX_ITERATIONS:
+                failures += 1
+                others = _propose_alternative_plans(found, plans, rejected)
+                if others is None or failures == UNSOLVED_MAX_ITERATIONS:
                     return RefinementStatus.FAILED
                 plans = others
                 continue
-            solution, vain = found, 0
+            solution, failures = found, 0
             current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
-            plans, action = correct_plans(solution, current, left, self.target_error)
-            record = _record_try(solution, begin, action or "structure unchanged")
-            self._append_try(_Try(solution, current, record))
+            plans, action = correct_plans(solution, current, rejected, self.target_error)
+            record = _record_iterate(solution, begin, action or "structure unchanged")
+            self._append_iterate(_Iterate(solution, current, record))
             if len(self.iteration_records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
             if not action:
                 return RefinementStatus.CONVERGED
             changes = set() if _keeps_arc_order(record) else _list_arc_orders(current, plans)
-            again, asked = changes & asked, changes | asked
+            again, changed = changes & changed, changes | changed
             if again or _is_stalled(self.iteration_records):
                 return RefinementStatus.STALLED
         return RefinementStatus.ITERATION_LIMIT
 
     @property
     def target_error(self) -> float:
-        """Error that meshes are refined to: it costs little more, where a structure is known."""
+        """Tolerance of local errors: pieces converge so fast that a small one costs little."""
         return min(self.tol, EQUAL)  # that costs a solve of a few iterations, if any
 
     @property
     def iteration_records(self) -> list[RefinementIteration]:
-        return [t.record for t in self.tries]
+        return [t.record for t in self.iterates]
 
-    def _append_try(self, tried: _Try) -> None:
-        self.tries.append(tried)
+    def _append_iterate(self, tried: _Iterate) -> None:
+        self.iterates.append(tried)
         self.show(tried.record)
 
 
 def _propose_alternative_plans(
-    failed: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]]
+    failed: Solution, plans: dict[str, Plan], rejected: set[tuple[str, PhaseStructure]]
 ) -> dict[str, Plan] | None:
-    """Return what to try where a structure had no solution, or None.
+    """Return the plans to try after a structure without a solution, or None.
 
-    Without limits next to them arcs may have moved to where these have no value; else a piece that vanished on the
-    way is in the way.
+    State constraints are imposed next to movable arcs, too, if they were not; else a piece of zero length is removed.
     """
     if any(plan.may_leave_constraints for plan in plans.values()):
         return {name: replace(plan, firm=True) for name, plan in plans.items()}
     for name, s in failed.samples().items():
         current = _update_plan_times(plans[name], failed, name)
-        structure, _ = remove_vanished_piece(s, current, left)
+        structure, _ = remove_vanished_piece(s, current, rejected)
         if structure is not None:
             return {**plans, name: current.replace_structure(structure)}
     return None
 
 
 def _is_stalled(records: list[RefinementIteration]) -> bool:
-    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
+    """Whether the structure is unchanged and neither moved kinks nor finer meshes reduce the error.
 
-    Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
+    Passes up to the last change of the degree of singular controls do not count.
     """
     changes = [k for k, r in enumerate(records) if not _keeps_arc_order(r) or SMOOTHED in str(r.actions)]
     errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
@@ -286,7 +289,7 @@ def _is_stalled(records: list[RefinementIteration]) -> bool:
 
 
 def _list_arc_orders(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
-    """Return the orders of arcs, whatever their times, before and after a change of a structure."""
+    """Return the structures without times before and after each change."""
     return {
         (name, plan.structure.with_times(()), after[name].structure.with_times(()))
         for name, plan in before.items()
@@ -295,18 +298,18 @@ def _list_arc_orders(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> s
 
 
 def _keeps_arc_order(record: RefinementIteration) -> bool:
-    """Whether a solution asked for nothing but other kinks and resolutions."""
+    """Whether a pass changed only kinks and resolutions."""
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
 
 def _solve_program(
     problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions, limits: SolveLimits
 ) -> Solution:
-    held = problem
+    fixed = problem
     for name, plan in plans.items():
-        held = plan.hold_arcs(held, name)
+        fixed = plan.hold_arcs(fixed, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
-    found = solve_mesh(held, meshes, guess=guess, options=options, limits=limits)
+    found = solve_mesh(fixed, meshes, guess=guess, options=options, limits=limits)
     return replace(found, problem=problem)
 
 
@@ -316,7 +319,7 @@ def _update_plan_times(plan: Plan, solution: Solution, name: str) -> Plan:
     return replace(plan, structure=plan.structure.with_times(times))
 
 
-def _record_try(solution: Solution, begin: float, action: str) -> RefinementIteration:
+def _record_iterate(solution: Solution, begin: float, action: str) -> RefinementIteration:
     return record_iteration(solution, estimate_errors(solution), begin, action)
 
 
