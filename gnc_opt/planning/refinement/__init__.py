@@ -1,4 +1,4 @@
-"""From a first solution to an accurate one: error estimate, meshes, arcs, switching times."""
+"""Mesh refinement, switching-time optimisation and the sequence of stages between first and final solution."""
 
 from gnc_opt.planning.refinement.solution_refinement import refine
 from gnc_opt.planning.refinement.work_budget import RefinementLimits

@@ -1,6 +1,6 @@
-"""Warm start of a variation of a problem from a refined solution, by its arcs or on its mesh.
+"""Warm start of a modified problem from a refined solution, with its arcs or on its mesh.
 
-With known arcs the structure loop starts from them; otherwise the known mesh is refined where needed.
+With known arcs, the switching-time formulation starts from them; otherwise the known mesh is refined if necessary.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
 from gnc_opt.tolerances import NOTABLE
 
 WARM_START_MAX_SOLVES = 6
-"""At most so many solves: where more are needed, little is left of what was known."""
+"""Largest number of solves; more indicate that the known solution is not close."""
 
 KNOWN_ARCS_OPTIONS = SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=30)
-"""For solves with known arcs: where these have a solution nearby, it takes fewer iterations."""
+"""Initial barrier parameter with known arcs: a nearby solution takes fewer iterations."""
 
 WARM_START_MIN_WORK = 1e4
-"""What following may cost in any case, in iterations at one collocation point; or as much as refining what is known."""
+"""Least work limit of a warm start, iterations at one collocation point; otherwise the work of the known solution."""
 
 KNOWN_ARCS_MAX_ERROR = 0.1
-"""Arcs with a larger error are not those of the variation (of 30, those that settled began below 2e-3)."""
+"""Largest local error of a first pass with known arcs (of 30 successful warm starts, all began below 2e-3)."""
 
 WhenChecked: TypeAlias = Literal["always", "changed"]
 
 
 @dataclass(frozen=True, eq=False)
 class KnownArcs:
-    """A solution and its structures by phase (empty if its mesh was refined without any)."""
+    """Solution and its structures by phase (empty if its mesh was refined without a structure)."""
 
     solution: Solution
     structures: Mapping[str, PhaseStructure]
@@ -60,22 +60,22 @@ class KnownArcs:
         return cls(solution, {name: _remove_sliver_pieces(s, solution, name) for name, s in found.items()})
 
     def solve_variation(self, problem: Problem, tol: float, checked: WhenChecked) -> Solution | None:
-        """Return the solution of a variation within a tolerance, or None if it is not found nearby.
+        """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
 
         Parameters
         ----------
         problem : Problem
-            One that passes its `check`.
+            Problem accepted by its `check`.
         tol : float
-            On the error between the nodes.
+            On the local errors.
         checked : {"always", "changed"}
-            Whether it has to pass the verdict, which it carries then: in any case, or if it has other arcs than the
-            known one or its mesh had to be refined.
+            When the solution must pass the optimality check, whose verdict it then contains: always, or if its arcs
+            differ from the known ones or its mesh was refined.
 
         Raises
         ------
         KeyboardInterrupt
-            Ctrl-C: there is no solution yet.
+            Ctrl-C before there is a solution.
         """
         begin = time.perf_counter()
         start = replace(truncate_solution(self.solution, problem), problem=problem.frozen(), structure=())
@@ -117,7 +117,7 @@ class KnownArcs:
         return refine_mesh(found, tol=tol, limits=self._iteration_limits) if found.status.solved else None
 
     def _has_known_structure(self, found: Candidate) -> bool:
-        """Whether a solution has the same arcs as the known one, or else is on the very mesh of it."""
+        """Return whether a solution has the arcs of the known one, or the same mesh."""
         known = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
         return same and (bool(known) or len(found.history.passes) == 1)
@@ -130,14 +130,14 @@ class KnownArcs:
 
 
 def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:
-    """Return the meshes that a solution was refined from; the default where that is not known."""
+    """Return the meshes from which a solution was refined; the default meshes if unknown."""
     meshes = {} if known.history is None else known.history.passes[0].meshes
     given = bool(meshes) and not any(mesh.movable for mesh in meshes.values())
     return read_meshes(meshes if given else None, known.phases, known.problem_name)
 
 
 def _remove_sliver_pieces(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
-    """Return a detected structure without the pieces between rows that change at one time."""
+    """Return a detected structure without pieces between rows that change at the same time."""
     ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
     while structure.n_pieces > len(ends) - 1:
         shortest = int(np.argmin(structure.piece_lengths))

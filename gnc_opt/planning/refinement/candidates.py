@@ -1,4 +1,4 @@
-"""Candidates: the solutions that a search has found, their estimated errors, and the choice of the best one."""
+"""Candidates of a search: solutions, estimated errors and the selection of the best one."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 LOCAL_ERROR_RATIO = 1e3
-"""Largest local error, in tolerances, with which the estimated error of the objective is used."""
+"""Largest local error, relative to the tolerance, with which the estimated error of the objective is used."""
 
 CANDIDATE_ERROR_MARGIN = 3.0
-"""An objective that is lower by more than this many estimated errors belongs to another minimum."""
+"""Difference of objectives, in estimated errors, above which two solutions belong to different minima."""
 
 OPEN_MAX_RATIO = 1e2
-"""Largest ratio of a failed condition to its tolerance with which a finer mesh may satisfy it."""
+"""Largest ratio of a failed condition to its tolerance that a finer mesh may resolve."""
 
 NAMED_CONDITIONS = 3
-"""Number of failed conditions that the message names."""
+"""Number of failed conditions listed in the message."""
 
 _CHATTERING = (
-    "A singular arc, {where}, may be of higher order: such arcs meet arcs on bounds by chattering only, ever faster "
-    "switches that no mesh resolves. The cost is then right to what it moved by in the last passes; with a small "
-    "penalty on the control there is an optimum that can be resolved."
+    "A singular arc, {where}, may be of higher order. Such arcs connect to bound arcs only by chattering, that is, by "
+    "infinitely many switches that no mesh resolves. The cost is accurate to its change in the last passes; with a "
+    "small penalty on the control, the optimum can be resolved."
 )
 
 
@@ -47,7 +47,7 @@ class Candidate:
 
     @classmethod
     def from_solve(cls, solution: Solution, tol: float, begin: float, stage: str) -> Candidate:
-        """Return the candidate of a single solve that began at a time (as `time.perf_counter` counts)."""
+        """Return the candidate of a single solve that began at ``begin`` (s, `time.perf_counter`)."""
         record = record_iteration(solution, estimate_errors(solution), begin, Actions())
         reached = record.solved and record.error <= tol
         status = RefinementStatus.CONVERGED if reached else RefinementStatus.BUDGET_LIMIT
@@ -64,7 +64,7 @@ class Candidate:
 
     @property
     def minimised_cost(self) -> float:
-        """The objective, negated where it is maximised."""
+        """Objective, negated if it is maximised."""
         return -self.solution.objective if self.solution.maximised else self.solution.objective
 
     @property
@@ -82,7 +82,7 @@ class Candidate:
 
     @property
     def is_false_extremal(self) -> bool:
-        """Whether other controls lower H along the costates by more than a negligible share of the objective."""
+        """Return whether other controls reduce H by more than a negligible share of the objective."""
         return self.minimum_principle_loss > NEGLIGIBLE * self.solution.objective_error.scale
 
     @cached_property
@@ -95,19 +95,19 @@ class Candidate:
 
     @property
     def passes_check(self) -> bool:
-        """Whether the optimality check has been computed and passed."""
+        """Return whether the optimality check has been computed and passed."""
         return self.known_verdict is not None and self.known_verdict.ok
 
     @property
     def is_nearly_optimal(self) -> bool:
-        """Whether the optimality check failed by at most `OPEN_MAX_RATIO`, so that a finer mesh may pass it."""
+        """Return whether the optimality check failed by at most `OPEN_MAX_RATIO`, so that a finer mesh may pass it."""
         if self.known_verdict is None:
             return False
         necessary = [c for c in self.known_verdict.open if not c.sufficient]
         return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
 
     def is_objective_within(self, tol: float) -> bool:
-        """Whether the objective is within a relative tolerance, by its estimate."""
+        """Return whether the estimated relative error of the objective is within a tolerance."""
         if not self.largest_error <= LOCAL_ERROR_RATIO * tol:
             return False
         found = self.solution.objective_error
@@ -119,9 +119,9 @@ class Candidate:
         )
 
     def ranking_errors(self, tol: float) -> tuple[float, float]:
-        """Return relative estimate, not below the tolerance, and local error: the smaller, the better.
+        """Return the relative error of the objective, at least the tolerance, and the local error, for ranking.
 
-        Where the loss of the minimum principle is less than the estimated one, it counts.
+        The loss of the minimum principle replaces the estimate if it is smaller.
         """
         if not self.is_solved:
             return math.inf, self.largest_error
@@ -131,14 +131,14 @@ class Candidate:
         return max(estimate / found.scale, tol), self.largest_error
 
     def costs_less(self, other: Candidate) -> bool:
-        """Whether its cost is lower than that of another solution on the same mesh, beyond rounding."""
+        """Return whether the cost is lower than that of another solution on the same mesh, beyond rounding."""
         return (
             self.is_solved
             and self.minimised_cost < other.minimised_cost - SMALL * other.solution.objective_error.scale
         )
 
     def has_lower_cost(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
-        """Whether it belongs to a lower minimum; the margin is larger if only the other one passes the check."""
+        """Return whether the solution has a lower minimum; use a larger margin if only the other passes the check."""
         if not self.minimised_cost < other.minimised_cost:
             return False
         ours, theirs = (
@@ -152,10 +152,9 @@ class Candidate:
 def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     """Return the index of the best candidate.
 
-    Candidates that pass the check come first; among these, or else among all, the smallest estimated error decides.
-
-    Of several within the tolerance, the local error decides. A clearly lower minimum is preferred to all of them,
-    unless its local errors are large: then it need not be a trajectory of the vehicle.
+    Candidates that pass the check have priority; among these, or otherwise among all, the one with the smallest
+    estimated error is selected. Among several within the tolerance, the local error decides. A clearly lower minimum
+    has priority over all others unless its local errors are large, since it then may not satisfy the dynamics.
     """
     solved = [k for k, c in enumerate(candidates) if c.is_solved]
     if not solved:
@@ -183,7 +182,7 @@ def final_solution(
     begin : float
         Time at which the search began, s, of `time.perf_counter`.
     check : bool
-        Whether the solution gets a verdict.
+        Whether the optimality check is run.
     """
     chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]
@@ -206,7 +205,7 @@ def final_solution(
 
 
 def _find_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
-    """Return a hint at a coarse solve that is lower than the answer by more than the estimates of both, if any is."""
+    """Return a hint at a coarse solve with a lower objective, beyond the estimated errors of both; empty if none."""
     lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
     if not lower:
         return {}
@@ -237,14 +236,14 @@ def _classify_status(
         return ended
     if (
         best.history.status is RefinementStatus.BUDGET_LIMIT
-    ):  # of the sequence none: nothing improved the mesh
+    ):  # without an improvement of the mesh in the whole sequence
         reasons = (RefinementStatus.POINT_LIMIT, RefinementStatus.FAILED)
         return next((reason for reason in reasons if reason in found), RefinementStatus.STALLED)
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 
 def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
-    """Describe the ending: local error, estimated error of the objective and failed conditions."""
+    """Return the message: local error, estimated error of the objective and failed conditions."""
     error = best.largest_error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
@@ -265,6 +264,6 @@ def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict 
 
 
 def _describe_singular_arcs(verdict: Verdict) -> str:
-    """Explain why a refinement with singular arcs may not converge, and where they are."""
+    """Return the reason why a refinement with singular arcs may not converge, and their location."""
     _, found, where = verdict["second order"].where.partition("singular arcs: ")
     return f" {_CHATTERING.format(where=where.partition(';')[0])}" if found else ""

@@ -1,6 +1,6 @@
-"""How far a trajectory is from satisfying its problem between the nodes: an estimate per segment.
+"""Error estimate per segment: violation of the optimality system between the collocation points.
 
-Four dimensionless errors, none of which the solver sees:
+Four dimensionless errors, which the NLP solver does not constrain:
 
 * dynamics: the integral over the segment of |dx/dt - f(t, x, u)|, relative to the state's magnitude;
 * integrals: a finer quadrature of each integrand minus the collocation rule's, relative to the integral
@@ -8,7 +8,7 @@ Four dimensionless errors, none of which the solver sees:
 * overshoot: violation of bounds and path constraints between the nodes: the largest value for functions of
   the states alone, the mean over the phase for those of the controls;
 * costates: the square of the residual of their differential equation, the integral of |d(lambda)/dt + dH_a/dx + z|,
-  times the state's magnitude over the cost's. Segments with an active constraint of the states alone are left out:
+  times the state's magnitude over that of the cost. Segments with an active pure state constraint are excluded, since
   costates may jump there.
 """
 
@@ -29,12 +29,12 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED, NEGLIGIBLE, SMALL
 
 COSTATE_ERROR_WEIGHT = 20.0
-"""A residual r counts as an error of (20 r)^2: costates affect the cost in second order only."""
+"""A residual r counts as an error of (20 r)^2, since costates affect the cost only to second order."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorScales:
-    """Magnitudes along a phase to which its errors are relative."""
+    """Magnitudes of states, controls, integrals and path constraints in a phase, the references of relative errors."""
 
     leg: PhaseSolution
     functions: PhaseFunctions
@@ -71,7 +71,7 @@ class ErrorScales:
 
     @property
     def pure_path_scales(self) -> Array:
-        """Magnitude of each path constraint that depends on the states alone; 0 for the others."""
+        """Magnitude of each path constraint that depends on the states only; 0 for the others."""
         return np.where(self.path_has_control, 0.0, self.path)
 
     def evaluate_errors(self, samples: PhaseSamples, adjoint: Array) -> SegmentErrors:
@@ -81,7 +81,7 @@ class ErrorScales:
         ----------
         samples : PhaseSamples
         adjoint : array (n_states, n_samples)
-            Residual of the costates' equation at the samples; see `costate_residual`.
+            Residual of the costate equation at the samples; see `costate_residual`.
         """
         f, leg, s = self.functions, self.leg, samples
         at = s.times, s.x, s.u_polynomial
@@ -135,19 +135,19 @@ class SegmentErrors:
 
     @property
     def error_table(self) -> Array:
-        """All kinds below each other, NaN as infinity."""
+        """Errors of all kinds, stacked by rows; NaN is replaced by infinity."""
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
     @property
     def largest_errors(self) -> Array:
-        """The largest error of each segment, (K,)."""
+        """Largest error of each segment, (K,)."""
         return np.asarray(np.max(self.error_table, axis=0))
 
     def compute_required_decades(self, aim: float) -> Array:
-        """Return by how many decades residuals and excesses must fall for errors of ``aim``, (K,)."""
+        """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
         table = np.log10(np.clip(self.error_table, 1e-99, 1e6) / aim)
-        table[-self.costates.shape[0] :] /= 2.0  # they are squares
+        table[-self.costates.shape[0] :] /= 2.0  # squared residuals
         return np.asarray(np.max(table, axis=0))
 
 
@@ -174,12 +174,12 @@ class PhaseError:
 
     @property
     def largest_errors(self) -> Array:
-        """The largest error of each segment, (K,)."""
+        """Largest error of each segment, (K,)."""
         return self.errors.largest_errors
 
     @property
     def location(self) -> str:
-        """Place and kind of the largest error."""
+        """Location and kind of the largest error."""
         table, leg = self.errors.error_table, self.samples.leg
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
         states, controls = leg.states.labels, leg.controls.labels
@@ -192,18 +192,18 @@ class PhaseError:
 
 
 def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
-    """Return the error estimate of every phase of a solution; needs its problem."""
+    """Return the error estimate of every phase of a solution, which must have its problem."""
     return {name: PhaseError.from_samples(samples) for name, samples in solution.samples().items()}
 
 
 def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
-    """Return the residual (n_states, n_samples) in shares of the cost per second; zero where it does not count.
+    """Return the costate residual (n_states, n_samples), relative to the cost per second; zero where excluded.
 
     Parameters
     ----------
     samples : PhaseSamples
     pure_paths : array (n_paths,)
-        Magnitude of each path constraint that depends on the states alone; 0 for the others.
+        Magnitude of each path constraint that depends on the states only; 0 for the others.
     """
     s, leg, times = samples, samples.leg, samples.times
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
@@ -216,7 +216,7 @@ def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
 
 
 def _find_unconstrained_segments(samples: PhaseSamples, pure_paths: Array, cost_shares: Array) -> Mask:
-    """Return in which segments (K,) no constraint of the states alone is active, neither inside nor at the ends."""
+    """Return the segments (K,) without an active pure state constraint, inside or at the ends."""
     leg = samples.leg
     forces = np.concatenate(
         [
@@ -243,7 +243,7 @@ def get_states_at_points(leg: PhaseSolution) -> Array:
 
 
 def _excess_beyond_bounds(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
-    """Return how far values leave their bounds at the samples; with times, peaks between samples count there."""
+    """Return the violation of bounds at the samples; with ``times``, including peaks between samples."""
     below, above = bounds.lower[:, None] - values, values - bounds.upper[:, None]
     if times is not None:
         below, above = _interpolate_peaks(below, times), _interpolate_peaks(above, times)
@@ -251,12 +251,12 @@ def _excess_beyond_bounds(values: Array, bounds: Interval, scale: Array, times: 
 
 
 def _interpolate_peaks(values: Array, times: Array) -> Array:
-    """Raise each local maximum of the samples (n, n_samples) to the peak of the parabola through its neighbours."""
+    """Replace each local maximum of the samples (n, n_samples) by the peak of the parabola through its neighbours."""
     left, right = times[1:-1] - times[:-2], times[2:] - times[1:-1]
-    known = (left > 0) & (right > 0)  # at the ends of segments, samples come in pairs
+    known = (left > 0) & (right > 0)  # segment ends are duplicated in the samples
     left, right = np.where(known, left, 1.0), np.where(known, right, 1.0)
     middle = values[:, 1:-1]
-    with np.errstate(invalid="ignore"):  # where there is no bound
+    with np.errstate(invalid="ignore"):  # without a bound
         a, b = (middle - values[:, :-2]) / left, (values[:, 2:] - middle) / right
         bend = (b - a) / (left + right)
         slope = (a * right + b * left) / (left + right)

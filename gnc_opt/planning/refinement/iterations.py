@@ -1,4 +1,4 @@
-"""The passes of a refinement: how each is recorded, whether it is shown, and whether they lead anywhere."""
+"""Iterations of a refinement: records, progress output, limits and stagnation."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
 CONVERGENCE_WINDOW = 6
-"""So many passes tell how fast the error falls."""
+"""Number of last passes that determine the convergence rate."""
 
 MAX_FURTHER_ITERATIONS = 10
-"""If it falls so slowly that more passes than this would be needed, refining stops."""
+"""Largest number of further passes, predicted from the convergence rate, with which refinement continues."""
 
 
 @dataclass(frozen=True)
 class IterationLimits:
-    """Where the passes of a refinement end, wherever it has come to.
+    """Limits at which the passes of a refinement end.
 
     Attributes
     ----------
     passes : int
-        At most so many solves.
+        Largest number of solves.
     points : int
-        At most so many collocation points in any phase.
+        Largest number of collocation points per phase.
     work : float
-        What all passes together may cost, in iterations at one collocation point; see `RefinementIteration.work`.
+        Limit on the work of all passes, iterations at one collocation point; see `RefinementIteration.work`.
     deadline : float
-        When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
+        Wall time limit, `time.perf_counter`. Ctrl-C also ends the passes.
     cpu_deadline : float
-        When no work is left, as `time.thread_time` counts.
+        CPU time limit, `time.thread_time`.
     worst : float
-        A structure whose first pass has a larger error is not that of the problem, and is given up.
+        Largest error of a first pass; with a larger one, the structure is rejected.
     """
 
     passes: int = 40
@@ -49,11 +49,11 @@ class IterationLimits:
     worst: float = math.inf
 
     def are_exhausted(self, spent: float) -> bool:
-        """Return whether no pass begins after passes that cost so much work."""
+        """Return whether no further pass is allowed after the work ``spent``."""
         return spent >= self.work or time.thread_time() > self.cpu_deadline
 
     def limit_solve(self, meshes: Iterable[Mesh], spent: float = 0.0) -> SolveLimits:
-        """Return what a solve on some meshes may take, after passes that cost so much work."""
+        """Return the limits of a solve on the given meshes after the work ``spent``."""
         within = SolveLimits(deadline=self.deadline, cpu_deadline=self.cpu_deadline)
         if math.isinf(self.work):
             return within
@@ -64,7 +64,7 @@ class IterationLimits:
 def record_iteration(
     solution: Solution, errors: Mapping[str, PhaseError], begin: float, actions: Actions | str
 ) -> RefinementIteration:
-    """Return the record of a pass that began at a time (as `time.perf_counter` counts) and ended with a solution."""
+    """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution."""
     error, where = find_largest_error(errors)
     return RefinementIteration(
         meshes={name: leg.mesh for name, leg in solution.phases.items()},
@@ -82,7 +82,7 @@ def record_iteration(
 def show_progress(
     name: str, tol: float, shown: bool
 ) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
-    """Return a context whose value shows a pass, or does nothing; see `gnc_opt.progress`."""
+    """Return a context manager whose value prints a pass, or does nothing; see `gnc_opt.progress`."""
     if not shown:
         return nullcontext(lambda _: None)
     from gnc_opt.progress import refinement_meter
@@ -91,14 +91,14 @@ def show_progress(
 
 
 def is_stagnating(errors: Sequence[float], tol: float) -> bool:
-    """Whether the error falls too slowly, as in the last passes, to reach the tolerance.
+    """Return whether the error decreases too slowly in the last passes to reach the tolerance.
 
     Parameters
     ----------
     errors : sequence of float
-        Of all passes so far. Fewer than `CONVERGENCE_WINDOW` after the first show nothing.
+        Errors of all passes. With fewer than `CONVERGENCE_WINDOW` after the first, the result is False.
     tol : float
-        What the error should come down to.
+        Target error.
     """
     if len(errors) <= CONVERGENCE_WINDOW:
         return False

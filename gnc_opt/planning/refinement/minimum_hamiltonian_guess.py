@@ -1,8 +1,8 @@
-"""Controls of least H along a trajectory: where a solve begins again that has come to a false extremal.
+"""Controls that minimise H along a trajectory, the initial guess of a second solve from a false extremal.
 
-A collocation program may converge to controls that are stationary in H without minimising it, as its derivatives see
-only what is near. The costates are nearly those of the optimum where the states are; the controls that minimise H along
-them lead from the wrong minimum of H to the right one.
+A collocation program may converge to controls at which H is stationary but not minimal, since its derivatives are
+local. If the states are nearly optimal, so are the costates; the controls that minimise H along them lead from the
+local to the global minimum of H.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gnc_opt.planning.verification.control_conditions import minimise_hamiltonia
 
 
 def guess_minimum_hamiltonian(solution: Solution) -> Solution:
-    """Return a solution with the controls that minimise H along its states and costates, as a guess."""
+    """Return a guess with the controls that minimise H along the states and costates of a solution."""
     phases = {name: _minimise_phase_hamiltonian(s) for name, s in solution.samples().items()}
     return replace(solution, phases=phases)
 

@@ -1,4 +1,4 @@
-"""refine: from a first solution to one that is right to many digits, and is known to be."""
+"""Refinement of a solution to a given accuracy, with an optimality check."""
 
 from __future__ import annotations
 
@@ -35,41 +35,40 @@ def refine(
     Parameters
     ----------
     solution : Solution
-        A solved one, with its problem. Arcs that this holds explicitly (`Problem.with_fixed_arcs`) belong to its mesh:
-        the refined solution is one of the problem without them.
+        A converged solution with its problem. Arcs fixed by `Problem.with_fixed_arcs` belong to its mesh: the refined
+        solution is one of the problem without them.
     tol : float
-        On the error between the nodes (`gnc_opt.planning.refinement.error_estimation`), and on the estimated error
-        of the objective in shares of it (`gnc_opt.planning.solution.objective_error`).
+        On the local errors (`gnc_opt.planning.refinement.error_estimation`) and on the estimated relative error of the
+        objective (`gnc_opt.planning.solution.objective_error`).
     structure : {"auto", "bang-bang", "none"}
-        ``"none"``: hp refinement of the mesh. ``"bang-bang"``: recognise which control is at which bound when,
-        make the switch times variables, and mend the structure until the switching functions agree with it.
-        The same for kinks, where controls enter and leave their bounds or mixed path constraints, and for singular
-        arcs and arcs on state bounds.
+        ``"none"``: hp refinement of the mesh. ``"bang-bang"``: detect the bound arcs of each control, optimise their
+        switching times, and update the structure until it agrees with the switching functions. Kinks at which controls
+        enter or leave bounds or mixed path constraints, singular arcs and arcs on state bounds are detected likewise.
         ``"auto"``: the sequence of meshes, see `gnc_opt.planning.refinement.staged_refinement`.
     check : bool
-        Whether the answer has to pass the optimality check. Without it the first answer is returned whose estimated
-        error of the objective is within the tolerance and whose history ends as UNCHECKED.
+        Whether the solution must pass the optimality check. Without the check, the first solution is returned whose
+        estimated error of the objective is within the tolerance; its history ends as UNCHECKED.
     limits : RefinementLimits, optional
         On passes, points, work and wall time. At a limit, and after Ctrl-C, the best solution so far is returned.
     options : SolverOptions, optional
-        For the solves; a limit on wall time in it is that of one solve.
+        Options of the solves; a wall time limit in them applies to one solve.
     progress : bool
-        Show one line per pass.
+        Print one line per pass.
 
     Returns
     -------
     Solution
-        With ``history`` and, where switch times were optimised, ``structure``. The history ends as CONVERGED only
-        if the tolerance was reached and no condition of the optimality check fails; otherwise its message
-        names the open conditions.
-        The solution keeps that verdict: ``verify(solution)`` returns it without another check.
+        With ``history`` and, if switching times were optimised, ``structure``. The history ends as CONVERGED only if
+        the tolerance was reached and no condition of the optimality check fails; otherwise its message lists the failed
+        conditions. The verdict is stored in the solution, so that ``verify(solution)`` returns it without another
+        check.
 
     Raises
     ------
     GncOptError
         The solution has no problem or is not solved.
     ProblemError
-        ``structure`` is none of the three, or it is ``"bang-bang"`` and no control can be.
+        ``structure`` is unknown, or is ``"bang-bang"`` and no control is linear in H with finite bounds.
 
     Examples
     --------
@@ -88,7 +87,7 @@ def refine(
 
 
 def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: StructureChoice) -> Solution:
-    """Return the answer to which the stages lead from a solution on a first mesh; see `refine`."""
+    """Return the solution that the stages find from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
@@ -112,9 +111,9 @@ def _check_solution(solution: Solution) -> None:
 
 
 def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
-    """Return the solution of the problem that holds no arcs: those are stated segment by segment of one mesh.
+    """Return the solution of the problem without fixed arcs, which refer to the segments of one mesh.
 
-    What is best with them need not be without: it is solved anew, on the mesh as it was found.
+    The problem is solved again on the same mesh, since the optimum without fixed arcs may differ.
     """
     problem = solution.need_problem("refine")
     held = [name for name, leg in problem.phases.items() if leg.numbers.arcs is not None]

@@ -1,24 +1,24 @@
-"""The stages of a solve: from a stated problem to an answer that is accurate and whose optimality is checked.
+"""Sequence of solves for an accurate solution that passes the optimality check.
 
 ================  =============================================================================================
-stage             what is solved
+stage             solved problem
 ================  =============================================================================================
-first mesh        the first mesh; where it shows arcs, the switching-time formulation with these arcs, else, or where
+first mesh        the first mesh; if it shows arcs, the switching-time formulation with these arcs; otherwise, or if
                   the objective is accurate already, hp refinement
-minimum of H      the first mesh again, from the controls that minimise H along the costates, where these lose cost
+minimum of H      the first mesh again, from the controls that minimise H along the costates, if H is not minimal
 adaptive barrier  the first mesh again, by IPOPT's adaptive barrier strategy
-60 segments       60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the
-                  switching-time formulation with the arcs that they show if none has had a solution
-200 segments      200 segments of degree 3, warm, and the switching-time formulation with the arcs that they show
+60 segments       60 segments of degree 3 in all phases together, warm start; once from an integrated trajectory; the
+                  switching-time formulation with the detected arcs if none has had a solution
+200 segments      200 segments of degree 3, warm start, and the switching-time formulation with the detected arcs
 hp refinement     hp refinement of the best mesh so far, and the switching-time formulation with its arcs
 ================  =============================================================================================
 
-The switching-time formulation has the ends of the arcs as variables and holds the controls along them.
+In the switching-time formulation, the ends of the arcs are variables; bound controls are fixed along their arcs.
 
-Every solved answer is a `Candidate`. The first one that passes the optimality check with local errors within the
-tolerance is returned at once; without a check, the first one whose estimated error of the objective is within it. A
-solve that costs less than another one on the same mesh takes its place: on the first mesh the first stage begins anew,
-once each, and finer stages begin from it. At the end, at limits and after Ctrl-C the best candidate is returned
+Every converged solution is a `Candidate`. The first one that passes the optimality check with local errors within the
+tolerance is returned at once; without a check, the first one whose estimated error of the objective is within the
+tolerance. A solve with a lower cost than another one on the same mesh replaces it: the first stage is repeated from it,
+at most once each, and finer stages start from it. At the end, at limits and after Ctrl-C the best candidate is returned
 (`candidates.select_best_candidate`).
 """
 
@@ -57,40 +57,40 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
 MIDDLE_SEGMENTS, FINE_SEGMENTS, STAGE_DEGREE = 60, 200, 3
-"""Segments of the two finer stages in all phases together, a quarter of it in each at least, and points per segment."""
+"""Segments of the two finer stages in all phases together, at least a quarter of them in each, and their degree."""
 
 STAGE_MAX_SHARE = 0.25
-"""Share of the budget that a switching-time formulation, or hp refinement on the first stage, may cost."""
+"""Largest share of the budget for a switching-time formulation, or for hp refinement in the first stage."""
 
 PROGRAM_MAX_PIECES = 80
-"""Pieces of a phase up to which a switching-time formulation is tried."""
+"""Largest number of pieces of a phase with which a switching-time formulation is tried."""
 
 PROGRAM_MAX_FAILURES = 4
-"""Programs without a solution after which no other is tried."""
+"""Number of failed switching-time formulations after which no other is tried."""
 
 TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)
-"""Mesh tolerances, in shares, while the check is open and the objective's estimated error halves."""
+"""Mesh tolerances, relative to the tolerance, while the check fails and the objective's estimated error halves."""
 
 FIRST, MINIMUM_OF_H, HP = "first mesh", "minimum of H", "hp refinement"
 MIDDLE, FINE = f"{MIDDLE_SEGMENTS} segments", f"{FINE_SEGMENTS} segments"
-"""Names of stages."""
+"""Names of the stages."""
 
 BARRIER_OPTION = "ipopt.mu_strategy"
 
 
 @dataclass(eq=False)
 class StagedRefinement:
-    """The search for an accurate solution of one problem: settings, budget and candidates.
+    """Search for an accurate solution of one problem: settings, work budget and candidates.
 
     Parameters
     ----------
     problem : Problem
-        In the form that the solver gets; see `gnc_opt.planning.problem.reformulation`.
+        Problem in the form solved; see `gnc_opt.planning.problem.reformulation`.
     tol : float
         On the local errors, and on the estimated error of the objective relative to the objective.
     limits : RefinementLimits
     budget : WorkBudget
-        Work that the limits allow.
+        Work allowed by the limits.
     check : bool
         Whether the search ends only with a solution that passes the optimality check.
     options : SolverOptions, optional
@@ -117,7 +117,7 @@ class StagedRefinement:
         return self._collect_candidates(first, self._run_all_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
-        """Return the result of hp refinement alone, from a solution on a mesh."""
+        """Return the result of hp refinement only, from a solution on a mesh."""
         self._add_candidate(Candidate.from_solve(first, self.tol, self.begin, FIRST))
         return self._collect_candidates(first, self._refine_mesh(first, 1.0))
 
@@ -138,11 +138,11 @@ class StagedRefinement:
         return self._collect_candidates(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
 
     def answer_interruption(self, first: Solution) -> Solution:
-        """Return the result of a search that Ctrl-C ended before its first stage: the given solution."""
+        """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
         candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
         return final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
 
-    # --- what is solved in which order ------------------------------------------------------------------------
+    # --- sequence of solves -------------------------------------------------------------------------------------
 
     def _collect_candidates(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
         ended: RefinementStatus | None = None
@@ -219,7 +219,7 @@ class StagedRefinement:
             yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
     def _run_middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
-        """Yield the candidates of the stage with 60 segments; return the solution that the next stage starts from."""
+        """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
         meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_stage(MIDDLE, meshes, first)
         yield found
@@ -233,7 +233,7 @@ class StagedRefinement:
         return found.solution if found.is_solved else first
 
     def _run_last_stage(self) -> Iterator[Candidate]:
-        """Refine the best mesh, then solve with its arcs; refine further while only the check fails."""
+        """Refine the best mesh, then solve with its arcs; refine further while only the optimality check fails."""
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.ranking_errors(self.tol))
         found = yield from self._refine_mesh(start.solution, 1.0)
@@ -253,7 +253,7 @@ class StagedRefinement:
         return next(c for c in self.candidates if c.is_solved and c.solution is solution)
 
     def _uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
-        """Return uniform meshes with a total number of segments; phases that have a finer mesh keep it."""
+        """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
         each = max(segments // len(like.phases), segments // 4)
         meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}
         return {
@@ -324,7 +324,7 @@ class StagedRefinement:
             progress=self.progress,
         )
         self.budget.charge_work(start, sum(p.work for p in history.passes[1:]))
-        if history.chosen > 0:  # the first pass is the solution that was given
+        if history.chosen > 0:  # index 0 is the given solution
             history = replace(history, passes=history.passes[1:], chosen=history.chosen - 1)
         candidate = Candidate(solution, history, stage)
         yield candidate
@@ -338,7 +338,7 @@ class StagedRefinement:
         share: float = STAGE_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
-        """Yield the candidate of the switching-time formulation, if the arcs are promising."""
+        """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
         if not self._is_structure_promising(start, found) and share < 1.0:
             return
         options = self.options or SolverOptions(
@@ -358,7 +358,7 @@ class StagedRefinement:
         yield Candidate(solution, history, stage)
 
     def _is_structure_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
-        """Whether there are arcs, not too many, not tried before, and few earlier formulations have failed."""
+        """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
         if not _has_arcs(start, found, at_least=1):
             return False
         if any(s.n_pieces > PROGRAM_MAX_PIECES for s in found.values()):
@@ -382,7 +382,7 @@ class StagedRefinement:
 
 
 def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
-    """Whether a control can have switches or kinks in a phase with more pieces than given, or with touched limits."""
+    """Return whether a control may have switches or kinks, in a phase with more pieces than ``at_least`` or touches."""
     for name, samples in solution.samples().items():
         if np.any(affine_controls(samples)) and found[name].n_pieces > at_least:
             return True
@@ -390,7 +390,7 @@ def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
             return True
         if np.any(nonconvex_controls(samples)) and found[name].n_pieces > max(at_least, 1):
             return True
-        # Controls that H determines need no arcs as long as they stay between their bounds.
+        # Regular controls need no arcs while they stay between their bounds.
         if np.any(convex_controls(samples)) and found[name].n_pieces > 1:
             return True
     return False

@@ -1,8 +1,8 @@
-"""Work limits of a solve, counted alike on every machine.
+"""Work limits of a solve, independent of the machine.
 
 Work is counted in iterations of one variable at one collocation point. A solve on N points with n states and
 m controls that takes k iterations costs N (n + m) (k + 15); the 15 stand for derivatives, error estimates and
-the next mesh. `WORK_PER_SECOND` converts it to CPU seconds. CPU time beyond them ends the search.
+the next mesh. `WORK_PER_SECOND` converts work to CPU seconds. The search also ends at that CPU time.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 
 WORK_PER_SECOND = 1e5
-"""Work of one CPU second for costly iterations on a processor of 2023."""
+"""Work per CPU second for expensive iterations on a processor of 2023."""
 
 FINISH_MIN_SECONDS = 10.0
-"""Least time for local errors and check after the objective's estimated error is within the tolerance."""
+"""Shortest time for local errors and check after the objective's estimated error is within the tolerance, s."""
 
 
 @dataclass(frozen=True)
 class RefinementLimits:
-    """Limits of solve and refinement; if one is reached before the tolerance, the best answer is returned.
+    """Limits of solve and refinement; if one is reached before the tolerance, the best solution is returned.
 
     Parameters
     ----------
     max_passes : int
-        At most so many solves of one refinement of a mesh, or with one structure.
+        Largest number of solves in one refinement of a mesh, or with one structure.
     max_points : int
-        At most so many collocation points in any phase.
+        Largest number of collocation points per phase.
     max_work : float
-        CPU seconds, by counted iterations of a reference processor (see the module): the same result on every
-        machine that needs no more CPU time than that. ``math.inf`` allows everything.
+        CPU seconds of a reference processor, from counted iterations (see the module): the same result on every machine
+        that needs no more CPU time. ``math.inf``: unlimited.
     max_wall_time : float, optional
-        Limit in seconds on all of it, by the clock.
+        Wall time limit of the whole search, s.
 
     Raises
     ------
     ArgumentError
-        A limit is no positive number.
+        A limit is not a positive number.
 
     Examples
     --------
@@ -67,25 +67,25 @@ class RefinementLimits:
 
 
 def count_variables_per_point(phases: Mapping[str, PhaseSolution]) -> float:
-    """Return states and controls per collocation point, a mean over the points of all phases."""
+    """Return the mean number of states and controls per collocation point over all phases."""
     points = sum(leg.mesh.size for leg in phases.values())
     return sum(leg.mesh.size * (leg.states.size + leg.controls.size) for leg in phases.values()) / points
 
 
 @dataclass
 class WorkBudget:
-    """Work that is allowed and has been spent.
+    """Allowed and spent work.
 
     Attributes
     ----------
     total : float
-        Allowed, s of the reference processor.
+        Allowed work, s of the reference processor.
     deadline : float
-        When to stop, as `time.perf_counter` counts.
+        Wall time limit, `time.perf_counter`.
     spent : float
-        s of the reference processor.
+        Spent work, s of the reference processor.
     cpu_deadline : float
-        When the CPU time of this thread, as `time.thread_time` counts, has come to what is allowed.
+        CPU time limit of this thread, `time.thread_time`.
     """
 
     total: float
@@ -108,27 +108,28 @@ class WorkBudget:
         return max(0.0, min(self.total - self.spent, self.cpu_deadline - time.thread_time()))
 
     def charge_solve(self, solution: Solution) -> None:
-        """Count what a solve has cost, failed tries included."""
+        """Add the work of a solve, including failed attempts."""
         points = sum(leg.mesh.size for leg in solution.phases.values())
         self.charge_work(solution, compute_solve_work(points, solution.statistics.iterations))
 
     def charge_work(self, like: Solution, work: float) -> None:
-        """Count iterations at one collocation point (`RefinementIteration.work`) of a problem with the
-        variables of a solution."""
+        """Add iterations at one collocation point (`RefinementIteration.work`) of a problem with the variables of
+        ``like``."""
         self.spent += work * count_variables_per_point(like.phases) / WORK_PER_SECOND
 
     def allot_work(self, like: Solution, share: float = 1.0) -> float:
-        """Return a share of the total, at most what is left, in iterations at one collocation point."""
+        """Return a share of the total work, at most the rest, in iterations at one collocation point."""
         seconds = min(share * self.total, self.remaining_work)
         return seconds * WORK_PER_SECOND / count_variables_per_point(like.phases)
 
     def count_remaining_iterations(self, like: Solution, points: int) -> int | None:
-        """Return for how many iterations at so many points there is work left, at least one; None: without limit."""
+        """Return the remaining iterations, at least one, of a solve with ``points`` collocation points; None:
+        unlimited."""
         left = self.allot_work(like)
         return None if math.isinf(left) else max(1, count_affordable_iterations(left, points))
 
     def limit_finishing_work(self) -> None:
-        """Leave what finishing an answer may take, once."""
+        """Limit the remaining work to that of completing a solution, once."""
         if not self._shortened:
             self.total = min(self.total, self.spent + max(FINISH_MIN_SECONDS, self.spent))
             self._shortened = True
