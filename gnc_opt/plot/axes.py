@@ -41,7 +41,8 @@ def cost_unit(solution: Solution) -> str:
 def hamiltonian_unit(solution: Solution) -> str:
     """Return the unit of cost per second; "" for a minimum time or without a unit."""
     unit = cost_unit(solution)
-    return "" if unit in ("", time_unit(solution)) else derivative_unit(unit, time_unit(solution))
+    time = time_unit(solution).removeprefix("× ")
+    return "" if unit in ("", time) else derivative_unit(unit, time)
 
 
 def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:

@@ -84,8 +84,10 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
     low, high, size = _bounding_box([*usual, *still], view)
     digits = _DIGITS - int(np.floor(np.log10(size)))
     first = next(iter(motions.values()))
+    problem = getattr(next(iter(shown.values())), "problem", None)
     return {
         "times": np.round(times, 6).tolist(),
+        "time_unit": "s" if problem is None else problem.time_unit,
         "unit": first.unit,
         "labels": first.labels,
         "down": view.down,

@@ -116,7 +116,7 @@ def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> Non
         ax.set_xlim(0.5 * narrowest, 1.0 - 0.5 * narrowest)
     else:
         ax.margins(x=0.0)
-    ax.set_xlabel("share of the phase" if stretched else "time (s)")
+    ax.set_xlabel("share of the phase" if stretched else "time")
     ax.set_ylim(len(history.passes) - 0.5, -0.5)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     ax.grid(False)

@@ -104,7 +104,7 @@
   const traces = () => [...still, ...moving.map(([trace, place]) => ({ ...inked(trace), ...place(now) }))];
   const tell = () => {
     slider.value = now;
-    clock.textContent = `t = ${data.times[now].toFixed(decimals)} s`;
+    clock.textContent = `t = ${data.times[now].toFixed(decimals)} ${data.time_unit}`;
     slider.setAttribute("aria-valuetext", clock.textContent);
   };
   const draw = () => {

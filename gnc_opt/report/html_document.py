@@ -103,7 +103,7 @@ th, td { padding: .2rem 1rem .2rem 0; text-align: left; vertical-align: top; bor
 th, figcaption { color: var(--quiet); font-weight: normal; }
 .formulas td { border: 0; padding: .25rem .8rem .25rem 0; vertical-align: baseline; line-height: 2; }
 .formulas td:first-child { text-align: right; }
-td:first-child { white-space: nowrap; } .formulas td:first-child { white-space: normal; }
+th, td:not(:last-child) { white-space: nowrap; } .formulas td:first-child { white-space: normal; }
 figure { margin: 1rem 0 1.5rem; overflow-x: auto; } figcaption { font-size: .9rem; }
 img { display: block; width: 100%; height: auto; background: #fff; }
 math { font-size: 1.12em; math-style: normal; font-family: "STIX Two Math", "Latin Modern Math", "Cambria Math", math; }
@@ -113,12 +113,11 @@ code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 #film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }
 #film button, #film select { font: inherit; min-height: 2.2rem; min-width: 4.5rem; }
 @media (max-width: 40rem) { table { font-size: .85rem; } th, td { padding-right: .6rem; }
-  td:first-child { white-space: normal; } figure:not(:first-of-type) img { min-width: 40rem; } }
+  th, td:not(:last-child) { white-space: normal; } img:not([alt^="Trajectory"]) { min-width: 38rem; } }
 @page { size: A4; margin: 14mm 15mm; }
 @media print { body { padding: 0; font-size: 10pt; line-height: 1.35; max-width: none; }
   table, figcaption { font-size: 8.5pt; } th, td { padding: .1rem .8rem .1rem 0; } h2 { margin: 1.2rem 0 .3rem; }
-  th { white-space: nowrap; }
-  nav, #motion, #overview h2 { display: none; } figure, tr { break-inside: avoid; } figure { margin: .5rem 0; }
+  nav, #motion, #overview h2 { display: none; } #problem { break-before: page; } figure, tr { break-inside: avoid; } figure { margin: .5rem 0; }
   .formulas { font-size: 8pt; } .wide, figure { overflow: visible; } h2, h3, h4 { break-after: avoid; }
   figure img { width: auto; max-width: 100%; max-height: 23cm; margin: 0 auto; }
   #overview img { max-height: 9.4cm; } #overview figure:first-of-type img { max-height: 6.2cm; } }
