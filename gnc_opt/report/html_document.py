@@ -117,7 +117,8 @@ code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 @page { size: A4; margin: 14mm 15mm; }
 @media print { body { padding: 0; font-size: 10pt; line-height: 1.35; max-width: none; }
   table, figcaption { font-size: 8.5pt; } th, td { padding: .1rem .8rem .1rem 0; } h2 { margin: 1.2rem 0 .3rem; }
-  nav, #motion, #overview h2 { display: none; } #problem { break-before: page; } figure, tr { break-inside: avoid; } figure { margin: .5rem 0; }
+  nav, #motion, #overview h2 { display: none; }
+  #problem { break-before: page; } figure, tr { break-inside: avoid; } figure { margin: .5rem 0; }
   .formulas { font-size: 8pt; } .wide, figure { overflow: visible; } h2, h3, h4 { break-after: avoid; }
   figure img { width: auto; max-width: 100%; max-height: 23cm; margin: 0 auto; }
   #overview img { max-height: 9.4cm; } #overview figure:first-of-type img { max-height: 6.2cm; } }
