@@ -21,7 +21,7 @@ FIRST_DEGREE, ARC_MAX_DEGREE = 6, 12
 """First number of collocation points of a piece, and largest number in one segment."""
 
 SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
-"""First and largest degree of the polynomial of a control over a singular piece."""
+"""Initial and largest degree of the polynomial of a control over a singular piece."""
 
 DEGREE_GAIN_RATIO = 0.3
 """Largest ratio of dH/du after and before a useful rise of the degree of a singular control."""
@@ -36,9 +36,8 @@ DECADES_PER_POINT, ADDED_POINTS_MIN = 1.0, 3
 """Decades that the error falls per additional point in a smooth piece, and least number of points that are added."""
 
 DECADES_PER_HALVING = 3.0
-"""Decades that halving a segment of `ARC_MAX_DEGREE` points gains: its polynomials converge like their
-12th power of its
-length where it is smooth, and hardly where it is not."""
+"""Decades that halving a segment with `ARC_MAX_DEGREE` points gains: the error falls with about the 12th power of the
+length if the trajectory is smooth."""
 
 MAX_DECADES_PER_ITERATION = 6.0
 """Largest number of decades that one pass aims at."""
@@ -55,18 +54,18 @@ ARC_OVERLAP_SHARE = 0.9
 
 @dataclass(frozen=True)
 class Resolution:
-    """Segments and collocation degree of a piece.
+    """Segments of a piece and their collocation degree.
 
     Attributes
     ----------
     segments, degree : int
         Number of segments, and collocation points of each.
     smooth : int
-        Degree of the polynomials that singular controls are over the whole piece; 0: no such polynomials.
+        Degree of the polynomials of singular controls over the whole piece; 0: no polynomials.
     gradient : float
-        Largest dH/du that was left along the piece with the degree before; see `raise_control_degree`.
+        Largest dH/du along the piece with the previous degree; see `raise_control_degree`.
     edges : tuple of float
-        Where segments meet, in shares of the piece; none: they are equally long.
+        Inner segment boundaries as fractions of the piece; empty: segments of equal length.
     """
 
     segments: int = 1
@@ -77,22 +76,22 @@ class Resolution:
 
     @property
     def segment_boundaries(self) -> Array:
-        """Boundaries of the segments, in shares of the piece: (segments + 1,) from 0 to 1."""
+        """Segment boundaries as fractions of the piece: (segments + 1,) from 0 to 1."""
         if self.edges:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
     def refine_by_decades(self, decades: Array) -> Resolution:
-        """Return the resolution with which errors fall by a number of decades; the finest one is returned unchanged.
+        """Return a resolution that reduces the errors by a number of decades; the finest one is returned unchanged.
 
-        First with more points, then by halving segments where that is not enough: those that are worst first, as far as
-        there may be more. Along a singular control's polynomial, whose degree is what most of the errors come from, all
-        segments step by step.
+        Points are added first. At `ARC_MAX_DEGREE` points, segments are subdivided, those with the largest errors
+        first, up to the largest number of segments. With a polynomial control, whose degree causes most of the errors,
+        all segments are halved.
 
         Parameters
         ----------
         decades : array (segments,)
-            Of each segment; none of its points is too few where it is not positive.
+            Decades per segment; values <= 0 require no more points.
         """
         most = float(np.max(decades))
         if most <= 0:
@@ -112,7 +111,7 @@ class Resolution:
         return self._subdivide_segments(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
 
     def _subdivide_segments(self, parts: Indices, order: Indices) -> Resolution:
-        """Return the resolution with every segment cut in equal parts, in this order up to `ARC_MAX_SEGMENTS`."""
+        """Return the resolution with subdivided segments, in the given order, up to `ARC_MAX_SEGMENTS` segments."""
         allowed, room = np.ones_like(parts), ARC_MAX_SEGMENTS - self.segments
         for k in order:
             allowed[k] = max(1, min(parts[k], room + 1))
@@ -128,10 +127,10 @@ class Resolution:
         return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
 
     def raise_control_degree(self, gradient: float) -> Resolution:
-        """Return the resolution with singular controls of a higher degree, and points enough for them and the states.
+        """Return the resolution with a higher degree of singular controls, and enough points for it and the states.
 
-        It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
-        control can remove it.
+        The resolution is returned unchanged if the last higher degree hardly reduced dH/du: the rest is rounding, or
+        the optimal control is not smooth.
         """
         if self.smooth == 0 or gradient > DEGREE_GAIN_RATIO * self.gradient:
             return self
@@ -154,14 +153,14 @@ class Plan:
     resolutions : tuple of Resolution
         One per piece.
     points : float
-        Collocation points of the mesh that the structure was found on, if all of it were as coarse as its coarsest
-        segment. Pieces of a fine mesh start with more than the coarsest resolution: oscillations that are many times
-        shorter than a piece are otherwise aliased, and the loop settles on a structure that is none.
+        Collocation points of a uniform mesh as coarse as the coarsest segment of the mesh on which the structure was
+        detected. Pieces of a fine mesh start with a finer resolution: otherwise, oscillations much shorter than a piece
+        are aliased, and the iteration converges to a wrong structure.
     loose : bool
-        Whether state constraints may be left next to their touches, too. The barrier of an interior-point method pushes
-        where points come close to a limit; but without limits a structure that lacks a contact may have no solution.
+        Whether state constraints are also released next to their touch points. The interior-point barrier affects the
+        solution near a limit; but without limits, a structure that lacks a contact may have no solution.
     firm : bool
-        Whether they may be left next to arcs that do not move only; see `PhaseStructure.mask_near_contacts`.
+        Whether constraints are released next to fixed arcs only; see `PhaseStructure.mask_near_contacts`.
     """
 
     structure: PhaseStructure
@@ -172,13 +171,13 @@ class Plan:
 
     @classmethod
     def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
-        """Return a plan that starts with the coarsest resolution that suits a mesh of so many points."""
+        """Return a plan with the coarsest resolution that suits a mesh of ``points`` collocation points."""
         first = tuple(_choose_initial_resolution(structure, k, points) for k in range(structure.n_pieces))
         return cls(structure, first, points)
 
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
-        """Return a plan with the segments that its pieces have been refined to; with few if the mesh has others."""
+        """Return a plan with the segments of a refined mesh; with few segments if the mesh does not match the pieces."""
         found, times = cls.from_structure(structure, count_uniform_points(mesh)), np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
@@ -186,7 +185,7 @@ class Plan:
             return found
         moved = times[0] + breaks[places] * (
             times[-1] - times[0]
-        )  # detected from samples, known from the mesh
+        )  # times from samples and from the mesh differ
         pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
         return replace(
             found,
@@ -195,9 +194,9 @@ class Plan:
         )
 
     def replace_structure(self, structure: PhaseStructure) -> Plan:
-        """Return the plan of another structure with its first resolution; `loose` is kept if the touches are the same.
+        """Return the plan of another structure with initial resolutions; `loose` is kept if the touches are the same.
 
-        What is left of a piece with singular controls keeps their degree: stiffer polynomials have another optimum.
+        Pieces with the same singular controls keep their degree, since the optimum depends on it.
         """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
         plan = replace(Plan.from_structure(structure, self.points), loose=self.loose and same, firm=self.firm)
@@ -205,9 +204,9 @@ class Plan:
         return replace(plan, resolutions=kept)
 
     def extend_structure(self, structure: PhaseStructure) -> Plan:
-        """Return the plan of the structure with one more arc: pieces that are as before keep their segments.
+        """Return the plan of the structure with one more arc: unchanged pieces keep their segments.
 
-        They are fine enough already, and what the arc changes in them is small.
+        The new arc hardly changes the trajectory in those pieces.
         """
         plan = self.replace_structure(structure)
         kept = tuple(
@@ -216,7 +215,7 @@ class Plan:
         return replace(plan, resolutions=kept)
 
     def _find_matching_resolution(self, structure: PhaseStructure, piece: int) -> Resolution | None:
-        """The resolution of the piece with the same kinds at nearly the same time, or None."""
+        """Return the resolution of the piece with the same kinds at nearly the same time, or None."""
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
             shared = min(right, end) - max(left, begin)
@@ -227,7 +226,7 @@ class Plan:
         return None
 
     def _inherit_smooth_degree(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
-        """The resolution with the highest degree of singular controls of pieces of the same kinds, or the first one."""
+        """Return the resolution with the highest control degree among pieces of the same kinds, or the first one."""
         now = [
             r
             for kinds, r in zip(self.structure.kinds, self.resolutions, strict=True)
@@ -237,22 +236,22 @@ class Plan:
 
     @property
     def may_leave_constraints(self) -> bool:
-        """Whether state constraints may be left next to arcs that move."""
+        """Return whether state constraints are released next to movable arcs."""
         loose, firm = (self.structure.mask_near_contacts(self.loose, firm) for firm in (self.firm, True))
         return bool(np.any(loose != firm))
 
     @property
     def segment_pieces(self) -> Indices:
-        """The piece of every segment (K,)."""
+        """Piece of every segment (K,)."""
         return np.repeat(np.arange(self.structure.n_pieces), [r.segments for r in self.resolutions])
 
     @property
     def piece_breaks(self) -> tuple[int, ...]:
-        """Indices of the mesh breaks at which pieces start and end; A + 1 of them."""
+        """Indices of the mesh breaks between pieces, including both ends; A + 1 of them."""
         return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
 
     def mesh(self) -> Mesh:
-        """Return the mesh whose boundaries between pieces are movable, but for kinks, which stay where they are."""
+        """Return the mesh, with movable breaks between pieces except at kinks, which are fixed."""
         times = [self.structure.times[0]]
         degrees: list[int] = []
         for k, r in enumerate(self.resolutions):
@@ -265,10 +264,10 @@ class Plan:
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def hold_arcs(self, problem: Problem, phase: str) -> Problem:
-        """Return the problem with controls, path constraints and states held as the structure says."""
+        """Return the problem with controls, path constraints and states fixed according to the structure."""
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.control_kinds), len(structure.path_kinds)
-        # Interior controls are unbounded: the excess shows where their arc has to end.
+        # Interior controls are unbounded: their excess shows where the arc has to end.
         controls = select_kind(
             structure.control_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_kinds
         )
@@ -286,15 +285,15 @@ class Plan:
         )
 
     def _find_released_rows(self) -> Mask:
-        """Return where rows may leave their limits, if they are on none of them, (n_rows, K)."""
+        """Return which interior rows are released from their limits, (n_rows, K)."""
         structure = self.structure
         beside = structure.mask_near_contacts(self.loose, self.firm) | structure.mask_near_exchanges()
         return np.asarray((structure.find_convex_rows() | beside)[:, self.segment_pieces])
 
     def _find_junctions(self) -> tuple[Junction, ...]:
-        """Where state constraints that determine a control reach their limit to stay there, or touch it.
+        """Return the entries and touch points of state constraints that determine a control.
 
-        Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
+        Inside the phase, a touch requires S = dS/dt = 0; at its ends S = 0, which Gauss points do not impose.
         """
         structure, n_controls = self.structure, len(self.structure.control_kinds)
         found: list[tuple[int, int, ArcKind, int, int]] = []
@@ -318,11 +317,11 @@ class Plan:
         )
 
     def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
-        """Where segments end along an arc on a limit of first order that a singular control holds next to regular ones.
+        """Return junctions at segment ends along an arc on a first-order limit with singular and regular controls.
 
-        Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
-        that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of
-        it, and errors fall with the third power of the length of segments only.
+        If the constraint is imposed at the Gauss points only, it may deviate between them by a polynomial with zeros at
+        all of them. A single control has no freedom for such a deviation; with a second one, the optimum exploits it,
+        and errors decrease only with the third power of the segment length.
         """
         structure, n_controls = self.structure, len(self.structure.control_kinds)
         found = []
@@ -356,18 +355,18 @@ class Plan:
 
 
 def _have_independent_effects(model: Model, controls: list[int]) -> bool:
-    """Whether controls can move the states in more than one direction."""
+    """Return whether controls can move the states in more than one direction."""
     moved = ca.jacobian(model.derivative(), model.arguments()[2])
     return bool(ca.sprank(moved[:, controls]) > 1)
 
 
 def count_uniform_points(mesh: Mesh) -> float:
-    """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
+    """Return the number of points of a uniform mesh as coarse as the coarsest segment."""
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
 def _read_resolution(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
-    """The segments of a mesh from one break to another, with as smooth a control as they have points for."""
+    """Return the segments of a mesh between two breaks, with the highest control degree that their points allow."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
     shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
     smooth = min(max(coarsest.smooth, (last - first) * degree // 2), MAX_SINGULAR_DEGREE)

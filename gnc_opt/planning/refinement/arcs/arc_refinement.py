@@ -39,13 +39,13 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> P
 
 
 def compute_dynamics_defects(samples: PhaseSamples) -> Array:
-    """Defects of the dynamics in each segment relative to the ranges of the states, (n_states, K)."""
+    """Return the defects of the dynamics in each segment relative to the ranges of the states, (n_states, K)."""
     rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
     return np.asarray(samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
 def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
-    """Raise what is worse: finer states do not help a polynomial that cannot be the control.
+    """Return the resolution with more points or a higher control degree, whichever has the larger error.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: f
 
 
 def compute_singular_gradients(samples: PhaseSamples, plan: Plan) -> Array:
-    """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
+    """Return the largest |dH/du| of singular controls in every piece (A,), relative to H."""
     kinds = plan.structure.control_kinds[:, plan.segment_pieces[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
     per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)

@@ -26,11 +26,11 @@ TOUCH_MAX_NODES = 5
 """A contact of second order over at most this number of nodes is a touch at first."""
 
 CONTACT_MIN_NODES = 3
-"""A control keeps a constraint at its limit where the multiplier is positive at so many neighbouring nodes.
+"""Number of neighbouring nodes with positive multipliers for which a control keeps a constraint on its limit.
 
-So many neighbouring nodes off a limit of higher order, with zero multipliers, separate two touches if all points of a
-segment are among them. Fewer do not: along an arc the multiplier may vanish, and a polynomial that meets the limit at
-some of its points may oscillate between the others."""
+The same number of neighbouring nodes off a limit of higher order, with zero multipliers, separates two touches if it
+includes all points of a segment. With fewer nodes this is uncertain: along an arc the multiplier may vanish, and a
+polynomial on the limit at some of its points may oscillate between the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +40,10 @@ class ContactNodes:
     Attributes
     ----------
     row : int
-        Of the structure.
+        Row of the structure.
     kind : ArcKind
     times, worth : array
-        Of the nodes, and of the pushes there in shares of the cost; zero where there is none that counts.
+        Times of the nodes, and multipliers relative to the cost; zero if negligible.
     """
 
     row: int
@@ -60,7 +60,7 @@ class ContactNodes:
         ]
         if (
             order == 2 and free and (runs[-1][1] - runs[0][0] > TOUCH_MAX_NODES or beside)
-        ):  # between its ends an arc need not push
+        ):  # inside an arc, multipliers may vanish
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
             runs = _join_adjacent_runs(runs)
@@ -86,7 +86,7 @@ class ContactNodes:
     def _touched_end(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
         """Return the end of the phase, 0 or -1, at which free states touch a path constraint, or None.
 
-        A mesh of Gauss points has no row there, so that its points next to the end push for it.
+        Gauss points do not impose the constraint at the end, so that the multiplier of the adjacent points replaces it.
         """
         leg, path = samples.leg, self.row - len(structure.control_kinds)
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
@@ -101,12 +101,12 @@ class ContactNodes:
         return None
 
     def is_end_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether the multipliers are those of the interior-point barrier next to an end that the structure touches."""
+        """Return whether the multipliers stem from the interior-point barrier next to a touched end of the phase."""
         end = self._touched_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
-        """Controls that can keep the constraint on its limit and are off their own limits at most multipliers."""
+        """Return the controls that can keep the constraint on its limit and are interior at most of the multipliers."""
         pushing = self.times[self.worth > 0]
         pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.n_pieces - 1)
         return [
@@ -118,10 +118,10 @@ class ContactNodes:
     def _nearby_switch(
         self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int
     ) -> float:
-        """Return the time of a nearby switch of a control that keeps the constraint on its limit, else the given time.
+        """Return the time of a nearby switch of a control that keeps the constraint on its limit, or the given time.
 
-        The one holder of an arc is on no bound along it: it leaves one at the start (side 0), and meets one at the end
-        (side 1).
+        A single such control leaves its bound at the start of the arc (side 0), and reaches a bound at its end (side
+        1).
         """
         breaks, holders = samples.leg.breaks, structure.holders[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
@@ -138,7 +138,7 @@ class ContactNodes:
         return min(switches, key=lambda t: abs(t - time), default=time)
 
     def _compute_midpoint_before(self, node: int, end: float) -> float:
-        """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
+        """Return the midpoint between a node and the previous one; for the first node, an adjacent end of the phase."""
         times, size = self.times, self.times.size
         if 0 < node < size:
             return float(0.5 * (times[node - 1] + times[node]))
@@ -163,7 +163,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
                 worth,
                 0.0,
             )
-            near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
+            near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
             if constraints.row_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
                 for a, b in find_true_runs(off & (worth == 0)):
@@ -180,7 +180,7 @@ def _do_times_cover_segment(times: Array, samples: PhaseSamples) -> bool:
 
 
 def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
-    """Times of points and inner boundaries, values of the rows and their multipliers there, (n_rows, n_nodes)."""
+    """Return times of points and inner boundaries, values of the rows and their multipliers, (n_rows, n_nodes)."""
     leg = constraints.samples.leg
     inner, points = leg.breaks[1:-1], leg.point_times
     weights = np.concatenate([r.weights for r in leg.rules]) * np.repeat(
@@ -190,7 +190,7 @@ def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Arr
     x = np.hstack([get_states_at_points(leg), leg.x(inner)])
     u = np.hstack([*leg.u.values, leg.u(inner)])
     densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
-    # Path constraints have no row at a boundary: their multiplier there is the mean of both sides.
+    # Path constraints are not imposed at boundaries: the multiplier there is the mean of both sides.
     paths = densities[: len(leg.path_labels)]
     first = np.array(leg.mesh.offsets[1:-1], dtype=int)
     left, right = paths[:, first - 1], paths[:, first]

@@ -60,10 +60,10 @@ class Determined:
 
 
 def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[Determined]:
-    """Return the controls that hold state constraints on their limits.
+    """Return the controls that keep state constraints on their limits.
 
-    On a mesh such a control swings about what holds the constraint, and so does its switching function about zero: at
-    single times neither says anything. Their means do, and the pushes of the constraint.
+    On a mesh, such a control oscillates about the value that satisfies the constraint, and its switching function about
+    zero. The detection therefore uses means of both and the multiplier of the constraint.
     """
     constraints, leg = StateConstraints(problem, samples), samples.leg
     points, u = leg.point_times, np.hstack(leg.u.values)
@@ -85,15 +85,15 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[De
     return found
 
 
-# --- found on a mesh ------------------------------------------------------------------------------------------
+# --- detection on a mesh --------------------------------------------------------------------------------------
 
 
 def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
-    """Return the structure with the contacts that multipliers and slacks of a mesh show.
+    """Return the structure with the contacts that multipliers and constraint values of a mesh show.
 
-    A constraint of first order that pushes is on its limit; one of higher order is where it stays there over
-    more than a segment, else it touches; one of third order only touches, as arcs of odd order beyond the first have no
-    simple junctions (Jacobson, Lele & Speyer, 1971).
+    A first-order constraint with a multiplier has an arc on its limit; one of second order has an arc if the contact is
+    longer than a segment, otherwise a touch. A third-order constraint has touches only, since arcs of odd order beyond
+    the first have no simple junctions (Jacobson, Lele & Speyer, 1971).
     """
     constraints, first = StateConstraints(problem, samples), len(structure.control_kinds)
     held = [
@@ -124,7 +124,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
-    """Nodes with multipliers of constraints that determine a control, except at contacts of the structure."""
+    """Return nodes with multipliers of constraints that determine a control, except at contacts of the structure."""
     first, found = len(structure.control_kinds), []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         worth = np.where(structure.is_at_limit(first + run.row, run.times), 0.0, run.worth)
@@ -133,7 +133,7 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
     return [run for run in found if not run.is_end_touch(structure, constraints.samples)]
 
 
-# --- corrected ------------------------------------------------------------------------------------------------
+# --- corrections ----------------------------------------------------------------------------------------------
 
 
 def add_missing_contact(
@@ -148,16 +148,16 @@ def replace_saturated_controls(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure in which other controls keep a constraint on its limit and the action, or None.
 
-    Where a control that enters H linearly comes to its bound while it holds a limit, and others that H determines could
-    hold it as well, H goes on without a jump only if they do, for as long as the costate takes for its own: shortly.
-    Without them the control leaves its bound before the limit is left.
+    If a control that is linear in H reaches its bound while it keeps a limit, H is continuous only if regular controls
+    keep the limit afterwards, for the short time in which the costate of the control's effect changes. Otherwise, the
+    control leaves its bound before the end of the arc.
 
     Parameters
     ----------
     samples : PhaseSamples
     structure : PhaseStructure
     pieces : int array (n_samples,)
-        The piece of every sample.
+        Piece of every sample.
     """
     bounds = samples.leg.control_bounds
     for boundary in range(1, structure.n_pieces):

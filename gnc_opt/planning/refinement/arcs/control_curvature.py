@@ -10,13 +10,13 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
 SINGULAR_SHARE_OF_H = 2e-2
-"""A switching function this small over whole segments, in shares of H, marks a singular arc."""
+"""Largest switching function, relative to H, over whole segments along a singular arc."""
 
 
 def affine_controls(samples: PhaseSamples) -> Mask:
-    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,).
+    """Return which controls are linear in H with two finite bounds or corresponding path constraints, (m,).
 
-    Or are pressed to their ends: `linear_path_limits`.
+    Controls that are always at such path constraints are included; see `linear_path_limits`.
     """
     bounds, limits = samples.leg.control_bounds, linear_path_limits(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
@@ -27,9 +27,9 @@ def affine_controls(samples: PhaseSamples) -> Mask:
 
 
 def nonconvex_controls(samples: PhaseSamples) -> Mask:
-    """Return in which controls between two finite bounds H is neither linear nor convex along the phase, (m,).
+    """Return which controls with two finite bounds have H neither linear nor convex along the phase, (m,).
 
-    Where H is least at a bound they jump from one to the other, as those do that it is linear in.
+    If H is minimal at a bound, they switch between bounds like controls that are linear in H.
     """
     bounds = samples.leg.control_bounds
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
@@ -37,9 +37,9 @@ def nonconvex_controls(samples: PhaseSamples) -> Mask:
 
 
 def linear_path_limits(samples: PhaseSamples) -> LinearLimits:
-    """Return the path constraints that limit one control each that enters H linearly, or is pressed to its ends.
+    """Return the path constraints that limit a single control, one linear in H or always at its limits.
 
-    A turn at the most lift, or the largest load factor, has no use for less of it, however H may bend.
+    Example of the latter: the load factor in a turn at maximum lift, whatever the curvature of H.
     """
     linear = _linear_controls(samples)
     bent = LinearLimits.from_samples(samples, ~linear & ~convex_controls(samples))
@@ -53,16 +53,16 @@ def _linear_controls(samples: PhaseSamples) -> Mask:
 
 
 def regular_controls(samples: PhaseSamples) -> Mask:
-    """Return in which controls H is strictly convex all along the phase, (m,)."""
+    """Return for which controls H is strictly convex along the whole phase, (m,)."""
     return np.asarray(np.min(hamiltonian_curvature(samples), axis=1, initial=np.inf) > CONVEX)
 
 
 def convex_controls(samples: PhaseSamples) -> Mask:
-    """Return in which controls H is convex all along the phase, and strictly at times, (m,).
+    """Return for which controls H is convex along the whole phase, and strictly convex at some times, (m,).
 
-    It is linear in a control whose square moves a state alone, where the costate of that state is zero: heat, beyond
-    its limit. A control that is coupled with others in H, as the direction of a thrust is with its magnitude, has to be
-    strictly convex all along: where it is not, its value is zero, and it may jump.
+    If the square of a control affects a single state, H is linear while the costate of that state is zero (heat below
+    its limit). If a control is coupled with others in H, such as thrust direction and magnitude, H has to be strictly
+    convex along the whole phase: where it is not, the magnitude is zero and the direction may jump.
     """
     bends = hamiltonian_curvature(samples)
     above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))
@@ -71,7 +71,7 @@ def convex_controls(samples: PhaseSamples) -> Mask:
 
 
 def _coupled_controls(samples: PhaseSamples) -> Mask:
-    """Return which controls have a second derivative of H with another one, (m,)."""
+    """Return which controls have a mixed second derivative of H with another one, (m,)."""
     scale, mixed = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
     shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
     np.fill_diagonal(shares, 0.0)
@@ -79,7 +79,7 @@ def _coupled_controls(samples: PhaseSamples) -> Mask:
 
 
 def hamiltonian_curvature(samples: PhaseSamples) -> Array:
-    """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
+    """Return the second derivative of H in each control, scaled by its range and relative to H, (m, n_samples)."""
     scale = samples.control_scale
     return np.asarray(
         np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale

@@ -1,15 +1,15 @@
-r"""Junctions of interior arcs with bound arcs: kinks of a control that H determines.
+r"""Junctions of interior arcs with bound arcs: kinks of regular controls.
 
-Where H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
-constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: held on its bound too long or too
-short by :math:`\delta`, the control is wrong by :math:`O(\delta)` for a time :math:`\delta`, which costs
-:math:`O(\delta^3)`. As a variable of the program the time of a kink would therefore drift to wherever the error of
-the discretisation is most welcome.
+If H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
+constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: if the control leaves its bound too
+late or too early by :math:`\delta`, its error is :math:`O(\delta)` for a time :math:`\delta`, which costs
+:math:`O(\delta^3)`. As a variable of the program, the time of a kink would therefore be determined by discretisation
+errors.
 
-But states and costates are wrong only by :math:`O(\delta^2)`. So a kink is kept where it is during a solve, in which
-the control is held on one side and free *of its bounds* on the other; then it moves to where the control of the
-interior arc meets the bound (it was held too short) or the switching function of the held arc changes sign (too
-long). Repeating this converges quadratically.
+States and costates have errors of :math:`O(\delta^2)` only. A kink is therefore fixed during a solve, in which the
+control is fixed on one side and *unbounded* on the other. The kink then moves to the time at which the control of the
+interior arc meets the bound (bound arc too short) or the switching function along the bound arc changes sign (bound arc
+too long). This iteration converges quadratically.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import JUNCTION_OFFSET_SHARE
 
 KINK_MOVE_TOLERANCE, KINK_SHARE = 1e-7, 3e-6
-"""A kink that wants to move by less than these shares of the phase and of the shorter piece beside it is where it
-belongs: states and costates are wrong by the square of the first, controls by the second, in shares of their range."""
+"""Smallest moves of a kink, relative to the phase and to the shorter adjacent piece: states and costates have relative
+errors of the square of the first, controls of the second."""
 
 KINK_MAX_MOVE_SHARE = 0.5
-"""Share of the shorter piece beside a junction by which it may move at once."""
+"""Largest move of a junction in one pass, relative to the shorter adjacent piece."""
 
 CONTACT_MOVE_TOLERANCE = 1e-10
-"""The same for the ends of an arc on a state constraint: what is wrong there is differentiated in its multiplier."""
+"""Smallest move of the ends of arcs on state constraints, whose multipliers contain derivatives of the errors."""
 
 
 def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | None:
-    """Return the structure with its kinks where the solution wants them, or None if they are there.
+    """Return the structure with kinks moved to the times that the solution indicates, or None if they are converged.
 
-    Pieces may be left with no length, or less.
+    Lengths of pieces may become zero or negative.
     """
     structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
@@ -71,7 +71,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
 
 
 def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
-    """Return where a row's arc wants to begin or end: where its q-th derivative along the interior arc vanishes."""
+    """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
     leg, first = constraints.samples.leg, len(structure.control_kinds)
     entered = structure.kinds[boundary][row].at_limit
     side: Side = "left" if entered else "right"
@@ -92,7 +92,7 @@ def junction_time(constraints: StateConstraints, structure: PhaseStructure, boun
 
 
 def _find_kink_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
-    """Where one control or path constraint wants its kink."""
+    """Return the time of a kink of one control or path constraint."""
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
@@ -118,7 +118,7 @@ def _find_kink_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) 
 def _control_excess(
     samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
-    """How far a control lies above its limit, and its switching function, at some times (n_times,)."""
+    """Return control minus limit, and the switching function, at times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.control_bounds
     u, mu = leg.u(t, side), leg.path_multiplier(t, side)
     limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
@@ -127,7 +127,7 @@ def _control_excess(
 
 
 def _path_excess(samples: PhaseSamples, i: int, direction: int, side: Side, t: Array) -> tuple[Array, Array]:
-    """How far a path constraint lies above its limit, and its multiplier with the sign reversed, (n_times,)."""
+    """Return path constraint minus limit, and the negative multiplier, at times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.path_bounds
     limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
     values = samples.functions.paths(t, leg.x(t, side), leg.u(t, side))
@@ -135,7 +135,7 @@ def _path_excess(samples: PhaseSamples, i: int, direction: int, side: Side, t: A
 
 
 def _find_violation_end(times: Array, violation: Callable[[Array], Array]) -> float | None:
-    """Return up to where a violation that starts at the first time reaches, or None if there is none."""
+    """Return the end of a violation that begins at the first time, or None if there is none."""
     over = violation(times) > 0
     if not over[0]:
         return None

@@ -1,10 +1,10 @@
-r"""Controls that enter H linearly, limited by path constraints: thrust per mass, thrust by altitude, load factors.
+r"""Path constraints that limit a control linear in H: thrust per mass, thrust by altitude, load factors.
 
-With :math:`c(t, x, u) = a(t, x) u + b(t, x)` at most :math:`\bar c`, such a control is where the sign of its switching
-function :math:`H_u` (without :math:`\mu`) sends it, as far as its own bound and the constraint let it go: at
-:math:`(\bar c - b) / a` the constraint is at its limit and determines the control, with
-:math:`\mu = -H_u / a` (Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, section 4). It jumps there and back: the times
-of such an arc are switch times.
+With :math:`c(t, x, u) = a(t, x) u + b(t, x) \le \bar c`, the sign of the switching function :math:`H_u` (without
+:math:`\mu`) determines whether the control is as large or as small as its bounds and the constraint allow. At
+:math:`(\bar c - b) / a` the constraint is at its limit and determines the control, with :math:`\mu = -H_u / a` (Hartl,
+Sethi & Vickson, SIAM Review 37(2), 1995, section 4). The control jumps at both ends of such an arc, whose times are
+switching times.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, NOTABLE
 
 SLOPE_PROBE_SHARE = 0.1
-"""By this share of its range the control is moved to see whether a slope changes."""
+"""Change of a control, relative to its range, that tests whether a slope depends on the control."""
 
 PRESSED_SHARE = 0.95
-"""Share of samples at which a control is at its end if it is there all along."""
+"""Least share of samples at a limit of a control that is always at its limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class LinearLimits:
 
     @classmethod
     def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearLimits:
-        """Find those of controls in which H is linear, (m,)."""
+        """Return the path constraints on one control each, among controls that are linear in H (``linear``: (m,))."""
         leg, found = samples.leg, dict[int, tuple[int, ...]]()
         slopes = np.zeros((len(leg.path_labels), samples.times.size))
         if not (leg.path_labels and np.any(linear)):
@@ -59,18 +59,18 @@ class LinearLimits:
 
     @property
     def linear_paths(self) -> Mask:
-        """Which path constraints are among them, (n_paths,)."""
+        """Path constraints that are contained in ``rows``, (n_paths,)."""
         return np.asarray(
             np.isin(np.arange(self.slopes.shape[0]), [r for rows in self.rows.values() for r in rows])
         )
 
     @property
     def slope_signs(self) -> tuple[int, ...]:
-        """The sign of each constraint's slope in its control, (n_paths,)."""
+        """Sign of each constraint's slope in its control, (n_paths,)."""
         return tuple(int(np.sign(np.sum(slope))) for slope in self.slopes)
 
     def has_path_bounds(self, control: int) -> tuple[bool, bool]:
-        """Return whether a control has a lower, and an upper, end all along the phase."""
+        """Return whether a control has a finite lower, and a finite upper, limit along the whole phase."""
         above, below = self._compute_control_ranges(control)
         bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
         most = np.min([bounds.upper[control] * everywhere, *above.values()], axis=0)
@@ -78,14 +78,14 @@ class LinearLimits:
         return bool(np.all(np.isfinite(least))), bool(np.all(np.isfinite(most)))
 
     def find_samples_near_bound(self, control: int, margin: float) -> Mask:
-        """Where a control is as close as this to the least or most that its constraints allow, (n_samples,)."""
+        """Return where a control is within a margin of the limits by its path constraints, (n_samples,)."""
         above, below = self._compute_control_ranges(control)
         u = self.samples.u[control]
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
 
     def stays_at_limits(self, control: int) -> bool:
-        """Whether H sends a control to its bounds and constraints, and it is there, all along the phase."""
+        """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
         s, bounds = self.samples, self.samples.leg.control_bounds
         above, below = self._compute_control_ranges(control)
         upward = s.switching[control] < 0
@@ -95,7 +95,7 @@ class LinearLimits:
         return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > PRESSED_SHARE)
 
     def label_control(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
-        """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""
+        """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
         bounds = self.samples.leg.control_bounds
         own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
         above, below = self._compute_control_ranges(control)
@@ -113,7 +113,7 @@ class LinearLimits:
         return own, held
 
     def _compute_control_ranges(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
-        """The largest and least values of a control that each of its constraints allows, (n_samples,)."""
+        """Return the largest and smallest values of a control that each of its constraints allows, (n_samples,)."""
         s, bounds = self.samples, self.samples.leg.path_bounds
         u, values = s.u[control], s.functions.paths(s.times, s.x, s.u)
         above, below = dict[int, Array](), dict[int, Array]()
@@ -124,23 +124,23 @@ class LinearLimits:
             below[row] = np.where(np.isnan(slope), -np.inf, np.min(ends, axis=0))
         return above, below
 
-    # --- mending ---
+    # --- corrections ---
 
     def insert_arc(
         self, structure: PhaseStructure, row: int, sample: int, interval: tuple[float, float], kind: ArcKind
     ) -> PhaseStructure:
-        """Return the structure with a row at another place over an interval, and what limits it, or it limits, with it.
+        """Return the structure with another kind of a row over an interval, and of the associated one.
 
         Parameters
         ----------
         row : int
-            Of the structure: controls, then path constraints.
+            Row of the structure: controls, then path constraints.
         sample : int
-            Where it is asked for.
+            Sample at which the new kind is required.
         interval : tuple of float
             s.
         kind : ArcKind
-            INTERIOR for a constraint that is to be left: its control goes to the other side.
+            INTERIOR for a constraint that becomes inactive: its control then goes to the opposite limit.
         """
         first = len(structure.control_kinds)
         holder = next((i for i, rows in self.rows.items() if row - first in rows), None)

@@ -15,7 +15,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import gauss_rule
 
 PIECE_MIN_POINTS = 4
-"""Collocation points of a segment at least."""
+"""Least number of collocation points of a segment."""
 
 N_TERMS = ARC_MAX_DEGREE + 4
 """Number of terms of the series."""
@@ -24,22 +24,22 @@ HALVING_GAIN_RATIO = 0.1
 """Largest ratio of remainders after and before a useful halving of a segment."""
 
 RESOLUTION_TOLERANCE_SHARE = 0.1
-"""Largest sum of the omitted terms in tolerances."""
+"""Largest sum of the omitted terms, relative to the tolerance."""
 
 
 def set_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
-    """Return the plan with as many collocation points as the flight along its pieces needs.
+    """Return the plan with the numbers of collocation points that an integrated trajectory requires.
 
     Parameters
     ----------
     plan : Plan
-        Every control is on a bound all along.
+        Plan in which every control is on a bound at all times.
     s : PhaseSamples
-        Of a solution nearby: what states and costates are measured in.
+        Samples of a nearby solution, whose magnitudes of states and costates are the references.
     flown : Solution
-        Of one phase.
+        Integrated trajectory of one phase.
     tol : float
-        On the defects between the nodes, in those measures.
+        On the defects between the nodes, relative to those magnitudes.
     """
     left = _legendre_remainders(s, flown)
     times = np.asarray(plan.structure.times)
@@ -54,7 +54,7 @@ def set_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) ->
 def _choose_resolution(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> Resolution:
-    """As few segments as are fine enough with `ARC_MAX_DEGREE` points at most, and the points of each."""
+    """Return the fewest sufficiently fine segments with at most `ARC_MAX_DEGREE` points, and their degree."""
     found = _subdivide_interval(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
     fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[PIECE_MIN_POINTS:ARC_MAX_DEGREE] <= most)
     degree = PIECE_MIN_POINTS + int(fine[0]) if fine.size else ARC_MAX_DEGREE
@@ -65,7 +65,7 @@ def _choose_resolution(
 def _subdivide_interval(
     left: Callable[[Array], Array], row: Array, ends: tuple[float, float], most: float, room: int
 ) -> list[tuple[float, Array]]:
-    """Where the segments of a stretch end, with what points leave along each: halves of what is too steep."""
+    """Return segment ends and remainders of an interval; segments with large remainders are halved."""
     start, end = ends
     if row[ARC_MAX_DEGREE] <= most or room == 1:
         return [(end, row)]
@@ -73,14 +73,14 @@ def _subdivide_interval(
     halves = left(np.array([start, middle, end]))
     if (
         not np.max(halves[:, ARC_MAX_DEGREE]) < HALVING_GAIN_RATIO * row[ARC_MAX_DEGREE]
-    ):  # what is left is how far the flight is off
+    ):  # the rest is the integration error
         return [(end, row)]
     first = _subdivide_interval(left, halves[0], (start, middle), most, room // 2)
     return first + _subdivide_interval(left, halves[1], (middle, end), most, room // 2)
 
 
 def _legendre_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
-    """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, N_TERMS)."""
+    """Return a function for the remainders of slopes in segments with n = 0, 1, ... points (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
     rule = gauss_rule(N_TERMS)
     series = np.linalg.inv(legendre.legvander(rule.points, N_TERMS - 1))

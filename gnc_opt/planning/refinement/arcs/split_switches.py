@@ -1,7 +1,7 @@
-r"""Multipliers where several controls change at one time and not all of them go from bound to bound.
+r"""Unique multipliers at simultaneous switches of several controls.
 
-One unknown time for several changes leaves multipliers that are not unique. They are unique if the controls
-are free for an instant on both sides of the time; that program is solved from the other's solution.
+If several controls change at one time, not all from bound to bound, the multipliers are not unique. They become unique
+if the controls are free in short intervals on both sides of the time; that program has a warm start.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe
 
 FREE_SPAN = 3e-6
-"""Length of the instants, as a share of the phase; multipliers of shorter ones are rounding."""
+"""Length of the intervals, relative to the phase; in shorter ones, multipliers are dominated by rounding."""
 
 FREE_SPAN_POINTS = 2
-"""Collocation points of each."""
+"""Collocation points of each interval."""
 
 SPLIT_SOLVE_TOLERANCE = 1e-13
-"""Tolerance of the solver: what it leaves is divided by the length of an instant."""
+"""Tolerance of the solver: its residuals are divided by the length of an interval."""
 
 FREE_SPANS_MIN = 10.0
-"""Pieces shorter than so many instants leave no room for one."""
+"""Shortest piece with space for an interval, in interval lengths."""
 
 
 def simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
-    """Return the boundaries at which several controls change, with pieces next to them that have space."""
+    """Return the boundaries at which several controls change, with sufficiently long adjacent pieces."""
     least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
         k
@@ -53,7 +53,7 @@ def simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
 def solve_with_split_switches(
     solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
 ) -> Solution | None:
-    """Return a solution with the multipliers of the program in which shared times come apart; None if that has none."""
+    """Return a solution with the multipliers of the program with split switches; None if that has no solution."""
     freed = solution.need_problem("refine")
     meshes = {}
     for name, plan in plans.items():
@@ -81,7 +81,7 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, P
 
 
 def _release_split_intervals(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
-    """The problem as a plan holds it, but for the instants next to shared boundaries, and its mesh."""
+    """Return the problem with the arcs of a plan, free in the intervals at shared boundaries, and its mesh."""
     problem = plan.hold_arcs(problem, name)
     cuts, mesh, held = _SplitMesh.from_plan(plan), plan.mesh(), problem.phases[name].numbers.arcs
     assert held is not None, "just held"
@@ -100,7 +100,7 @@ def _release_split_intervals(plan: Plan, problem: Problem, name: str) -> tuple[P
 
 @dataclass(frozen=True)
 class _SplitMesh:
-    """The segments of a mesh, and boundaries with an instant on either side."""
+    """Segments of a mesh, and boundaries with an interval on either side."""
 
     segments: int
     boundaries: tuple[int, ...]
@@ -111,19 +111,19 @@ class _SplitMesh:
         return cls(ends[-1], tuple(ends[k] for k in simultaneous_switches(plan.structure)))
 
     def map_boundary(self, old: int) -> int:
-        """Where a boundary is among the new ones."""
+        """Return the new index of a boundary."""
         return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)
 
     def first_segment(self, old: int) -> int:
-        """The segment with which the old segment of that number begins, after its instant."""
+        """Return the first new segment, after the interval, of an old segment."""
         return self.map_boundary(old) + (old in self.boundaries)
 
     def last_segment(self, old: int) -> int:
-        """One after the segment with which the old segment before that number ends, before its instant."""
+        """Return the end (exclusive) of the new segments, before the interval, of the old segments up to ``old``."""
         return self.map_boundary(old) - (old in self.boundaries)
 
     def expand_kinds(self, rows: Kinds) -> KindArray:
-        """Kinds by rows and new segments: in the instants free, what changes at their boundary."""
+        """Return the kinds by rows and new segments; rows that change at a boundary are free in its intervals."""
         return np.array([self._expand_kind_row(row) for row in rows], dtype=object)
 
     def _expand_kind_row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
@@ -136,7 +136,7 @@ class _SplitMesh:
         return found
 
     def build_mesh(self, old: Mesh) -> Mesh:
-        """The mesh with its instants; shared boundaries stay where they are."""
+        """Return the mesh with the intervals; shared boundaries are fixed."""
         breaks, degrees = [0.0], []
         for k, (end, degree) in enumerate(zip(old.breaks[1:], old.degrees, strict=True)):
             if k in self.boundaries:
