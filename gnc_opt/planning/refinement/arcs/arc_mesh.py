@@ -177,7 +177,7 @@ class Plan:
 
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
-        """Return a plan with the segments of a refined mesh; with few segments if the mesh does not match the pieces."""
+        """Return a plan with the segments of a refined mesh, or with few segments if the mesh does not match."""
         found, times = cls.from_structure(structure, count_uniform_points(mesh)), np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)

@@ -1,22 +1,20 @@
-r"""Contacts of a trajectory with state constraints: arcs on a limit and touches, their detection and correction.
+r"""Contacts of a trajectory with state constraints: detection and correction of arcs on limits and touches.
 
-Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.state_constraints`), and H be strictly convex in
-the controls that
-:math:`S^{(q)}` depends on. Then the control is continuous where an arc on the limit begins and ends (Jacobson, Lele &
-Speyer, J. Math. Anal. Appl. 35, 1971; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995): there :math:`S^{(q)}` comes to
-zero, with a kink, from the side of the interior arc. As with the kinks of module `junctions`, the cost hardly depends
-on the time; so an entry is kept where it is during a solve, in which the constraint may be left next to the arc, and
-then moves to where :math:`S^{(q)}` of the interior arc vanishes. Since states and costates are wrong in second order
-only, repeating this converges quadratically.
+Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.state_constraints`), and H be strictly convex in the controls
+in :math:`S^{(q)}`. The control is then continuous at both ends of an arc on the limit (Jacobson, Lele & Speyer, J.
+Math. Anal. Appl. 35, 1971; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995), and :math:`S^{(q)}` goes to zero, with a
+kink, from the side of the interior arc. As with the kinks of module `junctions`, the cost hardly depends on the time.
+The entry time is therefore fixed during a solve, in which the constraint is released next to the arc; it then moves to
+the zero of :math:`S^{(q)}` along the interior arc. Since states and costates have second-order errors only, this
+iteration converges quadratically.
 
-A control that enters H linearly jumps to where it holds the limit, and back (McDanell & Powers, SIAM J. Control 9(2),
-1971). The times of such an arc are variables, as those of switches; it begins with
-:math:`S = \dots = S^{(q-1)} = 0`. Where all controls of :math:`S^{(q)}` are on limits of their own there are touches
-only.
+A control linear in H jumps at both ends of an arc on the limit (McDanell & Powers, SIAM J. Control 9(2), 1971). The
+times of such an arc are variables, like switching times; the arc begins with :math:`S = \dots = S^{(q-1)} = 0`. If all
+controls in :math:`S^{(q)}` are on limits of their own, there are touches only.
 
-The time of a touch, of order two or more, is a variable: with :math:`S = \dot S = 0` there the cost has a strict
+The time of a touch, of order two or more, is a variable: with :math:`S = \dot S = 0` there, the cost has a strict
 minimum at the time at which the multiplier of :math:`\dot S = 0` vanishes, so that the costate jumps along
-:math:`\partial S/\partial x` alone.
+:math:`\partial S/\partial x` only.
 """
 
 from __future__ import annotations

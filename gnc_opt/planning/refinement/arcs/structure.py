@@ -1,4 +1,4 @@
-"""Control structure: which control is at which bound when."""
+"""Control structure: sequence of arcs of controls, path constraints and states with switching times."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.arcs import Arc, ArcKind, Kinds
 
 KindArray: TypeAlias = NDArray[np.object_]
-"""Kinds of arcs."""
+"""Kinds of the rows in each piece."""
 
 Touch: TypeAlias = "tuple[int, ArcKind]"
-"""A row that meets a limit for an instant, and which limit."""
+"""Touch of a limit: row and limit."""
 
 
 @dataclass(frozen=True)
 class PhaseStructure:
-    """The switches of all controls of a phase in one order.
+    """Arcs of one phase: pieces between consecutive switching times, with a kind for every row.
 
     Attributes
     ----------
     times : tuple of float
-        Start, every switch in order, end; A + 1 of them, in s.
+        Start, switching times, end; A + 1 times, s.
     kinds : tuple of A tuples of ArcKind
-        For each piece between neighbouring times what every row does: LOWER or UPPER at that limit, INTERIOR wherever
-        it likes, SINGULAR between its bounds though it enters H linearly.
+        For each piece and row: LOWER or UPPER at that limit, INTERIOR off its limits, SINGULAR off its bounds with H
+        linear in the control.
     regular : tuple of bool
-        For each row whether H is convex in the control, so that it enters and leaves its bounds (or the mixed path
+        For each row, whether H is convex in the control, so that it enters and leaves bounds (or the mixed path
         constraint) with kinks instead of jumps.
     n_controls : int or None
-        The rows are so many controls, then path constraints, then states, at the limit that is active there or
-        interior; None: controls only.
+        Number of controls, the first rows; path constraints and states follow, either at the active limit or interior.
+        None: all rows are controls.
     n_paths : int
     orders : tuple of int
-        For each row the order of the state constraint, if its contacts are looked for; else 0.
+        For each row, the order of the state constraint if its contacts are detected, otherwise 0.
     touches : tuple of A + 1 tuples of Touch
-        What state constraints only touch, at each of the times.
+        Touches of state constraints at each of the times.
     holders : tuple of tuple of int
-        For each of the rows with an order or a slope, and of mixed path constraints, the controls that can hold it on
-        its limit; those that do it best come first.
+        For each row with an order or a slope, and of mixed path constraints: controls that can keep it on its limit,
+        the most effective ones first.
     slopes : tuple of int
-        For each path constraint that limits one control linearly (`mixed`) the sign of its slope in it; else 0.
+        For each path constraint linear in one control (`mixed`), the sign of its slope; otherwise 0.
     leans : tuple of tuple of int
-        For each of the rows with an order, and of mixed path constraints, the signs of what each of the holders does to
-        it, or to its derivative of the constraint's order; 0 if that changes.
+        For each row with an order, and of mixed path constraints: signs of the derivatives of the row, or of its time
+        derivative of that order, with respect to each of the holders; 0 if the sign changes.
     """
 
     times: tuple[float, ...]
@@ -78,17 +78,17 @@ class PhaseStructure:
 
     @property
     def control_kinds(self) -> KindArray:
-        """What the controls do (n_controls, A)."""
+        """Kinds of the controls (n_controls, A)."""
         return self.kind_matrix()[: self.n_controls]
 
     @property
     def path_kinds(self) -> KindArray:
-        """What the path constraints do (n_paths, A)."""
+        """Kinds of the path constraints (n_paths, A)."""
         return self.kind_matrix()[self._n_free : self._n_free + self.n_paths]
 
     @property
     def state_kinds(self) -> KindArray:
-        """What the states do (n_states, A)."""
+        """Kinds of the states (n_states, A)."""
         return self.kind_matrix()[self._n_free + self.n_paths :]
 
     @property
@@ -109,7 +109,7 @@ class PhaseStructure:
         return np.asarray(self.kinds, dtype=object).T
 
     def truncate_before(self, time: float) -> PhaseStructure:
-        """Return what of it lies after a time (s)."""
+        """Return the structure after a time (s)."""
         if time <= self.times[0]:
             return self
         first = max(k for k, begin in enumerate(self.times[:-1]) if begin <= time)
@@ -117,11 +117,11 @@ class PhaseStructure:
         return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
 
     def find_determined_controls(self, piece: int) -> set[int]:
-        """Return the controls that state bounds and path constraints determine which are held in a piece.
+        """Return the controls that active state bounds and path constraints determine in a piece.
 
-        Of several singular controls that can hold a limit it determines one, the first of its holders that no other
-        limit does; the others are as singular as before. Mixed path constraints determine controls that H is convex in;
-        another limit of which it is not known what holds it is taken to determine all of them.
+        Of several singular controls, a limit determines the first of its holders that no other limit determines; the
+        others remain singular. Mixed path constraints determine regular controls; a limit without known holders
+        determines all controls.
         """
         found: set[int] = set()
         for i in range(self._n_free, len(self.orders)):
@@ -139,16 +139,16 @@ class PhaseStructure:
         return [i for i in range(self._n_free) if not mixed or self.regular[i]]
 
     def rows_changing_at(self, boundary: int) -> list[int]:
-        """Return the rows that change between a piece and the one before."""
+        """Return the rows with different kinds in the pieces before and after a boundary."""
         pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
         return [i for i, (before, after) in enumerate(pair) if before is not after]
 
     def has_only_kinks(self, boundary: int) -> bool:
-        """Whether controls only have a kink between a piece and the one before.
+        """Return whether controls have kinks only, and no jumps, at the boundary before a piece.
 
-        They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
-        a control that enters H linearly jumps to where it holds a state constraint. Where a limit takes over from a
-        state constraint or from another limit, the time is as well determined as that of a switch: both are met.
+        This is the case if regular controls, mixed path constraints, or state constraints that determine such controls,
+        become active or inactive. A control linear in H jumps at the ends of an arc on a state constraint. If one limit
+        replaces another one or a state constraint, the time is a variable like that of a switch, since both are active.
         """
         if self.find_constraint_exchange(boundary) or self.find_limit_exchange(boundary):
             return False
@@ -160,13 +160,13 @@ class PhaseStructure:
         )
 
     def find_convex_rows(self) -> Mask:
-        """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""
+        """Return rows of controls in which H is strictly convex along a piece, (n_rows, A)."""
         return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.n_pieces, axis=1)
 
     def has_saturated_control(self, row: int, boundary: int) -> bool:
-        """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
+        """Return whether a control on a state constraint reaches its own bound, and other controls keep the constraint.
 
-        It comes to its bound as continuously as a control that H determines.
+        The control is continuous there, like a regular control.
         """
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
@@ -182,7 +182,7 @@ class PhaseStructure:
         )
 
     def find_limit_exchange(self, boundary: int) -> list[int]:
-        """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
+        """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
         rows = self.rows_changing_at(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
         sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].at_limit]
@@ -190,10 +190,10 @@ class PhaseStructure:
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
     def find_constraint_exchange(self, boundary: int) -> list[int]:
-        """Return a state constraint and a limit of the control that holds it, if one takes over from the other there.
+        """Return a state constraint and a limit of its control of which one replaces the other at a boundary.
 
-        Uphill a control comes to its limit on the side to which it holds the constraint, which is left; or it is on the
-        other, braking, until the constraint is met. Either way it goes on without a jump, and the costates jump.
+        Either the control reaches its limit, on the side away from the constraint, along the arc on the constraint, or
+        the control is on the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
         rows, beside = self.rows_changing_at(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
@@ -209,29 +209,29 @@ class PhaseStructure:
         kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
         if len(kinds) != 2:
             return []
-        lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
+        lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # without leans: 0
         sides = kinds[state].sign * lean, kinds[limit].sign * self._slope_sign(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
 
     def _slope_sign(self, row: int) -> int:
-        """The sign of what a control does to its own row or a path constraint; 0 if it changes, or for states."""
+        """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
         own = 1 if row < self._n_free else self.slopes[row] or (*self.leans[row], 0)[0]
         return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
 
     def is_first_order(self, row: int) -> bool:
-        """Whether a row is a state constraint of first order; bounds held by singular controls have holders alone."""
+        """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
         held = row >= self._n_free + self.n_paths and bool(self.holders[row]) and not self.orders[row]
         return self.orders[row] == 1 or held
 
     def find_path_limited_controls(self) -> Mask:
-        """Return where a path constraint is in the place of a control's bound, (n_controls, A)."""
+        """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
         held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
         for row in np.flatnonzero(self.slopes):
             held[list(self.holders[row])] |= [kinds[row].at_limit for kinds in self.kinds]
         return held
 
     def mask_near_exchanges(self) -> Mask:
-        """Return where rows are off their limit next to a boundary at which one takes over, (n_rows, A)."""
+        """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.n_pieces), dtype=bool)
         for k in range(1, self.n_pieces):
             given_out = [row for row in self.rows_changing_at(k) if self.has_saturated_control(row, k)]
@@ -240,17 +240,17 @@ class PhaseStructure:
         return beside
 
     def _fixes_control(self, row: int, boundary: int) -> bool:
-        """Whether a state constraint determines, on one side of a boundary, none but controls that H determines."""
+        """Return whether a state constraint determines only regular controls, at one side of a boundary."""
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.holders[row])
         return bool(self.orders[row]) and not linear
 
     def mask_near_contacts(self, touches: bool, firm: bool = False) -> Mask:
-        """Return where state constraints are next to an arc on their limit or, with touches, off them, (n_rows, A).
+        """Return where inactive state constraints are next to their arcs or, with ``touches``, touched, (n_rows, A).
 
-        But not where the direction of a vector could hold them, whose magnitude is at its limit: it would lead far
-        beyond. Firm: only next to arcs that stay where they are during a solve; others may move to where their limit
-        has no value.
+        Constraints are excluded if the direction of a vector at its largest magnitude could satisfy them, as violations
+        would then be large. ``firm``: only next to arcs with fixed times; movable ones may move to times at which their
+        limit is undefined.
         """
         held = np.array([[kind.at_limit for kind in row] for row in self.kind_matrix()])
         beside = np.zeros_like(held)
@@ -266,7 +266,7 @@ class PhaseStructure:
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
     def has_contact(self, piece: int) -> bool:
-        """Whether a state constraint determines a control in a piece."""
+        """Return whether a state constraint determines a control in a piece."""
         return any(
             kind.at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
         )
@@ -275,7 +275,7 @@ class PhaseStructure:
         return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
 
     def is_at_limit(self, row: int, times: Array) -> Mask:
-        """Whether a row is held at a limit, or touches it, at some times (n,)."""
+        """Return whether a row is at a limit, or touches it, at times (n,)."""
         pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_pieces - 1)
         before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_pieces - 1)
         held = np.array([kinds[row].at_limit for kinds in self.kinds])
@@ -287,16 +287,16 @@ class PhaseStructure:
         return np.asarray(held[pieces] | held[before] | np.isin(times, touched))
 
     def with_times(self, times: tuple[float, ...]) -> PhaseStructure:
-        """Return the same order of switches at other times."""
+        """Return the same sequence of arcs with other times."""
         return replace(self, times=times)
 
     def without_piece(self, piece: int) -> PhaseStructure:
-        """Return the structure after a piece has vanished; switches that cancel vanish with it."""
+        """Return the structure without a piece; switches that cancel each other are removed, too."""
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
         inner = 0 < piece < self.n_pieces - 1
         times = [*self.times[:piece], *([middle] if inner else []), *self.times[piece + 2 :]]
         joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
-        if not inner:  # what it touched with its free end is touched by no piece that is left
+        if not inner:  # touches at the free end belong to the removed piece
             joined = self.touches[0] if piece == 0 else self.touches[-1]
         touches = [*self.touches[:piece], joined, *self.touches[piece + 2 :]]
         if piece == 0:
@@ -306,9 +306,9 @@ class PhaseStructure:
         return self._merge_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
     def collapse_piece(self, piece: int) -> PhaseStructure:
-        """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
+        """Return the structure without a piece; an arc on a limit becomes a touch.
 
-        That needs a limit of second order, or one of a path constraint at an end of the phase.
+        This requires a second-order limit, or a path constraint at an end of the phase.
         """
         kinds, left = self.kinds[piece], self.without_piece(piece)
         inner = 0 < piece < self.n_pieces - 1
@@ -323,10 +323,10 @@ class PhaseStructure:
         return left
 
     def swap_switches(self, piece: int) -> PhaseStructure | None:
-        """Return the structure in which the switches at the two ends of a piece change places.
+        """Return the structure with the switches at both ends of a piece interchanged.
 
-        ``None`` where there is nothing to swap: at the phase's ends, when one control switches at both ends, or where
-        nothing would be left to hold a state constraint.
+        None at the ends of the phase, if one control switches at both ends, or if no control could keep a state
+        constraint on its limit.
         """
         if not 0 < piece < self.n_pieces - 1:
             return None
@@ -343,7 +343,7 @@ class PhaseStructure:
         return replace(self, kinds=kinds, touches=tuple(touches))
 
     def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
-        """Return the structure with a row at another place from ``start`` to ``end``; its touches there are gone."""
+        """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
         times = sorted({*self.times, start, end})
         touches = self._collect_touches(times)
         for k, t in enumerate(times):
@@ -358,7 +358,7 @@ class PhaseStructure:
         return self._merge_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
 
     def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
-        """Return the structure with a row at a limit for an instant."""
+        """Return the structure with a touch of a row at a time."""
         times = sorted({*self.times, time})
         touches = self._collect_touches(times)
         touches[times.index(time)] += ((row, kind),)
@@ -367,19 +367,17 @@ class PhaseStructure:
         return self._merge_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
 
     def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
-        """What is touched at each of some times, those of the structure among them."""
+        """Return the touches at given times, which include those of the structure."""
         known = dict(zip(self.times, self.touches, strict=True))
         return [known.get(t, ()) for t in times]
 
     def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
-        """Return the arcs of every control, and those of active path constraints and state bounds.
-
-        A touch is an arc without length.
+        """Return the arcs of all controls, active path constraints and active state bounds; touches have zero length.
 
         Parameters
         ----------
         labels : tuple of str
-            Of all rows.
+            Labels of all rows.
         """
         found = []
         determined = [self.find_determined_controls(k) for k in range(self.n_pieces)]
@@ -400,7 +398,7 @@ class PhaseStructure:
         return tuple(found)
 
     def merge_pieces(self) -> PhaseStructure:
-        """Return the structure with equal neighbouring pieces joined."""
+        """Return the structure with equal adjacent pieces joined."""
         return self._merge_pieces(list(self.times), self.kinds, list(self.touches))
 
     def _merge_pieces(
@@ -416,7 +414,7 @@ class PhaseStructure:
 
 
 def arc_limit_signs(kinds: KindArray) -> Indices:
-    """Return -1 where a lower limit is held, +1 where an upper one is, 0 elsewhere; same shape."""
+    """Return -1 at lower limits, +1 at upper limits, 0 elsewhere; same shape."""
     return np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
 
 

@@ -1,4 +1,4 @@
-"""Recognising the control structure from controls and switching functions."""
+"""Detection of the control structure from controls and switching functions."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
 
 CONTROL_AT_BOUND_SHARE = 0.02
-"""A control this close to a bound, relative to its range, is taken to sit on it."""
+"""Largest distance of a control on a bound, relative to its range."""
 
 STATE_LEFT_BOUND_RATIO = 2.0
-"""A state so many times as far from its bound has left it."""
+"""Least distance of a state off its bound, in largest distances of a state on its bound."""
 
 HELD_STATE_TOLERANCE = 1e-4
-"""A state that stays this close to its bound, relative to its size, along a segment is held there."""
+"""Largest distance of a state on its bound along a segment, relative to its magnitude."""
 
 
 def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
@@ -46,12 +46,12 @@ def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
 
 
 def detect_phase_structure(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> PhaseStructure:
-    """Return the structure of a phase; what state constraints determine, if known, lies between its bounds.
+    """Return the structure of a phase; controls that state constraints determine, if given, are off their bounds.
 
-    Controls that enter H linearly follow the sign of their switching function, except where it stays near
-    zero over whole segments with the control between its bounds (a singular arc, or one on a state
-    constraint). Short bangs next to those are taken for noise. Other controls are
-    checked by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
+    For controls linear in H, the sign of the switching function determines the kind, unless it stays near zero over
+    whole segments with the control off its bounds (a singular arc, or an arc on a state constraint). Short bangs next
+    to those are regarded as noise. Other controls are classified by their distances from the bounds, path constraints
+    and states by distances and multipliers.
     """
     leg, regular, affine = samples.leg, convex_controls(samples), affine_controls(samples)
     strictly = regular_controls(samples)
@@ -70,7 +70,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[Determine
         if affine[i]:
             _apply_path_limits(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
-    controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
+    controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
     for labels in [*paths, *_label_states(samples, controls, determined)]:
         rows.append(labels)
         changes.append(_find_label_changes(samples, labels))
@@ -105,7 +105,7 @@ def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
 
 
 def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
-    """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
+    """Return LOWER, UPPER or SINGULAR at each sample for a control linear in H, SINGULAR in intervals."""
     gradient = _compute_hamiltonian_gain(samples, samples.control_gradient, i)
     labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
@@ -129,9 +129,9 @@ def _apply_path_limits(
     paths: list[KindArray],
     determined: Sequence[tuple[float, float]],
 ) -> None:
-    """Put path constraints in the place of bounds of a control, where they are tighter.
+    """Replace bounds of a control by path constraints that are tighter.
 
-    Singular arcs stay, and times at which state constraints determine the control.
+    Singular arcs and intervals in which state constraints determine the control are unchanged.
     """
     samples = limits.samples
     inside = ~limits.find_samples_near_bound(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
@@ -146,15 +146,15 @@ def _apply_path_limits(
 
 
 def _compute_hamiltonian_gain(samples: PhaseSamples, gradient: Array, i: int) -> Array:
-    """What a control's whole range gains in H, in shares of H, (n_samples,)."""
+    """Return the change of H over a control's whole range, relative to H, (n_samples,)."""
     return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 
 
 def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
-    """Give short bangs next to a singular arc to it that are noise or chatter.
+    """Assign short bangs next to a singular arc to the arc if they are noise or chatter.
 
-    Along those the switching function stays small, or the control is nowhere near the bound that its sign asks for. But
-    where the arc keeps a state on its bound, a bang that brings it there or takes it away is neither.
+    During such bangs the switching function is small, or the control is far from the bound indicated by its sign. A
+    bang that leads a state to or from an arc on its bound is neither.
     """
     bounds = samples.leg.control_bounds
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
@@ -170,7 +170,7 @@ def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradie
 
 
 def _leaves_state_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
-    """Whether a state that a control moves at once is on its bound at an end of a run of samples, and leaves it."""
+    """Return whether a state with a rate that depends on the control leaves its bound at an end of a run of samples."""
     bounds, ends = samples.leg.state_bounds, [first, last - 1]
     off = np.minimum(samples.x - bounds.lower[:, None], bounds.upper[:, None] - samples.x)
     share = off[:, first:last] / samples.state_scale[:, None]
@@ -181,8 +181,8 @@ def _leaves_state_bound(samples: PhaseSamples, i: int, first: int, last: int) ->
 
 
 def _absorb_short_pieces(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
-    """Let arcs of a label swallow neighbours shorter than `SHORT_ARC_SEGMENTS` segments, if all
-    of those are candidates."""
+    """Assign the adjacent arcs shorter than `SHORT_ARC_SEGMENTS` segments to arcs of a label, if all their samples are
+    candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     grown = True
     while grown:
@@ -200,10 +200,10 @@ def _absorb_short_pieces(samples: PhaseSamples, labels: KindArray, label: ArcKin
 
 
 def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
-    """Segments on which the control lies between its bounds while its switching function stays small.
+    """Return the segments on which the control is off its bounds and its switching function stays small.
 
-    A switch smears over one segment, too, but there the switching function leaves zero at once; so a lone
-    segment does not count.
+    A single segment does not count, as a switch may also cover one segment, in which the switching function leaves zero
+    at once.
     """
     leg = samples.leg
     bounds, margin = leg.control_bounds, CONTROL_AT_BOUND_SHARE * samples.control_scale[i]
@@ -217,7 +217,7 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
 
 
 def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
-    """LOWER, UPPER or INTERIOR at each sample; from bound to bound within so many segments is a jump."""
+    """Return LOWER, UPPER or INTERIOR at each sample; changes of bounds within ``short`` segments are jumps."""
     at_lower, at_upper = samples.leg.control_bounds.near(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
     labels = _label_limit_arcs(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
@@ -233,9 +233,9 @@ def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) 
 
 
 def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
-    """Which path constraints are inequalities on controls that H determines: they become active with a kink.
+    """Return which path constraints are inequalities on regular controls, which become active with a kink.
 
-    The length of a direction does not: it is at its limit all along but where the direction does not matter.
+    The norm of a direction is excluded: it is always at its limit unless the direction has no effect.
     """
     leg = samples.leg
     lengths = [v.length for v in leg.composed_controls if isinstance(v, VectorControl)]
@@ -248,7 +248,7 @@ def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
 def _mixed_controls(
     samples: PhaseSamples, mixed: Mask
 ) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
-    """The controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
+    """Return the controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
     if not np.any(mixed):
         return [()] * mixed.size, [()] * mixed.size
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
@@ -261,10 +261,10 @@ def _mixed_controls(
 
 
 def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
-    """LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR for all but mixed ones.
+    """Return LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR except for mixed ones.
 
-    Where H bends in none of its controls, as their costates vanish, so does its multiplier, and nothing else
-    determines them.
+    If H has no curvature in any control of a constraint, since costates vanish, the multiplier vanishes, too, and the
+    controls are undetermined.
     """
     if not mixed.size:
         return []
@@ -283,11 +283,11 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArra
 def _label_states(
     samples: PhaseSamples, controls: KindArray, determined: Sequence[Determined] = ()
 ) -> list[KindArray]:
-    """LOWER, INTERIOR or UPPER at each sample for every state.
+    """Return LOWER, INTERIOR or UPPER at each sample for every state.
 
-    A state counts as held along segments on which it stays on its bound while some singular control could move
-    it at once (a bound of first order), and all the time at which it pushes, where it may swing between the points. No
-    arc reaches an end of the phase at which another value is given.
+    A state has an arc on its bound along segments on which it stays there while its rate depends on a singular control
+    (first order), and wherever the bound has a multiplier, where the state may oscillate between points. Arcs do not
+    include an end of the phase with another given value.
     """
     first = len(samples.leg.path_labels)
     leg, rows, commanded = samples.leg, [], _singular_driven_states(samples, controls)
@@ -315,7 +315,7 @@ def _label_states(
 
 
 def _singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
-    """Where a singular control moves a state at once, (n_states, n_samples)."""
+    """Return where the rate of a state depends on a singular control, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
         found |= _driven_states(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
@@ -323,7 +323,7 @@ def _singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
 
 
 def _driven_states(samples: PhaseSamples, channel: int) -> Mask:
-    """Where the rate of a state depends on a control, (n_states, n_samples)."""
+    """Return where the rate of a state depends on a control, (n_states, n_samples)."""
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
     rates = samples.functions.rates
@@ -340,7 +340,7 @@ def _find_label_changes(samples: PhaseSamples, labels: KindArray) -> list[float]
 
 
 def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:
-    """Times at which each control's label changes; sign changes of the switching functions are polished."""
+    """Return the times at which each control's label changes; zeros of switching functions are refined."""
     times = samples.times
     found = [(i, j) for i, row in enumerate(rows) for j in np.flatnonzero(row[1:] != row[:-1])]
     polished = [
@@ -360,7 +360,7 @@ def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> lis
 
 
 def find_roots(function: Callable[..., Array], left: Array, right: Array, *arguments: Array) -> Array:
-    """Return zeros between times (s) (n,), to rounding, or the middle where the signs do not differ."""
+    """Return zeros in intervals between times (s) (n,), to rounding, or the midpoint if the signs are equal."""
     from scipy.optimize.elementwise import find_root  # slow to import
 
     found = find_root(function, (left, right), args=arguments)

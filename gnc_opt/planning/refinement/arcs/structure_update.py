@@ -225,8 +225,8 @@ def _find_run_around(holds: Mask, j: int) -> slice:
 def _mask_own_switches(violation: Array, kinds: KindArray) -> None:
     """Set violations next to a switch of the same channel to zero, unless they are on both sides of it.
 
-    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
-    sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch.
+    There the switching function vanishes at the optimum; its residual is rounding and mesh error. On both sides, the
+    slope is wrong: the switching time maximises the cost instead of minimising it.
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
@@ -239,12 +239,12 @@ def _mask_own_switches(violation: Array, kinds: KindArray) -> None:
 
 
 def _select_leading_run(holds: Mask, places: range) -> list[int]:
-    """The places, one after the other, up to the first at which it does not hold."""
+    """Return the first places, in order, up to the first one at which the condition does not hold."""
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
 
 def find_violation_interval(times: Array, violation: Array) -> tuple[float, float]:
-    """Return where there is a violation around the largest one: its zeros, by straight lines between samples."""
+    """Return the interval of the largest violation, between zeros found by linear interpolation of the samples."""
     j, fine = int(np.argmax(violation)), np.flatnonzero(violation <= 0)
     before, after = fine[fine < j], fine[fine > j]
     start = _interpolate_zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
@@ -253,5 +253,5 @@ def find_violation_interval(times: Array, violation: Array) -> tuple[float, floa
 
 
 def _interpolate_zero(times: Array, values: Array, left: int, right: int) -> float:
-    """Zero of a straight line between two samples whose values do not have the same sign."""
+    """Return the zero of the linear interpolant between two samples of opposite signs."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))

@@ -68,15 +68,15 @@ def optimise_switching_times(
     Parameters
     ----------
     solution : Solution
-        A solved collocation solution, with its problem.
+        A converged collocation solution, with its problem.
     tol : float
-        On the error between the nodes; see `gnc_opt.planning.refinement.error_estimation`.
+        On the local errors; see `gnc_opt.planning.refinement.error_estimation`.
     limits : IterationLimits, optional
     structures : mapping of PhaseStructure, optional
         Initial structures by phase; by default those detected in the solution.
     options : SolverOptions, optional
     progress : bool
-        Show one line per pass.
+        Print one line per pass.
     segments : {"few", "kept"}
         Begin with few segments per piece, or with those of the mesh of the solution.
 
@@ -164,13 +164,13 @@ def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol
 def _start_from_newton(
     solution: Solution, plans: dict[str, Plan], mesh_tolerance: float
 ) -> tuple[Solution, dict[str, Plan], Solution | None]:
-    """Optimise the switching times by Newton's method and choose the mesh that its trajectory needs.
+    """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
 
-    Returns a guess, the plans and, unless a limit is violated, the trajectory as the solution on their mesh. Where
+    Returns a guess, the plans and, unless a limit is violated, the trajectory as the solution on their mesh. If
     Newton's method does not apply, the given solution and plans are returned.
     """
     if len(plans) > 1:
-        return solution, plans, None  # The flow of one phase says nothing about the others.
+        return solution, plans, None  # the switching times of one phase depend on the others
     ((name, plan),) = plans.items()
     found = optimise_times(solution, plan.structure)
     if found is None:
@@ -247,8 +247,8 @@ class _StructureLoop:
 
     @property
     def target_error(self) -> float:
-        """Tolerance of local errors: pieces converge so fast that a small one costs little."""
-        return min(self.tol, EQUAL)  # that costs a solve of a few iterations, if any
+        """Tolerance of local errors; pieces converge so fast that a small tolerance is inexpensive."""
+        return min(self.tol, EQUAL)  # at the cost of a few iterations, if any
 
     @property
     def iteration_records(self) -> list[RefinementIteration]:
@@ -264,7 +264,7 @@ def _propose_alternative_plans(
 ) -> dict[str, Plan] | None:
     """Return the plans to try after a structure without a solution, or None.
 
-    State constraints are imposed next to movable arcs, too, if they were not; else a piece of zero length is removed.
+    Released state constraints next to movable arcs are imposed; if there are none, a piece of zero length is removed.
     """
     if any(plan.may_leave_constraints for plan in plans.values()):
         return {name: replace(plan, firm=True) for name, plan in plans.items()}
