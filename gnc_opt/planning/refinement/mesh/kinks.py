@@ -1,4 +1,4 @@
-"""Where a trajectory is not smooth: switches, and ends of arcs on a bound or path constraint."""
+"""Detection of points where a trajectory is not smooth: switches and ends of arcs on bounds or path constraints."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
 SWITCH_ESTIMATE_ERROR_SHARE = 0.05
-"""A switch is trusted to lie this close to its estimate, in shares of its segment."""
+"""Largest error of a switch's estimated time, relative to its segment."""
 
 KINK_ESTIMATE_ORDER = 2.0
-"""Order by which a kink's estimate improves with the length of its gap, in shares of the phase."""
+"""Order of convergence of a kink's estimated time in the length of its interval, relative to the phase."""
 
 SEGMENT_MAX_KINKS = 3
-"""More kinks than this in one segment are chatter or noise."""
+"""Largest number of kinks in one segment; more indicate chatter or noise."""
 
 
 @dataclass(frozen=True)
 class Kink:
-    """An interval of time in which the trajectory has a kink or a jump."""
+    """Time interval that contains a kink or a jump of the trajectory."""
 
     start: float
     end: float
 
 
 def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
-    """Return the kinks in segment k, in order and not overlapping; none if they cannot be separated from noise.
+    """Return the kinks in segment k, ordered and disjoint; none if they cannot be distinguished from noise.
 
     Parameters
     ----------
     error : PhaseError
     k : int
     active : array (rows, N)
-        The phase's `activity`, which is dear and the same for all segments.
+        Activity of the phase's constraints (`limit_multipliers`), the same for all segments.
     """
     found = _find_switches(error, k) or _find_junctions(error, k, active)
     found.sort(key=lambda kink: kink.start)
@@ -52,7 +52,7 @@ def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
 
 
 def _find_switches(error: PhaseError, k: int) -> list[Kink]:
-    """Zeros of dH/du with a control on its bound: there it leaves the bound, or jumps to the other one."""
+    """Return the zeros of dH/du with a control on its bound: it leaves the bound, or jumps to the other one."""
     samples = error.samples
     leg, bounds = samples.leg, samples.leg.control_bounds
     inside = np.flatnonzero(samples.segments == k)
@@ -82,7 +82,7 @@ def _control_gradient(error: PhaseError, i: int, level: float, times: Array) -> 
 
 
 def _zero_crossings(values: Array, times: Array) -> list[float]:
-    """Return the zeros of a switching function, in shares of H, from a straight line between its samples."""
+    """Return the zeros of a switching function (relative to H) by linear interpolation of its samples."""
     before = np.flatnonzero(values[:-1] * values[1:] < 0)
     if not before.size or not (np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE):
         return []
@@ -91,7 +91,7 @@ def _zero_crossings(values: Array, times: Array) -> list[float]:
 
 
 def _find_junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
-    """Kinks where bounds and path constraints set in or end, or change sides, between neighbouring points."""
+    """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
     leg = error.samples.leg
     points, offsets = leg.point_times, leg.mesh.offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
@@ -106,7 +106,7 @@ def _find_junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
 
 
 def _bracket_onset(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
-    """Return between which times the pull of a constraint sets in, ends or changes sign, after point j."""
+    """Return the times between which a constraint multiplier starts, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
     across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
     across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
@@ -123,7 +123,7 @@ def _bracket_onset(times: Array, pull: Array, j: int, duration: float) -> tuple[
 
 
 def limit_multipliers(error: PhaseError) -> Array:
-    """Return the pull of active bounds and paths at the points, (rows, N), in shares of H."""
+    """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
     leg, yardstick = error.samples.leg, error.yardstick
     x, u = get_states_at_points(leg), np.hstack(leg.u.values)
     worth = error.samples.hamiltonian_scale
@@ -147,7 +147,7 @@ def _active_multipliers(
 
 
 def kink_boundaries(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
-    """Return boundaries that enclose the kinks of segment k tightly, or lie on them, its own ends included."""
+    """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends."""
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SAME_TIME * leg.duration)
@@ -159,5 +159,5 @@ def kink_boundaries(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float
 
 
 def _select_kink_edges(kink: Kink, sharp: float) -> tuple[float, ...]:
-    """Both ends of a kink's interval, or its middle where they are as good as one."""
+    """Return both ends of a kink's interval, or its midpoint if the interval is sufficiently short."""
     return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

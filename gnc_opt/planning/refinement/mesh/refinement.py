@@ -1,8 +1,7 @@
-"""hp refinement: solve, estimate the error between the nodes, improve the mesh, until the error is small.
+"""hp refinement: iteration of solve, error estimate and mesh improvement until the error is within the tolerance.
 
-Every pass starts warm from states, controls and multipliers of the last one. The error comes from model and
-trajectory alone, see `gnc_opt.planning.refinement.error_estimation`; how the mesh changes is in
-`gnc_opt.planning.refinement.mesh.remesh`.
+Every solve starts from states, controls and multipliers of the previous one. The error estimate is described in
+`gnc_opt.planning.refinement.error_estimation`, the change of the mesh in `gnc_opt.planning.refinement.mesh.remesh`.
 """
 
 from __future__ import annotations
@@ -32,32 +31,32 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE
 
 WARM_BARRIER = 1e-6
-"""Barrier parameter of a warm start, per unit of the error that is left: what is nearly right must not be pushed off
-its bounds only to come back in ten iterations. Where no error exceeds `NOTABLE` it begins at the last
-barrier: each one before costs two iterations or more."""
+"""Barrier parameter of a warm start relative to the remaining error, so that a nearly optimal point is not moved far
+off its bounds. If no error exceeds `NOTABLE`, the final barrier parameter is used: each larger one costs two iterations
+or more."""
 
 DEFAULT_ITERATIONS = 20
-"""At most so many solves, if nobody says otherwise."""
+"""Default number of solves."""
 
 STAGE_ERROR_SHARE = 1e-4
-"""Each pass aims at this share of the error before it, ..."""
+"""Target error of each pass, relative to the error of the previous one."""
 
 COARSE_MESH_TOLERANCE_SHARE = 1e-3
-"""... at this share while some segment is hopelessly coarse, and all others still move with it; ..."""
+"""The same as long as the error of a segment exceeds `NOTABLE`."""
 
 NEAR_TOLERANCE_RATIO = 30.0
-"""... but at the tolerance itself where that is no further than this: another pass costs more than a few points."""
+"""Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
 
 SOLVER_MAX_TOLERANCE, SOLVER_SHARE = 1e-9, 0.1
-"""Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
-given up at once are worth nothing."""
+"""Largest tolerance of the solver, and its ratio to the target error: more accuracy is useless on a mesh that is
+replaced."""
 
 NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
 
 @dataclass(frozen=True, eq=False)
 class _MeshSolution:
-    """A solution with its error."""
+    """Solution with its error estimate."""
 
     solution: Solution
     errors: dict[str, PhaseError]
@@ -65,7 +64,7 @@ class _MeshSolution:
 
     @property
     def finite_error(self) -> float:
-        """Largest error of the segments whose functions are defined."""
+        """Largest error of the segments in which all functions are defined."""
         worst = np.concatenate([e.largest_errors for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
 
@@ -82,33 +81,33 @@ def refine_mesh(
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> tuple[Solution, History]:
-    """Return the solution on a mesh on which its estimated error is at most ``tol``, and how it came about.
+    """Return the solution on a mesh on which its estimated error is at most ``tol``, and the history of the passes.
 
     Parameters
     ----------
     solution : Solution
-        With its problem; its mesh is the first.
+        Initial solution with its problem; its mesh is the first one.
     tol : float
-        Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
+        Largest error of every segment (dynamics, integrals, bounds and path constraints between the nodes),
         dimensionless; see `gnc_opt.planning.refinement.error_estimation`.
     limits : IterationLimits, optional
-        Default: `DEFAULT_ITERATIONS`. Twice as much work is allowed while the error falls to a third or less each time.
+        Default: `DEFAULT_ITERATIONS`. The allowed work doubles while each pass reduces the error to a third or less.
     options : SolverOptions, optional
-        For the solves.
+        Options of the solves.
     progress : bool
-        Show one line per pass.
+        Print one line per pass.
 
     Returns
     -------
     Solution
-        The one within the tolerance, or else the one whose objective has the least error.
+        The solution within the tolerance, otherwise the one with the smallest error of the objective.
     History
-        Its ``status`` and ``message`` say how it ended.
+        ``status`` and ``message`` describe the result.
 
     Raises
     ------
     GncOptError
-        The solution has no problem, or did not converge itself.
+        The solution has no problem or did not converge.
     """
     if not solution.status.solved:
         raise GncOptError(
@@ -125,7 +124,7 @@ def refine_mesh(
 
 
 class _Refinement:
-    """The loop and what it remembers."""
+    """Iteration of hp refinement with its records."""
 
     def __init__(
         self,
@@ -168,14 +167,14 @@ class _Refinement:
 
     @property
     def _spent_work(self) -> float:
-        """Work of all passes but the first, which was given."""
+        """Work of all passes except the first, which was given."""
         return sum(record.work for record in self._records[1:])
 
     def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
-        """Return the next meshes with what was done to get them, or how it ends here.
+        """Return the next meshes and the changes, or the final status.
 
-        The aim comes closer in stages: while the trajectory still moves, details are premature. Where the points
-        do not suffice for a stage, they go to the worst segments.
+        The target error decreases in stages, since small features of a trajectory that still changes are irrelevant. If
+        the points do not suffice for a stage, they are assigned to the segments with the largest errors.
         """
         last = self._state.record
         if self._has_converged(last):
@@ -208,7 +207,7 @@ class _Refinement:
         return max(mesh.size for mesh in meshes.values()) > self._limits.points
 
     def build_result(self, status: RefinementStatus) -> tuple[Solution, History]:
-        """Return the best solution and the record."""
+        """Return the best solution and the history."""
         best = self._best.record
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
@@ -217,26 +216,26 @@ class _Refinement:
         return self._best.solution, history
 
     def classify_failed_solve(self, status: Status) -> RefinementStatus:
-        """Return how it ends without another solution, because of what became of the last solve."""
+        """Return the final status after a solve with the given status did not converge."""
         interrupted = status is Status.INTERRUPTED
         return self._classify_ending(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
 
     def _classify_ending(self, otherwise: RefinementStatus) -> RefinementStatus:
-        """Return how it ends if no pass follows: there may be an accurate solution already."""
+        """Return the final status if no pass follows: CONVERGED if the best solution is within the tolerance."""
         return RefinementStatus.CONVERGED if self._has_converged(self._best.record) else otherwise
 
     def _has_converged(self, record: RefinementIteration) -> bool:
         return record.solved and record.error <= self._tol
 
     def _is_stalled(self, meshes: dict[str, Mesh]) -> bool:
-        """Whether nothing is left to do, or neither the largest error nor the sum of all falls fast enough."""
+        """Return whether the meshes are unchanged, or both the largest error and the sum of all decrease too slowly."""
         if meshes == self._state.record.meshes:
             return True
         errors = [r.error for r in self._records]
         return all(is_stagnating(values, self._tol) for values in (errors, self._totals))
 
     def _solve_on_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
-        """Solve on new meshes, warm, then cold; remember the pass."""
+        """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
         begin = time.perf_counter()
         within = self._limits.limit_solve(meshes.values(), self._spent_work)
         solution = solve_mesh(
@@ -253,7 +252,7 @@ class _Refinement:
         return solution.status
 
     def _choose_warm_options(self) -> SolverOptions:
-        """Return the options with tolerance and barrier parameter that suit how far the solution still has to move."""
+        """Return the options with tolerance and barrier parameter adapted to the error of the solution."""
         options, left = self._options, min(self._state.finite_error, 1.0)
         if not self._asked:
             options = replace(
@@ -273,7 +272,7 @@ class _Refinement:
         return state
 
     def _is_better(self, new: _MeshSolution, old: _MeshSolution) -> bool:
-        """Whether a solution is within the tolerance, or its objective has the smaller error."""
+        """Return whether a solution is within the tolerance, or its objective has the smaller error."""
         if self._has_converged(new.record) != self._has_converged(old.record):
             return self._has_converged(new.record)
         if not new.record.solved:

@@ -1,9 +1,9 @@
-"""The next mesh of a phase: where to raise the degree, where to split.
+"""Next mesh of a phase: increase of degrees and subdivision of segments.
 
-Smooth segments get the degree that the decay of their Legendre coefficients predicts, others are split: around
-their kinks, or where their error arises. See Liu, Hager & Rao, Journal of the Franklin Institute 352 (2015), for
-detecting and bracketing discontinuities, and Patterson, Hager & Rao, Optimal Control Applications and Methods
-36 (2015), for preferring degrees to segments.
+Smooth segments get the degree predicted by the decay of their Legendre coefficients. Other segments are split at their
+kinks, or where their error is large. See Liu, Hager & Rao, Journal of the Franklin Institute 352 (2015), for the
+detection of discontinuities, and Patterson, Hager & Rao, Optimal Control Applications and Methods 36 (2015), for the
+preference of degrees to segments.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from gnc_opt.tolerances import NOTABLE, SAME_TIME
 
 SEGMENT_MAX_DEGREE = 20
 REMESH_TOLERANCE_SHARE = 0.25
-"""New meshes aim at this share of the tolerance."""
+"""Target error of new meshes, relative to the tolerance."""
 
 DECAY_GAIN_PER_HALVING = 0.3
-"""Decades per degree by which the decay gets faster when a segment is halved."""
+"""Increase of the decay rate, decades per degree, due to halving a segment."""
 
 UNKNOWN_TRAJECTORY_ERROR = 1.0
-"""Where nothing is known of the trajectory, nothing is known of its kinks either."""
+"""Error above which kinks are not detected, since the trajectory is unknown."""
 
 MIN_DECADES_PER_POINT = 0.12
-"""A degree that gained less than this many decades per point was wasted: the segment is not smooth."""
+"""Least gain, decades per point, of a higher degree in a smooth segment."""
 
 SMOOTHNESS_MIN_DEGREE = 5
-"""Fewer coefficients than this do not tell whether a segment is smooth: its degree is raised first, unless its error is
+"""Least number of coefficients for a test of smoothness; with fewer, the degree is increased first, unless the error is
 `NOTABLE`."""
 
 Past = Mapping[tuple[float, float], tuple[int, float]]
-"""What is known of the segments of earlier meshes, by their ends as fractions: degree and error."""
+"""Degree and error of the segments of previous meshes, by their ends as fractions of the phase."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A segment of a mesh to be: its ends as times (s) and its degree."""
+    """Segment of the next mesh: ends (s) and degree."""
 
     start: float
     end: float
@@ -55,15 +55,15 @@ class Piece:
 
 @dataclass
 class Remesh:
-    """The next mesh of one phase.
+    """Computation of the next mesh of one phase.
 
     Parameters
     ----------
     error : PhaseError
     tol : float
-        Segments with a larger error are refined.
+        Largest error of a segment that is not refined.
     past : mapping from (start, end) to (degree, error)
-        Of the last mesh; ends are fractions of the phase.
+        Segments of the last mesh; ends are fractions of the phase.
     max_degree : int
     """
 
@@ -81,7 +81,7 @@ class Remesh:
         self.raised = self.split = 0
 
     def mesh(self) -> tuple[Mesh, Actions]:
-        """Return the mesh and what was done."""
+        """Return the mesh and the numbers of changes."""
         pieces: list[Piece] = []
         rates = legendre_decay_rates(self.error)
         for k, degree in enumerate(self._leg.mesh.degrees):
@@ -112,7 +112,7 @@ class Remesh:
         return self._split_segment(k, own, rate, excess)
 
     def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
-        """Pieces around kinks: smooth ones as they were, those with a kink of low degree."""
+        """Return the pieces around kinks: smooth ones with unchanged degree, those with a kink of low degree."""
         pieces = []
         for a, b in itertools.pairwise(cuts):
             middle = 0.5 * (a + b)
@@ -121,7 +121,7 @@ class Remesh:
         return pieces
 
     def _is_degree_wasted(self, k: int, degree: int) -> bool:
-        """Whether raising this segment's degree the last time brought next to nothing."""
+        """Return whether the last increase of this segment's degree hardly reduced its error."""
         key = _segment_key(self._to_fraction(self._leg.breaks[k]), self._to_fraction(self._leg.breaks[k + 1]))
         if key not in self.past or self.past[key][0] >= degree:
             return False
@@ -131,7 +131,7 @@ class Remesh:
         return bool(self._worst[k] > old_error * 10.0 ** (-MIN_DECADES_PER_POINT * (degree - old_degree)))
 
     def _split_segment(self, k: int, own: Piece, rate: float, excess: float) -> list[Piece]:
-        """Split where the error arises, with the degree that the halves are expected to need."""
+        """Return the parts of a segment split where its error is large, with the degree predicted for the halves."""
         if self._density is None:
             self._density = error_density(self.error)
         low, middle, high = error_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))

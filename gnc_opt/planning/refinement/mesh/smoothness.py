@@ -1,4 +1,4 @@
-"""How smooth a segment is: decay of Legendre coefficients, and where its errors sit."""
+"""Smoothness of segments: decay rates of Legendre coefficients, and distribution of the error."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.tolerances import TINY
 
 COEFFICIENT_ROUNDING = 1e-14
-"""Legendre coefficients below this, relative to the largest, are rounding."""
+"""Smallest significant Legendre coefficient, relative to the largest; smaller ones are rounding."""
 
 DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
-"""Decay rates are clipped to this range, in decades per degree."""
+"""Range to which decay rates are clipped, decades per degree."""
 
 
 def legendre_decay_rates(error: PhaseError) -> Array:
-    """Return the decay of the Legendre coefficients of rates, integrands and controls, (K,).
+    """Return the decay rates of the Legendre coefficients of rates, integrands and controls (K,), decades per degree.
 
-    In decades per degree, of their envelope (Liu, Hager & Rao, IEEE Transactions on Control Systems
-    Technology 26, 2018).
+    They are the rates of the envelopes (Liu, Hager & Rao, IEEE Transactions on Control Systems Technology 26, 2018).
     """
     leg, functions, yardstick = error.samples.leg, error.samples.functions, error.yardstick
     points, u = leg.point_times, np.hstack(leg.u.values)
@@ -54,9 +53,9 @@ def _decay_rate(values: Array, tau: Array) -> float:
 
 
 def error_density(error: PhaseError) -> Array:
-    """Return where in its segment the error arises, (n_samples,) per second: residuals of rates and integrands.
+    """Return the error density in segments (n_samples,) per second: residuals of rates and integrands.
 
-    Where the costates' error is the largest, their residuals.
+    If the costates have the largest error, their residuals.
     """
     s, yardstick, functions = error.samples, error.yardstick, error.samples.functions
     at = s.times, s.x, s.u_polynomial
@@ -74,13 +73,13 @@ def error_density(error: PhaseError) -> Array:
 
 
 def error_quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
-    """Return the times in segment k up to which the given shares of its error arise."""
+    """Return the times in segment k up to which the given fractions of its error accumulate."""
     inside = error.samples.segments == k
     times, weights = error.samples.times[inside], error.samples.weights[inside]
     mass = np.cumsum(density[inside] * weights)
     if not mass[-1] > 0:
         return np.asarray(times[0] + shares * (times[-1] - times[0]))
-    # The mass of a sample lies around it: half of it has come when the sample is reached.
+    # The error of a sample extends to both sides of it: half of it is accumulated at the sample.
     middle = (mass - 0.5 * density[inside] * weights) / mass[-1]
     middle[0], middle[-1] = 0.0, 1.0
     return np.asarray(np.interp(shares, middle, times))

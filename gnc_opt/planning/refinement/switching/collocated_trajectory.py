@@ -1,7 +1,7 @@
-"""A converged flight as a solution on a mesh.
+"""Conversion of an integrated trajectory to a collocation solution on a mesh.
 
-States and costates are integrated between collocation points; their polynomials have the dynamics' slopes
-at the points. `satisfies_limits` checks the limits between the ends.
+States and costates are integrated between collocation points; the derivatives of their polynomials equal the rates at
+the points. `satisfies_limits` checks the limits between the ends.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from gnc_opt.tolerances import AT_LIMIT
 
 
 def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> Solution | None:
-    """Return the flight with its last step at the collocation points of a plan.
+    """Return the trajectory after its last Newton step at the collocation points of a plan.
 
-    None if a limit is exceeded, or if the known solution is merely acceptable: its optimum may be degenerate.
+    None if a limit is violated, or if the known solution has only acceptable accuracy: its optimum may be degenerate.
 
     Parameters
     ----------
     known : Solution
-        Of one phase, whose switches have led to the flight.
+        One-phase solution whose switching times were optimised.
     flight : SwitchedFlow
-        At rest.
+        Converged trajectory.
     plan : Plan
-        Of the structure that the flight's last step leads to.
+        Plan of the structure after the last Newton step.
     """
     if known.status is not Status.OPTIMAL:
         return None
@@ -62,7 +62,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> S
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     times = np.concatenate([*within, breaks[-1:]])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
-    parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.times))))  # as fine as the flight
+    parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.times))))  # as fine as known
     flow = integrate_bang_bang(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
     worth = final_cost_gradient(problem, s, flow, flight.step.multipliers)
     x, lam = flow.states[:n, ::parts], flow.integrate_adjoint(worth)[:n, ::parts]
@@ -105,7 +105,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> S
 def _integrate_slopes(
     breaks: Array, rules: list[CollocationRule], nodes: list[Array], starts: Array, slopes: Array
 ) -> PiecewisePolynomial:
-    """Polynomials from the starts of segments (n, K) with slopes at the collocation points (n, N)."""
+    """Return polynomials with given initial values of segments (n, K) and rates at the collocation points (n, N)."""
     halves, values, begun = 0.5 * np.diff(breaks), [], 0
     for k, rule in enumerate(rules):
         here = halves[k] * slopes[:, begun : begun + rule.n]
@@ -115,7 +115,7 @@ def _integrate_slopes(
 
 
 def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
-    """Return whether states, path constraints and ends are within limits: the flow knows none but equalities."""
+    """Return whether states, path constraints and end values are within their inequality limits."""
     (s,) = flown.samples().values()
     leg = s.leg
     ends = (
@@ -132,7 +132,7 @@ def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
 
 
 def complete_multipliers(flown: Solution) -> Solution:
-    """Return the flight with its cost, and the multipliers of limits that follow from its costates."""
+    """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
     (leg,) = flown.phases.values()
     ends, functions = boundary_gradients(flown), flown.functions(leg.name)
     at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)

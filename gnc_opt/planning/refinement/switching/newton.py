@@ -1,13 +1,13 @@
-r"""Newton's method on switch times.
+r"""Newton's method for switching times.
 
-With every control on a bound, the problem has finitely many unknowns: the switch times, the ends of the phase and the
-multipliers of the end conditions. Flow, Jacobian and Hessian come from explicit integration (`bang_bang_flow`), so one
-iteration costs as much as a few propagations, where a solve of the collocated problem takes a factorisation of all
-its points. The result is a structure to start from: pieces that vanish are dropped, arcs that the switching functions
-ask for are added, and the collocated problem, whose solution is what counts, is then solved near its optimum.
+With every control on a bound, the problem has finitely many unknowns: the switching times, the ends of the phase and
+the multipliers of the end conditions. Trajectory, Jacobian and Hessian are integrated explicitly (`bang_bang_flow`), so
+that an iteration costs a few propagations, while a solve of the collocated problem factorises matrices of all its
+points. Pieces of zero length are removed, and arcs are added where switching functions have the wrong sign. The
+resulting structure is the initial guess of the collocated problem.
 
-Far from the optimum every step has derivatives of its own; near it the matrices of the last one serve on, as long as
-steps shrink fast enough (module `newton_step`).
+Far from the optimum, every step evaluates its own derivatives; near it, the matrices of the last step are reused as
+long as the steps decrease sufficiently fast (module `newton_step`).
 """
 
 from __future__ import annotations
@@ -31,57 +31,57 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, TINY
 
 NEWTON_MAX_STEPS = 40
-"""Newton steps of all structures together."""
+"""Largest number of Newton steps of all structures together."""
 
 SIMPLIFIED_NEWTON_MAX_STEP = 1e-4
-"""Step, in shares of the phase, from which on its matrices serve the following ones, too."""
+"""Largest step, relative to the phase, whose matrices are reused in the following steps."""
 
 SIMPLIFIED_STEPS_PER_FULL_STEP = 3
-"""So many steps with the matrices of another one cost as much as one with its own."""
+"""Number of steps with reused matrices that cost as much as one with its own matrices."""
 
 SIMPLIFIED_NEWTON_MAX_STEPS = 12
-"""Steps until switch times are at rest, once they are near."""
+"""Largest number of steps with reused matrices."""
 
 NEWTON_REMAINDER_FACTOR = 100.0
-"""What a step with matrices of its own leaves, in shares of itself, is its length in phases times this, about."""
+"""Estimated ratio of the error after a Newton step to the step, per step length relative to the phase."""
 
 GRID_SHARE_OF_ACCURACY = 0.1
-"""Share of the accuracy that the finer grid may still ask for where a flight is taken for what it promised to be."""
+"""Largest remaining step on the finer grid, relative to the accuracy."""
 
 GUESS_ACCURACY = 1e-8
-"""Accuracy of a flight that a collocated problem starts from."""
+"""Accuracy of a trajectory that is the initial guess of a collocated problem."""
 
 FLOW_MAX_STEPS = 8 * FLOW_INITIAL_STEPS
-"""Steps of the grid that is tried last."""
+"""Number of steps of the finest grid."""
 
 ARC_MAX_SHRINK_SHARE = 0.8
-"""Share of its length that an arc may lose in one step."""
+"""Largest reduction of an arc in one step, relative to its length."""
 
 SWITCH_MAX_MOVE_SHARE = 0.04
-"""Share of the phase that a switch may move in one step."""
+"""Largest change of a switching time in one step, relative to the phase."""
 
 STEP_MIN_SHARE = 0.2
-"""Of a step that must be left after `ARC_MAX_SHRINK_SHARE`; if less is, the arc that stands in the way has vanished."""
+"""Least fraction of a step after the limit `ARC_MAX_SHRINK_SHARE`; below it, the limiting arc is removed."""
 
 
 def optimise_times(
     solution: Solution, structure: PhaseStructure
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
-    """Find optimal switch times; drop and add arcs as needed.
+    """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
 
-    The flight is that of a grid whose error is known; the structure is where the step that this leaves leads to.
+    The trajectory is that of a grid with known error; the structure is that after the remaining Newton step.
 
     Parameters
     ----------
     solution : Solution
-        Of one phase.
+        Solution of one phase.
     structure : PhaseStructure
-        To start from.
+        Initial structure.
 
     Returns
     -------
     (PhaseStructure, SwitchedFlow) or None
-        None where the method does not fit, or does not settle.
+        None if the method does not apply or does not converge.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
@@ -99,27 +99,27 @@ def optimise_times(
 def optimise_flow(
     solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
-    """Find the least cost to some accuracy, without any collocated problem.
+    """Return the minimum of the cost to a given accuracy, without a collocated problem.
 
-    The grid is made finer until the change of the cost, estimated from a trajectory on a grid `PARTS` times as fine,
-    is below the accuracy. Near an optimum the cost depends on the switch times in second order: these are accurate to
-    the root of it.
+    The grid is refined until the change of the cost, estimated from a trajectory on a grid `PARTS` times as fine, is
+    below the accuracy. Near an optimum the cost depends on the switching times to second order, so that their error is
+    of the order of the square root of the accuracy.
 
     Parameters
     ----------
     solution : Solution
-        Of one phase.
+        Solution of one phase.
     structure : PhaseStructure
-        To start from.
+        Initial structure.
     accuracy : float
-        Of the cost, relative to its size; its root is that of the switch times, in shares of the phase.
+        Relative accuracy of the cost; its square root is that of the switching times relative to the phase.
     known : SwitchStep, optional
-        At the optimum of a neighbouring problem with this structure: its matrices and its grid are tried first.
+        Step at the optimum of a similar problem with this structure, whose matrices and grid are tried first.
 
     Returns
     -------
     (PhaseStructure, SwitchedFlow) or None
-        Limits between the ends are not looked at. None where the method does not fit, or does not settle.
+        Limits between the ends are not checked. None if the method does not apply or does not converge.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
@@ -139,9 +139,9 @@ def optimise_flow(
 def _iterate_to_optimum(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchedFlow | None:
-    """Return the flight whose switches have converged with signs that agree.
+    """Return the converged trajectory whose switching functions have the required signs.
 
-    If the arcs that they ask for vanish again, or lead to no rest, it is the last one at rest.
+    If added arcs vanish again, or the iteration with them does not converge, the last converged trajectory is returned.
     """
     rested: SwitchedFlow | None = None
     for _ in range(NEWTON_MAX_STEPS):
@@ -166,7 +166,7 @@ def _iterate_to_optimum(
 def _apply_known_step(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
-    """Return the flight of switches near the given ones that the matrices of another step lead to."""
+    """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
     return _iterate_newton_steps(
         problem, s, switches, simplified_newton_step(problem, s, switches, known, steps), accuracy
     )
@@ -175,11 +175,11 @@ def _apply_known_step(
 def _iterate_newton_steps(
     problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep | None, accuracy: float
 ) -> SwitchedFlow | None:
-    """Return the flight of switches near the given ones that a step and those after it lead to.
+    """Return the converged trajectory near given switching times, starting with a known step, or None.
 
-    Steps take the matrices of the one before as long as these shrink fast enough.
+    Steps reuse the matrices of the previous one as long as they decrease sufficiently fast.
     """
-    before = math.inf  # length of the step before, if that had these matrices
+    before = math.inf  # length of the previous step, if it had the same matrices
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
@@ -203,12 +203,12 @@ def _iterate_newton_steps(
 
 
 def _convergence_measure(step: SwitchStep, switches: Switches, accuracy: float) -> float:
-    """How far from rest switches are, in shares of what an accuracy of the cost permits."""
+    """Return the error of switching times relative to that permitted by an accuracy of the cost."""
     return max(step.gain / accuracy, step.relative_size(switches) / math.sqrt(accuracy))
 
 
 def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
-    """Whether everything is decided by switch times and end times, and all conditions are equalities."""
+    """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
     leg = s.leg
     times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
     loose = ~leg.final_bounds.fixed & (
@@ -236,7 +236,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 
 
 def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
-    """One switch for every control that changes between two pieces."""
+    """Return one switch for every control that changes between two pieces."""
     bounds = s.leg.control_bounds
     found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.rows_changing_at(k)]
     first = np.where(structure.control_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
@@ -260,7 +260,7 @@ def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -
 
 
 def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
-    """Unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
+    """Return the unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
     found: list[tuple[int, int]] = []
     for i in range(switches.first.size):
         own = np.flatnonzero(switches.channels == i)
@@ -271,7 +271,7 @@ def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
 
 
 def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
-    """The share of a step that leaves every arc some length, and the arc that limits it."""
+    """Return the largest fraction of a step with positive lengths of all arcs, and the limiting arc."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
     longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
     share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
@@ -289,7 +289,7 @@ def _shift_switches(switches: Switches, change: Array) -> Switches:
 
 
 def _equal_switches(switches: Switches, others: Switches) -> bool:
-    """Whether the same controls switch at the same times, nearly."""
+    """Return whether the same controls switch at nearly the same times."""
     if not np.array_equal(switches.channels, others.channels):
         return False
     apart = np.max(np.abs(switches.times - others.times), initial=0.0)

@@ -1,9 +1,8 @@
-r"""One step of Newton's method on switch times, with its own derivatives or with those of an earlier step.
+r"""Step of Newton's method for switching times, with its own derivatives or those of an earlier step.
 
-A step minimises the quadratic model of the Lagrangian on the linearised end conditions; negative curvatures
-are reversed (Nocedal & Wright, Numerical Optimization, 2006, ch. 3.4, 18.3). With the matrices of an earlier
-step (the simplified, or chord, method: Deuflhard, Newton Methods for Nonlinear Problems, 2004, ch. 2.1.2) it
-takes a fifth of the work.
+A step minimises the quadratic model of the Lagrangian subject to the linearised end conditions; negative curvatures are
+reversed (Nocedal & Wright, Numerical Optimization, 2006, ch. 3.4, 18.3). A step with the matrices of an earlier one
+(simplified Newton method: Deuflhard, Newton Methods for Nonlinear Problems, 2004, ch. 2.1.2) takes a fifth of the work.
 """
 
 from __future__ import annotations
@@ -25,24 +24,24 @@ from gnc_opt.tolerances import RANK, TINY
 
 @dataclass(frozen=True, eq=False)
 class SwitchStep:
-    """A step in (start, switches, end), and the flow and multipliers that it comes from.
+    """Newton step in (start, switches, end), with the flow and multipliers from which it was computed.
 
     Attributes
     ----------
     change : array (n_switches + 2,)
-        s.
+        Change of the times, s.
     flow : BangBangFlow
-        Before the step.
+        Flow before the step.
     adjoint : array
         Derivative of the cost with respect to the final values of the flow.
     multipliers : array
-        Of the given end values, then of the boundary constraints.
+        Multipliers of the given end values, then of the boundary constraints.
     cost, gain : float
-        Before the step, and its first-order change, relative to the cost's size.
+        Cost before the step, and its relative first-order change.
     hessian, rows : array (n_free, n_free), (n_conditions, n_free)
-        Of the Lagrangian, and gradients of the conditions, with respect to the free unknowns.
+        Hessian of the Lagrangian, and gradients of the conditions, with respect to the free unknowns.
     steps : int
-        Of the flow's grid.
+        Number of steps of the flow's grid.
     """
 
     change: Array
@@ -56,14 +55,14 @@ class SwitchStep:
     steps: int = FLOW_INITIAL_STEPS
 
     def relative_size(self, switches: Switches) -> float:
-        """Its largest entry, as a share of the phase."""
+        """Largest entry relative to the phase."""
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
 def newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
-    """Return the step; None if the flow is not finite or conditions depend on each other.
+    """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent.
 
     Parameters
     ----------
@@ -71,7 +70,7 @@ def newton_step(
     s : PhaseSamples
     switches : Switches
     steps : int
-        Of the grid.
+        Number of grid steps.
     """
     flow = _integrate_flow(problem, s, switches, steps)
     ends = _EndConditions.from_flow(problem, s, flow)
@@ -82,7 +81,7 @@ def newton_step(
     slope, jacobian, _ = ends.compute_derivatives(np.zeros(ends.constraints.size))
     rows = np.vstack([flow.final_sensitivity[ends.given], jacobian @ changes])[:, free]
     if not are_rows_independent(rows):
-        return None  # Their multipliers would run away in the collocated problem.
+        return None  # undetermined multipliers diverge in the collocated problem
     gradient = (slope @ changes)[free]
     multipliers = np.asarray(np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0])
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
@@ -102,16 +101,16 @@ def simplified_newton_step(
     steps: int = FLOW_INITIAL_STEPS,
     refinement: int = 1,
 ) -> SwitchStep | None:
-    """Return the step with the matrices of another one, or None where the flow is no number.
+    """Return the step with the matrices of another one; None if the flow is not finite.
 
     Parameters
     ----------
     problem, s, switches, steps
         As in `newton_step`.
     known : SwitchStep
-        Nearby, for switches in the same order.
+        Step for nearby switches in the same order.
     refinement : int
-        Every step of the grid is divided into so many.
+        Number of parts of every grid step.
     """
     ends = _EndConditions.from_flow(problem, s, _integrate_flow(problem, s, switches, steps, refinement))
     if not np.isfinite(ends.flow.final_state).all():
@@ -154,7 +153,7 @@ def _integrate_flow(
 
 @dataclass(frozen=True, eq=False)
 class _EndConditions:
-    """A flow and its end conditions; ``misses``: given final values, then boundary constraints."""
+    """Flow and its end conditions; ``misses``: residuals of given final values, then of boundary constraints."""
 
     problem: Problem
     s: PhaseSamples
@@ -179,18 +178,18 @@ class _EndConditions:
 
     @property
     def n_states(self) -> int:
-        """States, integrals and time."""
+        """Number of states, integrals and time."""
         return self.s.leg.states.size + self.s.leg.integrals.size + 1
 
     def compute_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
-        """Derivatives of cost and constraints with respect to both ends: gradient of their sum, Jacobian, Hessian."""
+        """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
         functions = self.problem.cache("end derivatives", lambda: boundary_function_derivatives(self.problem))
         both = self.flow.initial[: self.n_states], self.flow.final_state[: self.n_states]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
     def compute_lagrangian_derivatives(self, multipliers: Array) -> tuple[Array, Array, Array]:
-        """Cost gradient (final values); the Lagrangian's gradient and Hessian with respect to both ends."""
+        """Return the cost gradient (final values), and gradient and Hessian of the Lagrangian in both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
         slope, _, curvature = self.compute_derivatives(nu)
         adjoint = np.zeros(self.flow.final_state.size)
@@ -199,24 +198,24 @@ class _EndConditions:
         return adjoint, slope, curvature
 
     def normalise_cost_change(self, gain: float) -> float:
-        """A change of the cost, relative to its size."""
+        """Return a change of the cost relative to its magnitude."""
         return abs(gain) / max(abs(self.cost), TINY)
 
     def expand_variables(self, change: Array) -> Array:
-        """A change of what is free as one of start, switches and end."""
+        """Return the change of (start, switches, end) for a change of the free unknowns."""
         spread = np.zeros(self.free.size)
         spread[self.free] = change
         return spread
 
 
 def are_rows_independent(rows: Array) -> bool:
-    """Whether gradients of conditions are linearly independent, in whatever units the conditions are."""
+    """Return whether gradients of conditions are linearly independent, independent of the units."""
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     return bool(np.all(sizes > 0) and np.linalg.matrix_rank(rows / sizes, RANK) == rows.shape[0])
 
 
 def minimise_quadratic_model(hessian: Array, gradient: Array, rows: Array, misses: Array) -> Array:
-    """Return the step to the minimum of a quadratic model on linear conditions, its negative curvatures reversed."""
+    """Return the minimiser of a quadratic model under linear conditions, with negative curvatures reversed."""
     back = np.linalg.lstsq(rows, -misses, rcond=RANK)[0]
     null = np.linalg.qr(rows.T, mode="complete")[0][:, rows.shape[0] :]
     if not null.shape[1]:

@@ -1,4 +1,4 @@
-"""The flight that switch times lead to: states, costates and switching functions along it."""
+"""Integrated trajectory for given switching times: states, costates and switching functions."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NEGLIGIBLE
 
 STEP_PARTS = 3
-"""Into which every step of the grid is divided: values and rates at four times make a polynomial of degree 7."""
+"""Parts of every grid step: values and rates at four times define a polynomial of degree 7."""
 
 NEW_ARC_INSET_SHARE = 0.25
-"""Share of an interval of the wrong sign that a new arc leaves at each side, to keep away from other switches."""
+"""Distance of a new arc from the ends of the interval with the wrong sign, relative to the interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,16 +38,16 @@ class SwitchedFlow:
     def integrate_phase(
         cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
     ) -> SwitchedFlow | None:
-        """Fly a phase; None where that is no number.
+        """Return an integrated phase; None if it is not finite.
 
         Parameters
         ----------
         problem : Problem
         s : PhaseSamples
         switches : Switches
-            At rest, or nearly, on the coarser grid.
+            Converged, or nearly so, on the coarser grid.
         known : SwitchStep
-            Its matrices and its grid.
+            Step whose matrices and grid are used.
         """
         step = simplified_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
@@ -58,12 +58,12 @@ class SwitchedFlow:
 
     @property
     def integration_error(self) -> float:
-        """What the coarser grid, and switches that are not quite at rest, have changed of the cost, relatively."""
+        """Relative change of the cost due to the coarser grid and the remaining errors of the switching times."""
         return self.step.gain
 
     @property
     def times(self) -> Array:
-        """Of the grid (n_steps + 1,)."""
+        """Times of the grid (n_steps + 1,)."""
         leg = self.s.leg
         return np.asarray(self.fine_flow.states[leg.states.size + leg.integrals.size])
 
@@ -78,7 +78,7 @@ class SwitchedFlow:
         return self.fine_flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
-        """Return the flight as a solution, with costates and multipliers; its objective is the known one's."""
+        """Return the trajectory as a solution, with costates and multipliers, and with the objective of ``known``."""
         s, leg, n = self.s, self.s.leg, self.s.leg.states.size
         first = STEP_PARTS * np.flatnonzero(np.diff(self.times[::STEP_PARTS]) > 0)
         at = first[:, None] + np.arange(STEP_PARTS + 1)
@@ -111,7 +111,7 @@ class SwitchedFlow:
 
     @cached_property
     def missing_arc(self) -> tuple[int, float, float] | None:
-        """The control, start and end of the arc of the most severe wrong sign; None if all signs agree."""
+        """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
         s, times = self.s, self.times
         controls = np.column_stack([self.fine_flow.controls, self.fine_flow.controls[:, -1]])
         values = s.functions.switching(times, self.x, controls, self.lam)
@@ -128,7 +128,7 @@ class SwitchedFlow:
 
 
 def _compute_hermite_basis() -> tuple[Array, Array]:
-    """Nodes on [-1, 1], and Hermite basis values there for values and rates at -1, -1/3, 1/3, 1."""
+    """Return nodes on [-1, 1], and Hermite basis values there for values and rates at -1, -1/3, 1/3, 1."""
     n = 2 * (STEP_PARTS + 1)
     nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, STEP_PARTS + 1)
     chebyshev = np.polynomial.chebyshev
@@ -142,7 +142,7 @@ _NODES, _BASIS = _compute_hermite_basis()
 
 
 def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
-    """Polynomials through values and rates, (n, K * 4), at both ends and at the thirds of every segment."""
+    """Return polynomials through values and rates, (n, K * 4), at the ends and at thirds of every segment."""
     halves, rows = 0.5 * np.diff(breaks), values.shape[0]
     here = values.reshape(rows, halves.size, -1), rates.reshape(rows, halves.size, -1) * halves[:, None]
     found = np.concatenate(here, axis=2) @ _BASIS.T
@@ -150,7 +150,7 @@ def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> Piecewis
 
 
 def mask_near_switches(wrong: Array, switches: Indices) -> None:
-    """Zero the violations of switches that are not quite converged: largest at the switch itself."""
+    """Set sign violations at switches with convergence errors to zero, which are largest at the switch itself."""
     for k in switches:
         most, wrong[k] = abs(wrong[k]) + NEGLIGIBLE, 0.0
         for side in (range(int(k) + 1, wrong.size), range(int(k) - 1, -1, -1)):

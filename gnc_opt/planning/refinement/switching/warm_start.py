@@ -1,4 +1,4 @@
-"""Variation: the optimum of a problem by its switch times, from those of a neighbouring problem."""
+"""Warm start of a modified bang-bang problem from the switching times of a known solution."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gnc_opt.tolerances import EQUAL
 
 @dataclass(frozen=True, eq=False)
 class KnownSwitches:
-    """Data of a known one-phase solution for variations of its problem; ``step`` is at its optimum."""
+    """Known one-phase solution for modifications of its problem; ``step`` is the Newton step at its optimum."""
 
     solution: Solution
     structure: PhaseStructure
@@ -32,25 +32,25 @@ class KnownSwitches:
 
     @classmethod
     def from_solution(cls, solution: Solution) -> KnownSwitches | None:
-        """Return what is known of a refined solution; None where no structure is."""
+        """Return the data of a refined solution; None if it has no structure."""
         if not solution.structure or len(solution.phases) != 1:
             return None
         (s,) = solution.samples().values()
         return cls(replace(solution, structure=()), detect_phase_structure(s), s.state_scale)
 
     def with_newton_step(self) -> KnownSwitches | None:
-        """Return the same with its step; None if switch times do not decide everything."""
+        """Return the same data with the Newton step; None if Newton's method does not apply."""
         found = optimise_flow(self.solution, self.structure, EQUAL)
         if found is None:
             return None
-        half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the structure that was settled on
+        half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
         structure, flight = (
             optimise_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
         )
         return replace(self, structure=structure, step=flight.step)
 
     def solve_variation(self, problem: Problem) -> Solution | None:
-        """Fly a variation with its own switch times; None where that fails."""
+        """Return the solution of a modified problem with its own switching times; None if that fails."""
         start = truncate_solution(self.solution, problem)
         (leg,) = start.phases.values()
         left = self.structure.truncate_before(leg.initial_time)
@@ -69,7 +69,7 @@ class KnownSwitches:
 
 
 def truncate_solution(known: Solution, problem: Problem) -> Solution:
-    """Return what of a known solution is left when a variation of its problem begins."""
+    """Return the part of a known solution after the start of a modified problem."""
     if len(known.phases) != 1:
         return known
     ((name, leg),) = known.phases.items()
@@ -80,7 +80,7 @@ def truncate_solution(known: Solution, problem: Problem) -> Solution:
 
 
 def _shift_start(known: Solution) -> Solution | None:
-    """The trajectory moved to where its problem says that it starts; None if it has other times there."""
+    """Return the trajectory shifted to the initial states of its problem; None if the problem fixes other times."""
     (leg,) = known.phases.values()
     for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
         if bounds.fixed[0] and bounds.lower[0] != t:
