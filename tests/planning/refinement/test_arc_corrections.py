@@ -185,7 +185,7 @@ def structure_of_arcs_between_limits(
 def test_nothing_can_hold_the_limit_with_the_control_on_its_bound(coarse: go.Solution) -> None:
     with_short = structure_of_arcs_between_limits(coarse, (0.0, 0.95, 1.05, 2.0), HELD, SHORT, BOUND)
     assert with_short.swap_switches(1) is None
-    without_holder = replace(with_short, holders=((), (), ()))
+    without_holder = replace(with_short, boundary_controls=((), (), ()))
     assert without_holder.swap_switches(1) is not None
 
 
@@ -283,7 +283,7 @@ def test_a_later_limit_that_is_tighter_frees_the_one_before() -> None:
 
 
 STRUCTURE = PhaseStructure(
-    (0.0, 2.0, 4.0), ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7), (), 2, 6, holders=((),) * 9,
+    (0.0, 2.0, 4.0), ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7), (), 2, 6, boundary_controls=((),) * 9,
 )  # fmt: skip
 
 
@@ -371,7 +371,7 @@ TURNING = PhaseStructure(
     n_controls=3,
     n_paths=2,
     orders=(0, 0, 0, 0, 1),
-    holders=((), (), (), (1, 2), (2, 1, 0)),
+    boundary_controls=((), (), (), (1, 2), (2, 1, 0)),
 )
 """Magnitude, direction; length of the direction, speed."""
 

@@ -309,7 +309,7 @@ def test_touches_stay_with_their_times() -> None:
     assert held.mask_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
     assert held.mask_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
     jumps = replace(
-        held, regular=(False, False), holders=((), (0,))
+        held, regular=(False, False), boundary_controls=((), (0,))
     )  # times that move: firm, beside none of them
     kinds = tuple((ArcKind.SINGULAR if kind[1] is UP else UP, kind[1]) for kind in held.kinds)
     jumps = replace(jumps, kinds=kinds)

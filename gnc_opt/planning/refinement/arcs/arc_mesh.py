@@ -330,7 +330,7 @@ class Plan:
                 row for row in range(n_controls, len(kinds)) if kinds[row].at_limit and structure.orders[row]
             ]
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
-                free = [i for i in structure.holders[row] if not kinds[i].at_limit]
+                free = [i for i in structure.boundary_controls[row] if not kinds[i].at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
                 if 0 < len(singular) < len(free) and _have_independent_effects(
                     problem.phases[phase].model, free

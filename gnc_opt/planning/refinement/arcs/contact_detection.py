@@ -49,10 +49,10 @@ class ContactNodes:
     row: int
     kind: ArcKind
     times: Array
-    worth: Array
+    scaled_multipliers: Array
 
     def add_contacts(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-        runs, order = find_true_runs(self.worth > 0), structure.orders[self.row]
+        runs, order = find_true_runs(self.scaled_multipliers > 0), structure.orders[self.row]
         first, last = samples.leg.breaks[[0, -1]]
         free = self._find_unsaturated_controls(structure)
         beside = [
@@ -78,7 +78,7 @@ class ContactNodes:
                     self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
                 )
                 continue
-            time = float(np.average(self.times[a:b], weights=self.worth[a:b]))
+            time = float(np.average(self.times[a:b], weights=self.scaled_multipliers[a:b]))
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
@@ -111,7 +111,7 @@ class ContactNodes:
         pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.n_pieces - 1)
         return [
             i
-            for i in structure.holders[self.row]
+            for i in structure.boundary_controls[self.row]
             if np.mean([structure.kinds[k][i].at_limit for k in pieces]) < 0.5
         ]
 
@@ -123,7 +123,7 @@ class ContactNodes:
         A single such control leaves its bound at the start of the arc (side 0), and reaches a bound at its end (side
         1).
         """
-        breaks, holders = samples.leg.breaks, structure.holders[self.row]
+        breaks, boundary_controls = samples.leg.breaks, structure.boundary_controls[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
         reach = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
@@ -132,8 +132,8 @@ class ContactNodes:
             if abs(at - time) >= reach or structure.has_only_kinks(k):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
-            changed = [i for i in structure.rows_changing_at(k) if i in holders]
-            if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
+            changed = [i for i in structure.rows_changing_at(k) if i in boundary_controls]
+            if changed and (len(boundary_controls) > 1 or outer[changed[0]].at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
@@ -153,23 +153,27 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
     found: list[ContactNodes] = []
     if not rows:
         return found
-    times, values, pushes = _evaluate_at_nodes(constraints)
+    times, values, multipliers = _evaluate_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.row_limits(int(row)):
             near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
-            worth = kind.sign * pushes[row] * constraints.row_scales[row] / s.cost_scale
-            worth = np.where(
-                near & (worth > max(SMALL * float(np.max(worth)), CONTACT_MIN_COST_SHARE)),
-                worth,
+            scaled_multipliers = kind.sign * multipliers[row] * constraints.row_scales[row] / s.cost_scale
+            scaled_multipliers = np.where(
+                near
+                & (
+                    scaled_multipliers
+                    > max(SMALL * float(np.max(scaled_multipliers)), CONTACT_MIN_COST_SHARE)
+                ),
+                scaled_multipliers,
                 0.0,
             )
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
             if constraints.row_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
-                for a, b in find_true_runs(off & (worth == 0)):
+                for a, b in find_true_runs(off & (scaled_multipliers == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_times_cover_segment(times[a:b], s)
-            runs = [(a, b) for a, b in find_true_runs(near) if np.any(worth[a:b] > 0)]
-            found += [ContactNodes(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
+            runs = [(a, b) for a, b in find_true_runs(near) if np.any(scaled_multipliers[a:b] > 0)]
+            found += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
     return found
 
 
@@ -196,8 +200,8 @@ def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Arr
     left, right = paths[:, first - 1], paths[:, first]
     atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
     order = np.argsort(times, kind="stable")
-    pushes = np.hstack([densities, atoms])[:, order]
-    return times[order], constraints.evaluate_rows(times, x, u)[:, order], pushes
+    multipliers = np.hstack([densities, atoms])[:, order]
+    return times[order], constraints.evaluate_rows(times, x, u)[:, order], multipliers
 
 
 def _join_adjacent_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:

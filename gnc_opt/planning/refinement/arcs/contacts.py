@@ -68,7 +68,7 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[De
     found = []
     rows = [row for row in range(constraints.n_rows) if constraints.row_order(row)]
     for run in find_contact_nodes(constraints, rows):
-        held = np.flatnonzero(run.worth > 0)
+        held = np.flatnonzero(run.scaled_multipliers > 0)
         start, end = run.times[held[[0, -1]]]
         inside = (points >= start) & (points <= end)
         if held.size < CONTACT_MIN_NODES or np.sum(inside) < CONTACT_MIN_NODES:
@@ -102,17 +102,19 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
         bool(order) or (on and constraints.row_order(k) == 1)
         for k, (order, on) in enumerate(zip(orders, held, strict=True))
     ]
-    known = structure.holders[first:]
-    holders = [
+    known = structure.boundary_controls[first:]
+    boundary_controls = [
         constraints.find_determining_controls(row) if ask else known[row] for row, ask in enumerate(asked)
     ]
-    known = structure.leans[first:]
-    leans = [constraints.control_effect_signs(row) if ask else known[row] for row, ask in enumerate(asked)]
+    known = structure.boundary_control_signs[first:]
+    boundary_control_signs = [
+        constraints.control_effect_signs(row) if ask else known[row] for row, ask in enumerate(asked)
+    ]
     structure = replace(
         structure,
         orders=(*(0,) * first, *orders),
-        holders=(*((),) * first, *holders),
-        leans=(*((),) * first, *leans),
+        boundary_controls=(*((),) * first, *boundary_controls),
+        boundary_control_signs=(*((),) * first, *boundary_control_signs),
     )
     if not any(orders):
         return structure
@@ -125,9 +127,11 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
     """Return nodes with multipliers of constraints that determine a control, except at contacts of the structure."""
     first, found = len(structure.control_kinds), []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
-        worth = np.where(structure.is_at_limit(first + run.row, run.times), 0.0, run.worth)
-        if np.any(worth > 0):
-            found.append(replace(run, row=first + run.row, worth=worth))
+        scaled_multipliers = np.where(
+            structure.is_at_limit(first + run.row, run.times), 0.0, run.scaled_multipliers
+        )
+        if np.any(scaled_multipliers > 0):
+            found.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
     return [run for run in found if not run.is_end_touch(structure, constraints.samples)]
 
 
@@ -165,7 +169,7 @@ def replace_saturated_controls(
         state, row = taken
         after = structure.kinds[boundary][state].at_limit
         piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
-        if len(structure.holders[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
+        if len(structure.boundary_controls[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
             continue
         towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
         limit, times = bounds.upper[row] if kind.sign > 0 else bounds.lower[row], samples.times[towards]
@@ -188,10 +192,10 @@ def _add_most_severe_contact(
         constraints.samples,
         (*constraints.samples.leg.path_labels, *constraints.samples.leg.states.labels),
     )
-    for run in sorted(runs, key=lambda r: float(np.max(r.worth)), reverse=True):
+    for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
         added = run.add_contacts(structure, s)
         if added != structure:
-            at = run.times[int(np.argmax(run.worth))]
+            at = run.times[int(np.argmax(run.scaled_multipliers))]
             label = labels[run.row - len(structure.control_kinds)]
             return added, f"contact of {label} added at {s.describe_times(at)}"
     return None, ""

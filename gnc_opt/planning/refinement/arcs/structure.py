@@ -58,19 +58,19 @@ class PhaseStructure:
     n_paths: int = 0
     orders: tuple[int, ...] = ()
     touches: tuple[tuple[Touch, ...], ...] = ()
-    holders: tuple[tuple[int, ...], ...] = ()
+    boundary_controls: tuple[tuple[int, ...], ...] = ()
     slopes: tuple[int, ...] = ()
-    leans: tuple[tuple[int, ...], ...] = ()
+    boundary_control_signs: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.orders:
             object.__setattr__(self, "orders", (0,) * len(self.kinds[0]))
-        if not self.holders:
-            object.__setattr__(self, "holders", ((),) * len(self.kinds[0]))
+        if not self.boundary_controls:
+            object.__setattr__(self, "boundary_controls", ((),) * len(self.kinds[0]))
         if not self.slopes:
             object.__setattr__(self, "slopes", (0,) * len(self.kinds[0]))
-        if not self.leans:
-            object.__setattr__(self, "leans", ((),) * len(self.kinds[0]))
+        if not self.boundary_control_signs:
+            object.__setattr__(self, "boundary_control_signs", ((),) * len(self.kinds[0]))
         if not self.touches:
             object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
         if not self.regular:
@@ -126,12 +126,14 @@ class PhaseStructure:
         found: set[int] = set()
         for i in range(self._n_free, len(self.orders)):
             if self.kinds[piece][i].at_limit:
-                holders = self.holders[i] or self._find_candidate_controls(i)
+                boundary_controls = self.boundary_controls[i] or self._find_candidate_controls(i)
                 free = [
-                    c for c in self.holders[i] if self.kinds[piece][c] is ArcKind.SINGULAR and c not in found
+                    c
+                    for c in self.boundary_controls[i]
+                    if self.kinds[piece][c] is ArcKind.SINGULAR and c not in found
                 ]
-                singular = {c for c in self.holders[i] if self.kinds[piece][c] is ArcKind.SINGULAR}
-                found |= ({*holders} - singular) | {*free[:1]}
+                singular = {c for c in self.boundary_controls[i] if self.kinds[piece][c] is ArcKind.SINGULAR}
+                found |= ({*boundary_controls} - singular) | {*free[:1]}
         return found
 
     def _find_candidate_controls(self, row: int) -> list[int]:
@@ -175,10 +177,12 @@ class PhaseStructure:
         bound = beside[0] if singular[0] == boundary else beside[1]
         return any(
             order
-            and row in holders
+            and row in boundary_controls
             and all(kinds[i].at_limit for kinds in beside)
-            and not all(bound[other].at_limit for other in holders)
-            for i, (order, holders) in enumerate(zip(self.orders, self.holders, strict=True))
+            and not all(bound[other].at_limit for other in boundary_controls)
+            for i, (order, boundary_controls) in enumerate(
+                zip(self.orders, self.boundary_controls, strict=True)
+            )
         )
 
     def find_limit_exchange(self, boundary: int) -> list[int]:
@@ -186,7 +190,9 @@ class PhaseStructure:
         rows = self.rows_changing_at(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
         sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].at_limit]
-        controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
+        controls = {
+            i for row in rows for i in (self.boundary_controls[row] if row >= self._n_free else (row,))
+        }
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
     def find_constraint_exchange(self, boundary: int) -> list[int]:
@@ -201,10 +207,13 @@ class PhaseStructure:
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
-        owner, holders = (limit,) if limit < self._n_free else self.holders[limit], self.holders[state]
-        if self.orders[limit] or len(owner) != 1 or owner[0] not in holders:
+        owner, boundary_controls = (
+            (limit,) if limit < self._n_free else self.boundary_controls[limit],
+            self.boundary_controls[state],
+        )
+        if self.orders[limit] or len(owner) != 1 or owner[0] not in boundary_controls:
             return []
-        if not all(self.regular[i] for i in holders if i not in owner):
+        if not all(self.regular[i] for i in boundary_controls if i not in owner):
             return []
         kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
         if len(kinds) != 2:
@@ -227,7 +236,7 @@ class PhaseStructure:
         """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
         held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
         for row in np.flatnonzero(self.slopes):
-            held[list(self.holders[row])] |= [kinds[row].at_limit for kinds in self.kinds]
+            held[list(self.boundary_controls[row])] |= [kinds[row].at_limit for kinds in self.kinds]
         return held
 
     def mask_near_exchanges(self) -> Mask:
@@ -242,7 +251,7 @@ class PhaseStructure:
     def _fixes_control(self, row: int, boundary: int) -> bool:
         """Return whether a state constraint determines only regular controls, at one side of a boundary."""
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
-        linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.holders[row])
+        linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.boundary_controls[row])
         return bool(self.orders[row]) and not linear
 
     def mask_near_contacts(self, touches: bool, firm: bool = False) -> Mask:
@@ -261,7 +270,7 @@ class PhaseStructure:
         if touches:
             beside[[row for here in self.touches for row, _ in here]] = True
         for row in np.flatnonzero(self.orders):
-            bends = [i for i in self.holders[row] if not self.regular[i]]
+            bends = [i for i in self.boundary_controls[row] if not self.regular[i]]
             beside[row] &= ~np.any(self.kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
@@ -334,8 +343,11 @@ class PhaseStructure:
         if any(before is not here and here is not after for before, here, after in rows):
             return None
         other = tuple(after if before is here else before for before, here, after in rows)
-        held = [self.holders[i] for i in np.flatnonzero(self.orders) if other[i].at_limit]
-        if any(holders and all(other[i].at_limit for i in holders) for holders in held):
+        held = [self.boundary_controls[i] for i in np.flatnonzero(self.orders) if other[i].at_limit]
+        if any(
+            boundary_controls and all(other[i].at_limit for i in boundary_controls)
+            for boundary_controls in held
+        ):
             return None
         touches = list(self.touches)
         touches[piece], touches[piece + 1] = touches[piece + 1], touches[piece]

@@ -64,7 +64,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[Determine
         for i in range(leg.controls.size)
     ]
     mixed = _find_mixed_constraints(samples, regular)
-    mixed_holders, leans = _mixed_controls(samples, mixed)
+    mixed_controls, boundary_control_signs = _mixed_controls(samples, mixed)
     paths = _label_path_constraints(samples, mixed)
     for i in limits.rows:
         if affine[i]:
@@ -84,16 +84,20 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[Determine
         (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
         leg.controls.size,
         len(leg.path_labels),
-        holders=(
+        boundary_controls=(
             *((),) * leg.controls.size,
             *(
-                tuple(i for i, own in limits.rows.items() if p in own) or mixed_holders[p]
+                tuple(i for i, own in limits.rows.items() if p in own) or mixed_controls[p]
                 for p in range(len(leg.path_labels))
             ),
             *((),) * leg.states.size,
         ),
         slopes=(*(0,) * leg.controls.size, *limits.slope_signs, *(0,) * leg.states.size),
-        leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
+        boundary_control_signs=(
+            *((),) * leg.controls.size,
+            *boundary_control_signs,
+            *((),) * leg.states.size,
+        ),
     ).merge_pieces()
 
 
