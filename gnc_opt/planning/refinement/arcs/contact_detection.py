@@ -42,7 +42,7 @@ class ContactNodes:
     row : int
         Row of the structure.
     kind : ArcKind
-    times, worth : array
+    times, scaled_multipliers : array
         Times of the nodes, and multipliers relative to the cost; zero if negligible.
     """
 
@@ -107,8 +107,8 @@ class ContactNodes:
 
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
         """Return the controls that can keep the constraint on its limit and are interior at most of the multipliers."""
-        pushing = self.times[self.worth > 0]
-        pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.n_pieces - 1)
+        active_times = self.times[self.scaled_multipliers > 0]
+        pieces = np.clip(np.searchsorted(structure.times, active_times) - 1, 0, structure.n_pieces - 1)
         return [
             i
             for i in structure.boundary_controls[self.row]

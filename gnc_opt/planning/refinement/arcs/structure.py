@@ -41,14 +41,14 @@ class PhaseStructure:
         For each row, the order of the state constraint if its contacts are detected, otherwise 0.
     touches : tuple of A + 1 tuples of Touch
         Touches of state constraints at each of the times.
-    holders : tuple of tuple of int
+    boundary_controls : tuple of tuple of int
         For each row with an order or a slope, and of mixed path constraints: controls that can keep it on its limit,
         the most effective ones first.
     slopes : tuple of int
         For each path constraint linear in one control (`mixed`), the sign of its slope; otherwise 0.
-    leans : tuple of tuple of int
+    boundary_control_signs : tuple of tuple of int
         For each row with an order, and of mixed path constraints: signs of the derivatives of the row, or of its time
-        derivative of that order, with respect to each of the holders; 0 if the sign changes.
+        derivative of that order, with respect to each of the boundary controls; 0 if the sign changes.
     """
 
     times: tuple[float, ...]
@@ -119,9 +119,9 @@ class PhaseStructure:
     def find_determined_controls(self, piece: int) -> set[int]:
         """Return the controls that active state bounds and path constraints determine in a piece.
 
-        Of several singular controls, a limit determines the first of its holders that no other limit determines; the
-        others remain singular. Mixed path constraints determine regular controls; a limit without known holders
-        determines all controls.
+        Of several singular controls, a limit determines its first boundary control that no other limit determines; the
+        others remain singular. Mixed path constraints determine regular controls; a limit without known boundary
+        controls determines all controls.
         """
         found: set[int] = set()
         for i in range(self._n_free, len(self.orders)):
@@ -218,18 +218,22 @@ class PhaseStructure:
         kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
         if len(kinds) != 2:
             return []
-        lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # without leans: 0
-        sides = kinds[state].sign * lean, kinds[limit].sign * self._slope_sign(limit)
+        sign = dict(zip(boundary_controls, self.boundary_control_signs[state], strict=False)).get(
+            owner[0], 0
+        )  # unknown: 0
+        sides = kinds[state].sign * sign, kinds[limit].sign * self._slope_sign(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
 
     def _slope_sign(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
-        own = 1 if row < self._n_free else self.slopes[row] or (*self.leans[row], 0)[0]
+        own = 1 if row < self._n_free else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
         return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
 
     def is_first_order(self, row: int) -> bool:
         """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
-        held = row >= self._n_free + self.n_paths and bool(self.holders[row]) and not self.orders[row]
+        held = (
+            row >= self._n_free + self.n_paths and bool(self.boundary_controls[row]) and not self.orders[row]
+        )
         return self.orders[row] == 1 or held
 
     def find_path_limited_controls(self) -> Mask:
