@@ -329,7 +329,7 @@ def test_an_arc_that_chatters_is_reported() -> None:
     coarse = go.solve(problem, tol=None)
     told = go.refine(coarse, tol=1e-6, limits=go.RefinementLimits(max_passes=1)).history
     assert not told.converged
-    assert re.search(r"A singular arc, from phase turn, t = \S+ s, rate, .* chattering only", told.message)
+    assert re.search(r"A singular arc, from phase turn, t = \S+ s, rate, .* only by chattering", told.message)
 
 
 # --- which candidate is kept --------------------------------------------------------------------------------------
