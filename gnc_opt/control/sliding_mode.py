@@ -199,7 +199,7 @@ def read_switching(
 
 
 def _read_step_length(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
-    """Return dt; raise `DesignError` if it is missing or dt slope >= 2 in the layer (s+ = (1 - dt slope) s)."""
+    """Return dt; raise `DesignError` if it is missing or unstable in the layer (s+ = (1 - dt slope) s)."""
     if not isinstance(boundary, (Sign, SaturationLayer)):
         raise DesignError(f"the boundary is {boundary!r}: give Sign() or SaturationLayer(phi).")
     if dt is None:

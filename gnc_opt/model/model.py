@@ -303,6 +303,7 @@ class Model(Strict):
         ----------
         name, size, unit, nominal
             As in `state`.
+        residual : callable
             ``residual(z)`` returns g (as many rows as z) in the symbols declared so far.
 
         Raises

@@ -167,7 +167,7 @@ def _draw_state_axes(
     label_of: Callable[[str, str], str],
     decorate: Callable[[Axes, PhaseSolution, str], None] | None = None,
 ) -> Figure:
-    """One axis per state, the phases that have it one after the other; ``decorate`` may add to it."""
+    """Figure of the states over time, one axis per state over all its phases; ``decorate`` may add to an axis."""
     legs = select_phases(solution, phase)
     names = select_variable_names(legs, "states", names)
     with apply_style():

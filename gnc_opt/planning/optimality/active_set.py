@@ -142,10 +142,10 @@ def _control_gradients_of_derivatives(functions: PhaseFunctions, chosen: Indices
 
 
 def add_touch_points(solution: Solution) -> Problem:
-    """Return the problem of a solution with state constraints active at free breakpoints with multipliers.
+    """Return the problem of a solution with touch points: constraints active at free breakpoints with multipliers.
 
-    Next to a touch point they are released, since an interior-point method leaves spurious multipliers there. Phases
-    with user-defined arcs are unchanged.
+    Next to a touch point the constraints are released, since an interior-point method has spurious multipliers there.
+    Phases with user-defined arcs are unchanged.
     """
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():

@@ -309,7 +309,7 @@ _SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Derivatives of steps in w = (z, h): n_stages, n_steps first; ``jacobians`` (n_steps, n, n + 1)."""
+    """Derivatives of integration steps with respect to w = (z, h); ``jacobians`` (n_steps, n, n + 1)."""
 
     jacobians: Array
     _rates: _Rates

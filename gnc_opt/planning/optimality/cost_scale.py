@@ -23,7 +23,7 @@ AVERAGING_SHARE_OF_PHASE = 1e-2
 """
 
 SMEARED = 1e-4
-"""Duration, as a share of the phase, below which a control between its bounds is switching."""
+"""Longest switch between bounds, relative to the phase; a control off its bounds for longer is on an arc."""
 
 
 def average_over_time(times: Array, violation: Array) -> Array:

@@ -66,7 +66,7 @@ class SaddlePoint:
         )
 
     def _classify_singularity(self) -> None:
-        """Find what a singular system leaves undetermined: variables (error) or only multipliers (allowed)."""
+        """Raise `GncOptError` if a singular system leaves a variable undetermined; multipliers may be undetermined."""
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
         self._factors = scipy.sparse.linalg.splu(

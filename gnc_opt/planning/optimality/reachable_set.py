@@ -1,6 +1,6 @@
 """Reach of the states: ellipsoid of the displacements caused by control deviations.
 
-It is derived from the weighted controllability Gramian, see the module `reference_scales`.
+The ellipsoid follows from the weighted controllability Gramian, see the module `reference_scales`.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ Reach = tuple[Ellipsoid, Ellipsoid, Ellipsoid, Ellipsoid]
 
 @dataclass(frozen=True, eq=False)
 class _Gramian:
-    """W at the start, its mean, and W at the end of a phase (n, n); at the end with integrals; decay of errors."""
+    """Controllability Gramian W of a phase: at the start, mean, at the end (n, n), with integrals; decay of errors."""
 
     start: Array
     mean: Array

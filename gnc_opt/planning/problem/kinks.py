@@ -43,7 +43,7 @@ class Kinks:
 
 
 def has_kinks(expression: Any) -> bool:
-    """Return whether an expression contains an operation with a jump or kink; its derivatives do not show it."""
+    """Return whether an expression contains an operation with a jump or kink, which derivatives do not reveal."""
     return bool(find_operations(expression) & _WORDS.keys())
 
 

@@ -69,7 +69,8 @@ PROGRAM_MAX_FAILURES = 4
 """Number of failed switching-time formulations after which no other is tried."""
 
 TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)
-"""Mesh tolerances, relative to the tolerance, while the check fails and the objective's estimated error halves."""
+"""Further mesh tolerances relative to ``tol``, used in turn while only the optimality check fails and each one at least
+halves the estimated error of the objective."""
 
 FIRST, MINIMUM_OF_H, HP = "first mesh", "minimum of H", "hp refinement"
 MIDDLE, FINE = f"{MIDDLE_SEGMENTS} segments", f"{FINE_SEGMENTS} segments"

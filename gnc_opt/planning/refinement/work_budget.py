@@ -113,8 +113,7 @@ class WorkBudget:
         self.charge_work(solution, compute_solve_work(points, solution.statistics.iterations))
 
     def charge_work(self, like: Solution, work: float) -> None:
-        """Add iterations at one collocation point (`RefinementIteration.work`) of a problem with the variables of
-        ``like``."""
+        """Add work, iterations at one collocation point (`RefinementIteration.work`) with the variables of ``like``."""
         self.spent += work * count_variables_per_point(like.phases) / WORK_PER_SECOND
 
     def allot_work(self, like: Solution, share: float = 1.0) -> float:

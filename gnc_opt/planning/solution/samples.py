@@ -298,7 +298,7 @@ class PhaseSamples:
 
     @property
     def control_gain(self) -> Array:
-        """The same for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
+        """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
             equalise_components(self._hamiltonian_changes, self.leg.controls),
             NOTABLE * self.joint_hamiltonian_change,

@@ -405,7 +405,7 @@ class _StartEnding:
 
 @dataclass(frozen=True)
 class _Coarse:
-    """Solve one start and check it by its dynamics; ``durations`` are those of another solution, if known."""
+    """Task: solve one start, with the phase ``durations`` of another solution if known, and check its local errors."""
 
     seed: int
     mesh: MeshLike | Mapping[str, MeshLike]

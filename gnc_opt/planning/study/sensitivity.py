@@ -1,6 +1,6 @@
 """Sensitivity: derivatives of an optimal solution in the numbers of its problem.
 
-They are derivatives of the transcribed program (see `gnc_opt.planning.study.kkt_sensitivity`), and of the continuous
+The derivatives are those of the transcribed program (see `kkt_sensitivity`), and of the continuous
 problem up to its discretisation error. They are valid while the set of active limits does not change.
 """
 

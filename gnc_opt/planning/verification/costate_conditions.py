@@ -212,7 +212,7 @@ def _multipliers_of_wrong_sign(multipliers: Array, values: Array, box: Interval,
 def check_complementarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
-    """Return the contributions to the cost of multipliers away from their limits or of inadmissible sign."""
+    """Return the largest effect on the cost of a multiplier of an inactive limit, or of one with the wrong sign."""
     worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]

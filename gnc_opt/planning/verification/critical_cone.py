@@ -229,7 +229,7 @@ def _extend_active_limits_along_arcs(
 
 
 def _variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
-    """Return the indices (n, n_points) that are in a segment."""
+    """Return the variables at the collocation points of segment k (n, n_points)."""
     return np.asarray(places[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]])
 
 

@@ -116,7 +116,7 @@ def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Trial controls of one group at samples, as shares of the range (group, n); other controls are as applied."""
+    """Search for the minimum of H over one group of controls, as shares of their ranges (group, n), at some samples."""
 
     s: PhaseSamples
     group: Indices

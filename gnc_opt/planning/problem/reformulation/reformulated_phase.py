@@ -40,7 +40,7 @@ def copy_parameter_values(model: Model, old: Model) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class PhaseForm:
-    """Form of a phase in reformulated controls."""
+    """Model, constraints and integrands of a phase in reformulated controls."""
 
     model: Model
     paths: dict[str, Constraint]

@@ -106,7 +106,7 @@ class ContactNodes:
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
-        """Return the controls that can keep the constraint on its limit and are interior at most of the multipliers."""
+        """Return the boundary controls that are off their bounds for most of the contact."""
         active_times = self.times[self.scaled_multipliers > 0]
         pieces = np.clip(np.searchsorted(structure.times, active_times) - 1, 0, structure.n_pieces - 1)
         return [

@@ -78,7 +78,7 @@ class LinearLimits:
         return bool(np.all(np.isfinite(least))), bool(np.all(np.isfinite(most)))
 
     def find_samples_near_bound(self, control: int, margin: float) -> Mask:
-        """Return where a control is within a margin of the limits by its path constraints, (n_samples,)."""
+        """Return where a control is within a margin of the limits that its path constraints impose, (n_samples,)."""
         above, below = self._compute_control_ranges(control)
         u = self.samples.u[control]
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)

@@ -30,7 +30,7 @@ CONTROL_AT_BOUND_SHARE = 0.02
 """Largest distance of a control on a bound, relative to its range."""
 
 STATE_LEFT_BOUND_RATIO = 2.0
-"""Least distance of a state off its bound, in largest distances of a state on its bound."""
+"""Least distance of a state off its bound, in units of `CONTROL_AT_BOUND_SHARE`."""
 
 HELD_STATE_TOLERANCE = 1e-4
 """Largest distance of a state on its bound along a segment, relative to its magnitude."""

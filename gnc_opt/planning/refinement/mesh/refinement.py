@@ -42,7 +42,7 @@ STAGE_ERROR_SHARE = 1e-4
 """Target error of each pass, relative to the error of the previous one."""
 
 COARSE_MESH_TOLERANCE_SHARE = 1e-3
-"""The same as long as the error of a segment exceeds `NOTABLE`."""
+"""Target error, relative to that of the previous pass, if the error exceeds `NOTABLE`."""
 
 NEAR_TOLERANCE_RATIO = 30.0
 """Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
