@@ -83,12 +83,36 @@ def _objective_section(problem: Problem, writer: Formulas) -> str:
 def _boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
     if not problem.constraints:
         return ""
+    linkages, named = linkage_rows(problem)
     rows = [
-        (label, element, box)
-        for c in problem.constraints.values()
-        for label, element, box in _pair_rows_with_limits(c.labels, c.expression, c.interval)
+        row
+        for name, c in problem.constraints.items()
+        if name not in named
+        for row in _pair_rows_with_limits(c.labels, c.expression, c.interval)
     ]
-    return "<h3>Boundary constraints</h3>" + _constraint_formulas(writer, rows)
+    links = (
+        "<h3>Linked phases</h3>" + html_table(("from", "to", "equal", "changed by"), linkages)
+        if linkages
+        else ""
+    )
+    return links + ("<h3>Boundary constraints</h3>" + _constraint_formulas(writer, rows) if rows else "")
+
+
+def linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
+    """Return a row for each pair of linked phases, and the names of the constraints that it states."""
+    links: dict[tuple[str, str], tuple[list[str], list[str]]] = {}
+    named = set()
+    for leg in problem.phases.values():
+        handed = [(name, first, change) for name, (first, change) in leg.handed.items()]
+        handed += [("time", leg.follows, np.zeros(1))] if leg.follows is not None else []
+        for name, first, change in handed:
+            equal, changed = links.setdefault((first, leg.name), ([], []))
+            if np.any(change):
+                changed.append(f"{name}: {_format_numbers(change)} {leg.model.states[name].unit}".rstrip())
+            else:
+                equal.append(name)
+            named.add(f"link_{first}_{leg.name}_{name}")
+    return [(*pair, ", ".join(equal), ", ".join(changed)) for pair, (equal, changed) in links.items()], named
 
 
 def _free_parameters_section(problem: Problem) -> str:

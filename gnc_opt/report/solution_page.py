@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.verdict import (
     worst_condition,
 )
 from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
-from gnc_opt.report.problem_statement import problem_statement_html
+from gnc_opt.report.problem_statement import linkage_rows, problem_statement_html
 from gnc_opt.text_formatting import derivative_unit, html_table
 
 CAPTIONS = {
@@ -186,9 +186,13 @@ def _refinement_table(history: History | None) -> str:
 
 def _multipliers_table(solution: Solution) -> str:
     cost_unit = "" if solution.problem is None else solution.problem.cost_unit
+    links = (
+        set() if solution.problem is None else linkage_rows(solution.problem)[1]
+    )  # theirs are the costates
     rows = [
         (f"constraint {label}", f"{value:.6g}", "", "")
         for label, value in zip(solution.constraint_labels, solution.constraint_multipliers, strict=True)
+        if label.partition("[")[0] not in links
     ]
     rows += [
         (f"limits of {label}", f"{value:.6g}", "", "")

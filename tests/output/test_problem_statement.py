@@ -197,3 +197,21 @@ def test_large_motion_counts_kilometres_and_a_plane_is_seen_from_its_front() -> 
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()) == ("$x$ (km)", "", "$y$ (km)")
     assert (axes.elev, axes.azim) == (0, -90)
     assert axes.xaxis.get_major_formatter()(500_000.0, 0) == "500"
+
+
+def test_linked_phases_are_one_row_each() -> None:
+    """States that are equal, and those that change, instead of a constraint for each component."""
+    problem = go.Problem("stages")
+    legs = []
+    for name in ("boost", "coast"):
+        model = go.Model("rocket")
+        r, m, u = model.state("r", 2, unit="m"), model.state("m", unit="kg"), model.control("u", 2)
+        model.ode({r: u, m: -1.0})
+        legs.append(problem.phase(name, model))
+    legs[0].time(0.0, 1.0)
+    legs[1].time(None, 2.0)
+    problem.link(*legs, jump={"m": -5.0})
+    problem.minimize(-legs[1].final_state("m"))
+    text = problem_statement_html(problem)
+    assert "<td>boost</td><td>coast</td><td>r, time</td><td>m: -5 kg</td>" in text
+    assert "link_" not in text
