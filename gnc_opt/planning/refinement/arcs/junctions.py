@@ -25,11 +25,11 @@ from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.polynomial import Side
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import JUNCTION_OFFSET_SHARE
+from gnc_opt.tolerances import GONE, JUNCTION_OFFSET_SHARE
 
-KINK_MOVE_TOLERANCE, KINK_SHARE = 1e-7, 3e-6
-"""Smallest moves of a kink, relative to the phase and to the shorter adjacent piece: states and costates have relative
-errors of the square of the first, controls of the second."""
+KINK_MIN_MOVE_SHARE = 3e-6
+"""Smallest move of a kink, relative to the shorter adjacent piece: relative error of the control there. Moves below
+`GONE`, relative to the phase, are ignored, too: states and costates have errors of its square."""
 
 KINK_MAX_MOVE_SHARE = 0.5
 """Largest move of a junction in one pass, relative to the shorter adjacent piece."""
@@ -63,7 +63,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     settled = np.where(
         [False, *contact, False],
         CONTACT_MOVE_TOLERANCE * span,
-        np.minimum(KINK_MOVE_TOLERANCE * span, KINK_SHARE * beside),
+        np.minimum(GONE * span, KINK_MIN_MOVE_SHARE * beside),
     )
     if np.all(moves <= settled):
         return None
