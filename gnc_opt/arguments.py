@@ -104,9 +104,7 @@ ErrorType = type[GncOptError]
 def expect(value: Any, kind: type, what: str, remedy: str) -> Any:
     """Return ``value`` if it has the given class; raise `ArgumentError` with the remedy otherwise."""
     if not isinstance(value, kind):
-        raise ArgumentError(
-            f"{what} is a {type(value).__name__} where a {kind.__name__} is needed: {remedy}."
-        )
+        raise ArgumentError(f"{what} must be of type {kind.__name__}, not {type(value).__name__}: {remedy}.")
     return value
 
 

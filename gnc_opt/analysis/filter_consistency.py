@@ -153,10 +153,10 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     >>> print(result.nees.shape, f"{result.within:.0%} within {np.round(result.band, 2)}", result.innovations["q"].ok)
     (81,) 91% within [0.05 7.38] True
     """
-    expect(estimator, Estimator, "what consistency() got", "give the estimator of the loop")
+    expect(estimator, Estimator, "the estimator of consistency()", "give the estimator of the loop")
     level = read_probability(confidence, "the confidence of consistency()")
     if not isinstance(flown, (Run, Campaign)):
-        expect(flown, Run, "what consistency() got", "give a run or a campaign")
+        expect(flown, Run, "the runs of consistency()", "give a run or a campaign")
     layout = flown.layouts.get("memory")
     missing = [
         v.name

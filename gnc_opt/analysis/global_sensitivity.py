@@ -144,7 +144,7 @@ def sobol_indices(
     initial.q
     """
     name = "sobol_indices()"
-    expect(scenario, Scenario, f"what {name} got", "give a Scenario")
+    expect(scenario, Scenario, f"the argument of {name}", "give a Scenario")
     scenario.require(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")

@@ -181,7 +181,7 @@ def linear_covariance(
     >>> print(f"{1e3 * result.std('q')[0, -1]:.2f} mm at the end")
     0.26 mm at the end
     """
-    expect(scenario, Scenario, "what linear_covariance() got", "give a Scenario")
+    expect(scenario, Scenario, "the argument of linear_covariance()", "give a Scenario")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
     flight, dispersions = scenario.flight, scenario.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]

@@ -235,7 +235,7 @@ def loop_response(
     >>> print(response.stable(), f"{response.disk_margins[0]:.2f}")
     True 1.24
     """
-    expect(loop, ClosedLoop, "what loop_response() got", "give a ClosedLoop")
+    expect(loop, ClosedLoop, "the argument of loop_response()", "give a ClosedLoop")
     for sensor in loop.sensors:
         if isinstance(sensor, ZeroOrderHold) and round(sensor.period / loop.dt) > 1:
             raise ArgumentError(

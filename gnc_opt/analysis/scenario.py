@@ -60,7 +60,7 @@ class Scenario:
     seed: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
-        expect(self.loop, ClosedLoop, "what a scenario flies", "give a ClosedLoop")
+        expect(self.loop, ClosedLoop, "the loop of a scenario", "give a ClosedLoop")
         set_ = object.__setattr__
         set_(self, "seed", read_integer(self.seed, "the seed of a scenario", 0))
         check_dispersions(self.dispersions, self.flight.layout, self.flight.nominal)

@@ -95,7 +95,7 @@ def authority_margin_fact(
         )
     shares = 2 * left.min(axis=1) / (limits[1] - limits[0])
     used = "feedforward" if gain is None else "feedforward and gain"
-    remark = f"share of half the range that the {used} leaves; least of '{label}' {where}"
+    remark = f"remaining share of half the range after {used}; least of '{label}' {where}"
     return [ReportEntry("control authority margin", shares, "", remark)]
 
 

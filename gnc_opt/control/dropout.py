@@ -71,7 +71,12 @@ def with_dropout_handling(
     [-0.918]
     [0.]
     """
-    expect(controller, Controller, "what with_dropout_handling() got", "give what a design function returned")
+    expect(
+        controller,
+        Controller,
+        "the argument of with_dropout_handling()",
+        "give the result of a design function",
+    )
     if controller.estimated is not None:
         raise ArgumentError(
             f"'{controller.name}' includes an estimator, which handles dropouts: apply it to the controller inside."

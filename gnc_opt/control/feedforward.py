@@ -71,7 +71,7 @@ def feedforward(reference: Reference) -> Controller:
     --------
     >>> law = go.feedforward(go.Reference(solution))
     """
-    expect(reference, Reference, "what feedforward() got", "write feedforward(Reference(solution))")
+    expect(reference, Reference, "the argument of feedforward()", "write feedforward(Reference(solution))")
     signals = reference_signal_layout(reference)
     states, controls = reference.states.size, reference.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)

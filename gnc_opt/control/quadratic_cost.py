@@ -39,7 +39,7 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
     >>> Q = bryson(cart.states, q=0.1, v=0.01)
     >>> R = bryson(cart.controls, a=5.0)
     """
-    expect(layout, Layout, "what bryson() got", "write bryson(model.states, ...)")
+    expect(layout, Layout, "the layout of bryson()", "write bryson(model.states, ...)")
     weights: dict[str, float | Array] = {}
     for name, value in largest.items():
         layout.slice(name)

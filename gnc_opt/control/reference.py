@@ -109,7 +109,7 @@ class Reference(Strict):
     )
 
     def __init__(self, solution: Trajectory, *, tail: Tail = "trim") -> None:
-        expect(solution, Trajectory, "what Reference() got", "write Reference(solve(problem))")
+        expect(solution, Trajectory, "the argument of Reference()", "write Reference(solve(problem))")
         phases = solution.trajectory_phases()
         _require_same_layouts(phases)
         self._set_functions(

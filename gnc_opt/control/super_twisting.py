@@ -67,7 +67,7 @@ class SuperTwistingObserver:
         read_positive(self.k1, "the gain k1 of an observer")
         read_positive(self.k2, "the gain k2 of an observer")
         read_positive(self.bound, "the bound of an observer", or_zero=True)
-        check_super_twisting_gains(self.k1, self.k2, self.bound, "what the observer estimates")
+        check_super_twisting_gains(self.k1, self.k2, self.bound, "the estimated disturbance")
 
     def estimate(self, s: Any, s_hat: Any, q: Any) -> Any:
         """Return the estimate of the unknown part of ds/dt, SX."""

@@ -154,7 +154,7 @@ def _report_tvlqr(
             "gain after the end",
             gains.tail,
             "",
-            "steady" if gains.steady is not None else "the last one, held",
+            "steady" if gains.steady is not None else "the last one, constant",
         ),
         ReportEntry("smallest eigenvalue of P", float(eigenvalues[:, 0].min()), "", "over the reference"),
         ReportEntry("largest eigenvalue of P", float(eigenvalues[:, 1].max()), "", "over the reference"),

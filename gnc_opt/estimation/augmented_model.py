@@ -254,5 +254,5 @@ def _replace_difference(space: Space, function: Callable[[Any, Any], Any], name:
     remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"
     if not ca.symvar(call_user_function(function, (x, ref), space.errors, what, remedy)):
-        raise ArgumentError(f"{what} is the same whatever its arguments: {remedy}.")
+        raise ArgumentError(f"{what} does not depend on its arguments: {remedy}.")
     return Space(space.size, space.errors, function, space.retraction)

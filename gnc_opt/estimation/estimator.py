@@ -155,9 +155,14 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     >>> print(regulator.states.names, law.states.names)  # the speed is not measured any more
     ('q', 'v') ('q',)
     """
-    expect(controller, Controller, "what output_feedback() got", "give what a design function returned")
     expect(
-        estimator, Estimator, "what output_feedback() got", "give what design_ekf() or design_ukf() returned"
+        controller, Controller, "the controller of output_feedback()", "give the result of a design function"
+    )
+    expect(
+        estimator,
+        Estimator,
+        "the estimator of output_feedback()",
+        "give the result of design_ekf() or design_ukf()",
     )
     if controller.estimated is not None:
         raise ArgumentError(

@@ -291,7 +291,7 @@ class Replanner:
         (leg,) = self.plan.phases.values()
         problem = remaining_problem(self.plan.need_problem("solve again"), leg.initial_time, begin, start)
         plan = self.solver.solve(problem, near=near)
-        expect(plan, Solution, "what the resolver of a Replanner solved", "let it return a Solution")
+        expect(plan, Solution, "the result of the resolver of a Replanner", "let it return a Solution")
         (found,) = plan.phases.values()
         if not math.isclose(found.initial_time, begin, rel_tol=SAME_TIME, abs_tol=SAME_TIME):
             raise ArgumentError(

@@ -349,7 +349,7 @@ class Model(Strict):
         self._refuse_if_in_use("ode")
         remedy = "write ode({q: v, v: a}), each state with its time derivative"
         for key, value in expect(
-            equations, Mapping, f"what ode() of model '{self.name}' got", remedy
+            equations, Mapping, f"the argument of ode() of model '{self.name}'", remedy
         ).items():
             name = self._variables.state_name(key)
             if name in self._equations:

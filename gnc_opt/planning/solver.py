@@ -71,7 +71,7 @@ class Resolver:
     """
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
-        expect(solution, Solution, "what Resolver() got", "write Resolver(solve(problem))")
+        expect(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
         self._problem = solution.need_problem("solve")
         if not solution.status.solved:
             raise ProblemError(
@@ -106,7 +106,9 @@ class Resolver:
         SolveError
             All methods failed.
         """
-        expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
+        expect(
+            problem, Problem, "the argument of Resolver.solve()", "give for example problem.with_initial(...)"
+        )
         within, moved = clip_start_to_bounds(problem)
         if moved:
             return _with_provenance(self.solve(within, near=near), MOVED_START, moved)
@@ -117,7 +119,9 @@ class Resolver:
                 "with_initial(), with_parameters() or similar, or create a Resolver from its own solution."
             )
         if near is not None:
-            expect(near, Solution, "the start of Resolver.solve()", "give near=resolver.solve(...), say")
+            expect(
+                near, Solution, "the start of Resolver.solve()", "give for example near=resolver.solve(...)"
+            )
             if _variable_names(near) != _variable_names(self.solution):
                 raise ProblemError(
                     f"the solution of '{near.problem_name}' has other phases, states or controls than the "
@@ -245,7 +249,7 @@ def solve(
     >>> print(f"{found.objective:.6f} {found.history.status.value}")
     2.000000 converged
     """
-    expect(problem, Problem, "what solve() got", "write solve(problem), or solve(solution.problem)")
+    expect(problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)")
     get_family(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")

@@ -178,7 +178,7 @@ def monte_carlo(
     >>> print(runs.pass_rate().passed, "of", len(runs))
     20 of 20
     """
-    expect(loop, ClosedLoop, "what monte_carlo() flies", "give a ClosedLoop")
+    expect(loop, ClosedLoop, "the loop of monte_carlo()", "give a ClosedLoop")
     read_integer(n, "the number of runs of monte_carlo()", 1)
     read_integer(seed, "the seed of monte_carlo()", 0)
     dispersions = {} if dispersions is None else dispersions

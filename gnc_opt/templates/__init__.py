@@ -36,7 +36,7 @@ def write_template(name: str | Path, kind: str = KINDS[0]) -> Path:
         with path.open("x", encoding="utf-8") as file:
             file.write(template_text(kind))
     except FileExistsError as error:
-        raise GncOptError(f"'{path}' exists already and is left as it is: choose another name.") from error
+        raise GncOptError(f"'{path}' exists already and was not changed: choose another name.") from error
     return path
 
 

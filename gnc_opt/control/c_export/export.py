@@ -111,12 +111,12 @@ def export_c(
     >>> print(sorted(path.suffix for path in Path("flight").iterdir())[:2])
     ['.c', '.c']
     """
-    expect(controller, Controller, "what export_c() got", "give what a design function returned")
+    expect(controller, Controller, "the argument of export_c()", "give the result of a design function")
     dt = controller.step_length(dt)
     prefix = _read_prefix(_make_c_identifier(controller.name) if name is None else name)
     form = flight_controller(controller)
     if form.solver is not None and span is not None:
-        raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
+        raise ArgumentError(f"'{controller.name}' knows the span of its schedule: omit span.")
     if precision not in _NUMBERS:
         raise ArgumentError(
             f"there is no precision {shown(precision)}: {did_you_mean(str(precision), list(_NUMBERS))}"

@@ -76,7 +76,7 @@ def refine(
     >>> print(abs(coarse.objective - 2) < 1e-6, abs(go.refine(coarse).objective - 2) < 1e-8)
     False True
     """
-    expect(solution, Solution, "what refine() got", "write refine(solve(problem))")
+    expect(solution, Solution, "the argument of refine()", "write refine(solve(problem))")
     read_positive(tol, "the tolerance of refine()")
     limits = limits or RefinementLimits()
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
@@ -90,7 +90,7 @@ def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: St
     """Return the solution that the stages find from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(
-            f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
+            f"refine() has no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
     try:
         solution = _release_fixed_arcs(solution, stages)

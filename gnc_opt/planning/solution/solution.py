@@ -394,7 +394,7 @@ class Solution(Printed):
         ProblemError
             The problem is not the solved one (its fingerprint differs).
         """
-        expect(problem, Problem, "what with_problem() got", "give the problem that was solved")
+        expect(problem, Problem, "the argument of with_problem()", "give the problem that was solved")
         problem = reformulate(problem)
         if problem.fingerprint() != self.provenance.get("fingerprint"):
             raise ProblemError(

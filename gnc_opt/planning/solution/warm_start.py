@@ -248,8 +248,13 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     >>> print(f"{go.solve(nearby, tol=1e-6).objective:.4f}")
     2.0976
     """
-    expect(problem, Problem, "what guess_from_solution() got", "write guess_from_solution(problem, solution)")
-    expect(solution, Solution, "the solution of guess_from_solution()", "give what solve() returned")
+    expect(
+        problem,
+        Problem,
+        "the argument of guess_from_solution()",
+        "write guess_from_solution(problem, solution)",
+    )
+    expect(solution, Solution, "the solution of guess_from_solution()", "give a result of solve()")
     common = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
     if len(problem.phases) == len(solution.phases) == 1:
         common = dict(zip(problem.phases, solution.phases.values(), strict=True))

@@ -73,7 +73,7 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     >>> print(bounded.bound.certified, f"{abs(bounded.gap):.0e}")
     True 0e+00
     """
-    expect(solution, Solution, "what lower_bound() got", "give a solution as solve() returns it")
+    expect(solution, Solution, "the argument of lower_bound()", "give a result of solve()")
     read_positive(tol, "the tolerance of lower_bound()")
     problem = solution.need_problem("bound")
     verdict = replace(verify(solution), bound=None, gap=None)

@@ -352,7 +352,7 @@ def _problem_for_workers(problem: Problem | Builder) -> Shared[Problem]:
 
 
 def _build_problem(builder: Builder) -> Problem:
-    return expect(builder(), Problem, "what the builder returned", "return the problem")  # type: ignore[no-any-return]
+    return expect(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
 
 
 def _task_result(done: Done[Item, Answer]) -> Answer:

@@ -186,7 +186,7 @@ def continuation(
     )
     length = whole if step is None else read_positive(step, "the step of continuation()")
     if first is not None:
-        expect(first, Solution, "the first solution of continuation()", "give what solve() returned")
+        expect(first, Solution, "the first solution of continuation()", "give a result of solve()")
     problem = _build_problem(problem_of, float(way[0]))
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
@@ -200,7 +200,7 @@ def continuation(
 
 def _build_problem(problem_of: Family, value: float) -> Problem:
     problem = expect(
-        problem_of(value), Problem, "what the function of continuation() returned", "return the problem"
+        problem_of(value), Problem, "the result of the function of continuation()", "return the problem"
     )
     problem.check()
     return problem  # type: ignore[no-any-return]

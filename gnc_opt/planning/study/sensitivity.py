@@ -362,7 +362,7 @@ def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: st
             continue
         if not program.rows.active[row]:
             raise ProblemError(
-                f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit changes nothing."
+                f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit has no effect."
             )
         change = _zero_data_change(program)
         change.row_limits[row] = 1.0

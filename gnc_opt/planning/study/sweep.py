@@ -311,7 +311,7 @@ class _Line:
                 problem = expect(
                     functions.problem_of(**arguments),
                     Problem,
-                    "what the family of sweep() returned",
+                    "the result of the family of sweep()",
                     "return the problem",
                 )
                 solution = self._solve_point(problem, neighbour)

@@ -100,7 +100,7 @@ class Mesh:
             )
         counts = read_numbers(degree, "the degrees of a mesh", ProblemError)
         degrees: Any = tuple(counts) if counts.ndim else (degree,) * (t.size - 1)
-        expect(movable, bool, "whether the breaks of a mesh are movable", "write movable=True")
+        expect(movable, bool, "movable of a mesh", "write movable=True")
         interior = tuple(range(1, t.size - 1)) if movable else ()
         return cls(tuple((t - t[0]) / (t[-1] - t[0])), degrees, interior)
 

@@ -172,10 +172,11 @@ def check_bang_bang_second_order(
 ) -> Condition:
     """Return the condition that the reduced Hessian is positive definite in every order of the switches."""
     meaning = (
-        "The Hessian of the Lagrangian in switch times, end times, free end values and parameters, on directions that "
-        "keep the active conditions, must be positive definite in every order that simultaneous switches can take "
-        "(value: its smallest eigenvalue, reversed, in shares of its terms; tolerance: its estimated error, reversed). "
-        "A negative one means that the cost falls along its direction; within the error, that it may."
+        "The Hessian of the Lagrangian with respect to switching times, end times, free end values and parameters, "
+        "restricted to the directions that preserve the active conditions, must be positive definite in every possible"
+        " order of simultaneous switches (value: negative smallest eigenvalue relative to its terms; tolerance: "
+        "negative estimated error). If it is negative, the cost decreases along its eigenvector; if it is within the "
+        "error, the result is inconclusive."
     )
 
     def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
@@ -184,7 +185,7 @@ def check_bang_bang_second_order(
     reason = explain_inapplicable_theorem(samples)
     switches = {} if reason else {s.leg.name: Switches.from_samples(s) for s in samples}
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
-        reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
+        reason = f"more than {MOST_ORDERS} orders of simultaneous switches"
     if reason:
         return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = Unknowns.from_switches(solution, samples, switches)

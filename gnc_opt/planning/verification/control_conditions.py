@@ -123,8 +123,8 @@ def check_minimum_principle(
 ) -> Condition:
     """Return the condition that no other control has a smaller H; the loss in ``unit`` is the integral over time."""
     meaning = (
-        "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
-        "(share of H's scale that could be gained)."
+        "At every time the control must minimise H among all admissible controls, not only make it stationary (value: "
+        "possible reduction of H, relative to its scale)."
     )
     worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
@@ -206,8 +206,9 @@ def check_legendre_clebsch(
     """Return the Legendre-Clebsch condition: the Hessian of H in interior controls is positive definite."""
     name = "Legendre-Clebsch"
     meaning = (
-        "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
-        "its sign reversed, in shares of H's scale): negative curvature means a maximum, none leaves it open."
+        "The Hessian of H in the controls between their bounds must be positive definite (value: negative smallest "
+        "eigenvalue, relative to the scale of H). A negative eigenvalue indicates a maximum, a zero eigenvalue is "
+        "inconclusive."
     )
     found = [_find_least_lasting_curvature(s) for s in samples]
     vanishing = [place is not None and abs(value) <= tolerance for value, place in found]
@@ -247,9 +248,9 @@ def check_singular_arcs(
 ) -> Condition:
     """Return the condition that H or the second derivative of the switching function determines interior controls."""
     meaning = (
-        "Where a control is between its bounds and dH/du and the curvature of H both vanish (a singular arc), the "
-        "second derivative of the switching function must determine it (value: share of the phase along which it does "
-        "not). Arcs of higher order are beyond the sufficient conditions known, and joined to bang arcs by chattering "
+        "Along a singular arc (a control between its bounds, dH/du = 0, no curvature of H), the second derivative of "
+        "the switching function must determine the control (value: share of the phase along which it does not). Arcs "
+        "of higher order are not covered by the known sufficient conditions, and connect to bang arcs by chattering "
         "only."
     )
     total, place = 0.0, "nowhere"

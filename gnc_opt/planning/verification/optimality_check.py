@@ -76,13 +76,13 @@ _ACTIVE_SET = (
     "Multipliers must be zero away from limits and act inwards; the sign of a switching function must select the bound "
     "of its control. Otherwise a switch is in the wrong place, or an arc is missing."
 )
-_NO_EXTREMAL = "Second-order conditions apply to extremals only: repair the conditions that fail."
+_NO_EXTREMAL = "Second-order conditions apply to extremals only: correct the conditions that fail first."
 _UNIQUE = "the problem is convex and has one solution only"
 _AFTER_OTHERS = "not evaluated, as other conditions fail"
 _NO_COSTATES = (
     "The solution has no costates (none finite and non-zero): the minimum principle cannot be checked."
 )
-_INCOMPLETE = "It holds for all available numbers, but one is missing."
+_INCOMPLETE = "The condition holds for all available numbers, but a number is missing."
 _CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is unknown."
 
 

@@ -160,9 +160,9 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     """Return the condition that no variation in the critical cone lowers the cost to second order."""
     name = "second order"
     meaning = (
-        "Along every variation of controls, times and parameters that keeps the active limits, the cost must curve "
-        "upwards (value: least curvature of the Lagrangian on the solution's mesh with the sign reversed, in shares "
-        "of its middle row); where it curves downwards, a cheaper trajectory is nearby."
+        "The cost must have positive curvature along every variation of controls, times and parameters that satisfies "
+        "the active limits (value: negative smallest curvature of the Lagrangian on the solution's mesh, relative to "
+        "its median row); if it is negative, a cheaper trajectory is nearby."
     )
 
     def second_order_condition(

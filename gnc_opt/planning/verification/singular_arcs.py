@@ -77,10 +77,10 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     """Return Goh's and the strengthened generalised Legendre-Clebsch condition for all singular arcs."""
     name = "generalised Legendre-Clebsch"
     meaning = (
-        "Along a singular arc the controls must not appear in an odd time derivative of their switching functions, and "
-        "in the first even one, the 2k-th, with (-1)^k times a positive definite matrix (value: its smallest "
-        "eigenvalue, reversed, in shares of H over the arc's length): a negative one means that quick pulses "
-        "to and fro lower the cost."
+        "Along a singular arc, odd time derivatives of the switching functions must not contain the controls; in the "
+        "first even one that does, the 2k-th, the controls must have the factor (-1)^k times a positive definite "
+        "matrix (value: negative smallest eigenvalue, relative to H over the length of the arc). If it is negative, "
+        "fast control pulses of alternating sign lower the cost."
     )
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)

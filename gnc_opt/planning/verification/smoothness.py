@@ -25,9 +25,9 @@ from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, nonzero_magnitu
 NAME = "kinks"
 
 KINKS = (
-    "Dynamics and integrands must be differentiable along the flight. Where they jump with a state, costates jump as "
-    "well, which no condition here allows for: let a phase end there, with the state on the jump as a final value, and "
-    "link() the next one to it. Where the flight rests on a kink, gradients are any out of a set: hold it there by a "
+    "Dynamics and integrands must be differentiable along the trajectory. If they jump at a state, the costates jump "
+    "as well, which the other conditions do not include: end a phase there, with that state as a final value, and "
+    "link() the next phase to it. If the trajectory stays on a kink, gradients are not unique: impose the kink as a "
     "constraint."
 )
 
@@ -73,7 +73,7 @@ def check_concave_kinks(found: Roughness | None, fails: bool, *, falls: bool = F
     if found is None:
         return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
     if falls:
-        meaning = "At a kink the cost falls to both sides: a cheaper trajectory is nearby."
+        meaning = "The cost decreases to both sides of a kink: a cheaper trajectory is nearby."
         return Condition(NAME, ConditionResult.FAIL, found.value, 0.0, found.where, meaning)
     sufficient = not found.jump and not fails
     return Condition(

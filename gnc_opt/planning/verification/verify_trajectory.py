@@ -168,7 +168,7 @@ def verify_trajectory(
     >>> go.verify_trajectory(problem, t, x, {"a": 6 - 12 * t}).ok
     True
     """
-    expect(problem, Problem, "what verify_trajectory() got first", "give the problem, then t, x and u")
+    expect(problem, Problem, "the first argument of verify_trajectory()", "give the problem, then t, x and u")
     q = _read_parameters(problem, p)
     check_unused_controls(problem)
     samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)

@@ -150,7 +150,7 @@ def test_refusals(tmp_path):
         export_c(follower(), tmp_path, dt=0.1, span=(0.5, 2.0))
     with pytest.raises(ArgumentError, match="cannot be the name of a C function"):
         export_c(follower(), tmp_path, dt=0.1, name="no name")
-    with pytest.raises(ArgumentError, match="what a design function returned"):
+    with pytest.raises(ArgumentError, match="the result of a design function"):
         export_c(model, tmp_path)
     with pytest.raises(ArgumentError, match="letters of C"):
         export_c(follower(), tmp_path, dt=0.1, name="\u00e9tage")

@@ -146,7 +146,7 @@ SEEN = [Measurement("q", 0.1)]
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        (lambda: Reference("solution"), "Reference() got"),
+        (lambda: Reference("solution"), "argument of Reference()"),
         (lambda: Reference.constant("cart", [0.0, 0.0]), "model of a reference"),
         (lambda: design_lqr("cart", [0.0, 0.0], **WEIGHTS), "plant of design_lqr()"),
         (lambda: design_tvlqr(cart(), [0.0, 0.0], **WEIGHTS), "reference of design_tvlqr()"),
@@ -164,11 +164,14 @@ SEEN = [Measurement("q", 0.1)]
             ),
             "state_limits of design_mpc()",
         ),
-        (lambda: feedforward([0.0, 0.0]), "feedforward() got"),
-        (lambda: bryson(cart(), q=1.0), "bryson() got"),
-        (lambda: with_dropout_handling("law"), "with_dropout_handling() got"),
-        (lambda: output_feedback("law", design_ekf(cart(), [0, 0], SEEN, **FILTER)), "output_feedback() got"),
-        (lambda: output_feedback(LAW, "filter"), "output_feedback() got"),
+        (lambda: feedforward([0.0, 0.0]), "argument of feedforward()"),
+        (lambda: bryson(cart(), q=1.0), "layout of bryson()"),
+        (lambda: with_dropout_handling("law"), "argument of with_dropout_handling()"),
+        (
+            lambda: output_feedback("law", design_ekf(cart(), [0, 0], SEEN, **FILTER)),
+            "controller of output_feedback()",
+        ),
+        (lambda: output_feedback(LAW, "filter"), "estimator of output_feedback()"),
         (lambda: design_ekf("cart", [0, 0], SEEN, **FILTER), "model of an estimator"),
         (lambda: design_ekf(cart(), [0, 0], ["q"], **FILTER), "one of the measurements of 'EKF'"),
         (lambda: design_ekf(cart(), [0, 0], SEEN, **FILTER | {"sigma0": [1.0, 1.0]}), "sigma0"),
@@ -178,7 +181,7 @@ SEEN = [Measurement("q", 0.1)]
             lambda: design_neighbouring_optimal("plan", LAW, Q=1.0, last=1.0),
             "plan of design_neighbouring_optimal()",
         ),
-        (lambda: go.export_c("law", "folder"), "export_c() got"),
+        (lambda: go.export_c("law", "folder"), "argument of export_c()"),
     ],
 )
 def test_what_a_function_cannot_take_is_named_with_what_it_takes(asked, words, tmp_path, monkeypatch):

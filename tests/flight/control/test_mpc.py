@@ -139,7 +139,7 @@ def test_refusals():
         ({"limits": None}, "has no limits of the controls"),
         ({"limits": (-np.inf, 0.3)}, "are .*inf.*: give finite limits"),  # left out altogether
         ({"state_limits": {"v": 3}}, r"limits of state 'v' are 3: give \(lower, upper\)"),
-        ({"state_limits": [1]}, "state_limits of design_mpc.. is a list"),
+        ({"state_limits": [1]}, "state_limits of design_mpc.. must be of type Mapping, not list"),
         ({"hard": "v", "state_limits": {"v": (-1, 1)}}, "hard of design_mpc.. is 'v': give a list"),
         ({"name": ""}, "cannot be the name of a controller"),
     ):

@@ -240,9 +240,9 @@ def test_flight_code_holds_estimator_and_controller(tmp_path):
 def test_what_does_not_fit_is_refused(right):
     model = cart()
     law = regulator(model)
-    with pytest.raises(go.ArgumentError, match="what design_ekf"):
+    with pytest.raises(go.ArgumentError, match="the result of design_ekf"):
         output_feedback(law, law)
-    with pytest.raises(go.ArgumentError, match="what a design function returned"):
+    with pytest.raises(go.ArgumentError, match="the result of a design function"):
         output_feedback(right, right)
     both = output_feedback(law, right)
     with pytest.raises(go.ArgumentError, match="already includes an estimator"):

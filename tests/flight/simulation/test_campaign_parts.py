@@ -223,7 +223,7 @@ def test_the_goal_is_the_reference_at_the_end_unless_a_target_is_given():
 @pytest.mark.parametrize("kind", ["target", "limits", "measures"])
 def test_criteria_that_are_no_mappings_are_refused(kind):
     assert read_criteria(None, None) == Criteria()
-    with pytest.raises(ArgumentError, match=f"the {kind} of runs is a ndarray where a Mapping is needed"):
+    with pytest.raises(ArgumentError, match=f"the {kind} of runs must be of type Mapping, not ndarray"):
         read_criteria(**{"target": None, "measures": None, kind: np.zeros(2)})
 
 

@@ -113,12 +113,12 @@ def test_draws_depend_on_seed_run_and_name_alone():
     ("dispersions", "message"),
     [
         ({"plant.mass": Normal(1.0)}, "did you mean 'plant.m'"),
-        ({"a": 0.1}, "the dispersion of 'a' is a float"),
+        ({"a": 0.1}, "the dispersion of 'a' must be of type .*not float"),
         ({"a": Normal([1.0, 2.0])}, "'a' is given 2 values"),
         ({"b": Normal(0.1, relative=True)}, "the nominal value 0"),
         ({"m": RandomRotation(0.1)}, "neither a quaternion"),
         ({"m": Choice([[1.0, 2.0]])}, "a choice of 'm'"),
-        ([("a", Normal(1.0))], "is a list"),
+        ([("a", Normal(1.0))], "must be of type Mapping, not list"),
     ],
 )
 def test_what_does_not_fit_is_refused(dispersions, message):

@@ -408,7 +408,7 @@ def test_events_that_are_none_are_refused():
     for event, words in (
         (lambda: Event("x", h, "down"), "the direction of event 'x' is 'down': give one of"),
         (lambda: Event("", h), "cannot be the name of an event"),
-        (lambda: Event("x", h, reset=[v]), "the reset of event 'x' is a list where a Mapping is needed"),
+        (lambda: Event("x", h, reset=[v]), "the reset of event 'x' must be of type Mapping, not list"),
         (lambda: Event("x", h, reset={v: -v}, failure=True), "is a failure and does not end the run"),
         (
             lambda: falling(plant, Event("x", h), Event("x", v)),
@@ -427,7 +427,7 @@ def test_events_that_are_none_are_refused():
             lambda: falling(plant, Event("x", h, reset={v: [1, 2]})),
             "the new 'v' of event 'x' has 2 components",
         ),
-        (lambda: falling(plant, "touchdown"), "one of the events of a closed loop is a str"),
+        (lambda: falling(plant, "touchdown"), "one of the events of a closed loop must be of type .*not str"),
         (lambda: falling(plant, Event("x", "h")), "neither a number nor a CasADi SX expression"),
     ):
         with pytest.raises(ArgumentError) as refusal:

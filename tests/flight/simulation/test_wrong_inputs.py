@@ -62,15 +62,15 @@ def test_an_event_that_never_passes_through_zero(expression: Any, what: str) -> 
             lambda: loop(sensors=[ConstantDisturbance("push", 0.1, on="w")]),
             "'push' is a disturbance, not an actuator",
         ),
-        (lambda: Event("e", H, failure="yes"), "failure of event 'e' is a str where a bool"),  # type: ignore[arg-type]
+        (lambda: Event("e", H, failure="yes"), "failure of event 'e' must be of type bool, not str"),  # type: ignore[arg-type]
         (lambda: fly([1.0, math.inf]), "'initial.w' of a run is not a number .it is inf"),
         (lambda: fly(tf=[0.2, 0.4]), "tf of a run is given 2 values"),
-        (lambda: fly(parameters=[1.0]), "parameters is a list where a Mapping is needed"),
+        (lambda: fly(parameters=[1.0]), "parameters must be of type Mapping, not list"),
         (lambda: fly(seed="a"), "the seed of a run is 'a': give an integer >= 0"),
         (lambda: fly(seed=1.5), "the seed of a run is 1.5"),
         (lambda: fly(seed=-1), "the seed of a run is -1"),
         (lambda: fly(seed=None), "the seed of a run is None"),
-        (lambda: campaign(limits=["h"]), "the limits of runs is a list where a Mapping"),
+        (lambda: campaign(limits=["h"]), "the limits of runs must be of type Mapping, not list"),
         (lambda: campaign(measures={"h": lambda runs: runs.states[0]}), "has a measure 'h' already"),
         (lambda: campaign(measures={"x": lambda runs: ["a", "b"]}), "'x' returns no numbers .ValueError"),
         (lambda: campaign(target={"h": math.nan}), "the target of 'h' is .nan.: give finite numbers"),

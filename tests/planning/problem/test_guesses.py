@@ -153,7 +153,7 @@ def test_open_initial_values_and_free_parameters() -> None:
         (lambda p: go.guess_from_simulation(p, {}, until=p.phases["burn"].model.time + 1.0), "without a zero before"),
         (lambda p: go.guess_from_simulation(p, {}, duration=-1.0), "duration of guess_from_simulation"),
         (lambda p: go.guess_from_simulation(p, {}, n=1), "n of guess_from_simulation"),
-        (lambda p: go.guess_from_simulation(None, {}), "what guess_from_simulation"),
+        (lambda p: go.guess_from_simulation(None, {}), "argument of guess_from_simulation"),
         (lambda p: go.guess_from_data(p, {"t": [0, 1]}), "no column 'time'"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0, 1]}), "a column 'r.0.' but no 'r.1.'"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "q": [0, 1]}), "no column of a state or control"),

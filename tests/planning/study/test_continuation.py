@@ -121,7 +121,7 @@ def test_a_structure_is_carried_along() -> None:
         ((stiff, [1.0, np.nan]), "give two or more"),
         ((stiff, ["a", 1]), "not a number"),
         ((stiff(), [1.0, 2.0]), "needs a function"),
-        ((lambda k: k, [1.0, 2.0]), "what the function of continuation"),
+        ((lambda k: k, [1.0, 2.0]), "the result of the function of continuation"),
         ((rest_to_rest, [1.0, 2.0]), "the first problem of continuation.*, at 1, has no solution"),
     ],
 )

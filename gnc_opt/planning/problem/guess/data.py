@@ -55,7 +55,7 @@ def guess_from_data(
     >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
     2.000000
     """
-    expect(problem, Problem, "what guess_from_data() got", "write guess_from_data(problem, data)")
+    expect(problem, Problem, "the argument of guess_from_data()", "write guess_from_data(problem, data)")
     leg = problem.get_phase(phase)
     labels = [label for variable in leg.guessable_names.values() for label in variable.labels]
     columns: Any = read_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data

@@ -101,7 +101,10 @@ def guess_from_simulation(
     2.000000
     """
     expect(
-        problem, Problem, "what guess_from_simulation() got", "write guess_from_simulation(problem, {...})"
+        problem,
+        Problem,
+        "the argument of guess_from_simulation()",
+        "write guess_from_simulation(problem, {...})",
     )
     expect(controls, Mapping, "the law of guess_from_simulation()", 'write {"u": expression}')
     read_integer(n, "n of guess_from_simulation()", 2)
