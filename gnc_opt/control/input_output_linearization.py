@@ -212,7 +212,7 @@ def _output_error(pair: Pair, name: str, output: Any) -> Any:
     h = ca.substitute(h, model.symbols("parameter"), ca.DM(model.parameter_values))
     if ca.depends_on(h, pair.u):
         raise DesignError(
-            f"a control enters output '{name}' itself: its relative degree is 0, steer its cause."
+            f"output '{name}' contains a control, so that its relative degree is 0: choose an output of states."
         )
     return h - pair.substitute_reference(h)
 

@@ -149,8 +149,8 @@ def _projected_surface(
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
     if first.shape[0] < first.shape[1] or are_dependent(singular):
         raise DesignError(
-            f"the controls of model '{pair.model.name}' act alike on its states: B has the singular values {singular}; "
-            "allocate them first, and design for independent controls."
+            f"the controls of model '{pair.model.name}' have linearly dependent effects on its states (singular "
+            f"values of B: {singular}): allocate them first, and design for independent controls."
         )
     if projection == "transpose":
         g = b.T

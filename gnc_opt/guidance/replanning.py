@@ -59,13 +59,13 @@ def check_remaining_problem(problem: Problem) -> None:
     for constraint in problem.constraints.values():
         if ca.depends_on(constraint.expression, whole):
             raise ArgumentError(
-                f"constraint '{constraint.name}' of problem '{problem.name}' is on the whole flight, but a Replanner "
-                "would apply it to each rest: limit the final value of a state that has the integrand as its rate, "
+                f"constraint '{constraint.name}' of problem '{problem.name}' applies to the whole trajectory, but a "
+                "Replanner would apply it to each remaining part: limit the final value of a state that has the integrand as its rate, "
                 "give time(duration=...), or use numbers in place of initial values."
             )
     if not _is_cost_additive(problem, leg):
         raise ArgumentError(
-            f"the cost of problem '{problem.name}' is not additive over the flight, so that a "
+            f"the cost of problem '{problem.name}' is not additive over time, so that a "
             "Replanner would change the plan: write a sum of integrals and a function of the end."
         )
 
@@ -161,7 +161,7 @@ class Replanner:
         if not callable(self.resolver):
             raise ArgumentError("the resolver of a Replanner is no function: write lambda: Resolver(plan).")
         if not callable(self.follow):
-            raise ArgumentError("follow of a Replanner is no function: see its description.")
+            raise ArgumentError("follow of a Replanner is not a function: see the class documentation.")
         set_ = object.__setattr__
         set_(self, "every", read_positive(self.every, "the time between two re-plannings"))
         set_(self, "last", read_positive(self.last, "the last part without re-planning", or_zero=True))

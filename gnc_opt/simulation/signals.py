@@ -88,7 +88,7 @@ def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[lis
             rest = {n: k for n, k in signals.items() if n not in on}
             taken = [n for n in new if n in rest]
             if taken:
-                raise ArgumentError(f"'{block.name}' makes a second '{taken[0]}': choose another name.")
+                raise ArgumentError(f"'{block.name}' defines '{taken[0]}' again: choose another name.")
             signals = {**rest, **new}
     return links, signals
 

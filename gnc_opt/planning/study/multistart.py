@@ -344,7 +344,8 @@ def _problem_for_workers(problem: Problem | Builder) -> Shared[Problem]:
         return Shared(problem, f"problem '{problem.name}', which holds symbols,", remedy)
     if not callable(problem):
         raise ArgumentError(
-            f"multistart() got a {type(problem).__name__} where a Problem or a function that builds one is needed."
+            "the argument of multistart() must be a Problem or a function that returns one, not of type "
+            f"{type(problem).__name__}."
         )
     remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
     builder = partial(_build_problem, problem)

@@ -237,7 +237,7 @@ SIGNALS = {"f": (3, "N"), "t": (3, "N m"), "g": (1, "N")}
 
 
 def test_a_second_signal_of_one_name_is_refused():
-    with pytest.raises(ArgumentError, match="makes a second 't'"):
+    with pytest.raises(ArgumentError, match="defines 't' again"):
         link_blocks([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
     _, left = link_blocks([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
     assert left["f"] == (2, "")

@@ -469,7 +469,7 @@ def test_wrong_arguments_are_named(arguments: dict[str, Any], message: str) -> N
 
 
 def test_wrong_problems_are_named() -> None:
-    with pytest.raises(go.GncOptError, match="must be of type Problem, not int"):
+    with pytest.raises(go.GncOptError, match=r"must be a Problem or a function .* not of type int"):
         search(3)
     with pytest.raises(go.GncOptError, match="the result of the builder"):
         search(list)
