@@ -60,8 +60,8 @@ def check_remaining_problem(problem: Problem) -> None:
         if ca.depends_on(constraint.expression, whole):
             raise ArgumentError(
                 f"constraint '{constraint.name}' of problem '{problem.name}' applies to the whole trajectory, but a "
-                "Replanner would apply it to each remaining part: limit the final value of a state that has the integrand as its rate, "
-                "give time(duration=...), or use numbers in place of initial values."
+                "Replanner would apply it to each remaining part: limit the final value of a state with the integrand "
+                "as its rate, give time(duration=...), or use numbers in place of initial values."
             )
     if not _is_cost_additive(problem, leg):
         raise ArgumentError(

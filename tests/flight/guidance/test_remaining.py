@@ -130,8 +130,8 @@ def chosen(p: Any, leg: Any) -> None:
 @pytest.mark.parametrize(
     ("more", "what"),
     [
-        (budget, "'effort' of problem 'cart' is on the whole flight"),
-        (shift, "'shift' of problem 'cart' is on the whole flight"),
+        (budget, "'effort' of problem 'cart' applies to the whole trajectory"),
+        (shift, "'shift' of problem 'cart' applies to the whole trajectory"),
         (clock, r"give time\(duration"),
         (squared, "is not additive"),
         (per_second, "is not additive"),
