@@ -416,7 +416,7 @@ def test_roots_of_singular_covariances():
         ({"measurements": [Measurement("q", 1, delay=0.25)]}, "not a multiple"),
         (
             {"measurements": [Measurement("q", 1, difference=lambda a, b: 1.0)]},
-            "whatever its arguments: return 1 comp",
+            "depend on its arguments: return 1 comp",
         ),
         ({"measurements": [Measurement("q", 1, difference=3)]}, "'q' cannot be evaluated"),
         ({"measurements": [Measurement("q", 1, difference=lambda a: a)]}, "'q' cannot be evaluated"),

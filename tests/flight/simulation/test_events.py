@@ -427,7 +427,7 @@ def test_events_that_are_none_are_refused():
             lambda: falling(plant, Event("x", h, reset={v: [1, 2]})),
             "the new 'v' of event 'x' has 2 components",
         ),
-        (lambda: falling(plant, "touchdown"), "one of the events of a closed loop must be of type .*not str"),
+        (lambda: falling(plant, "touchdown"), "events of a closed loop must be of type Event, not str"),
         (lambda: falling(plant, Event("x", "h")), "neither a number nor a CasADi SX expression"),
     ):
         with pytest.raises(ArgumentError) as refusal:
