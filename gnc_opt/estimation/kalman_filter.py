@@ -282,7 +282,7 @@ def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any
 
 
 def _select_matrix(condition: Any, yes: Any, no: Any) -> Any:
-    """Return one of two matrices; square ones are symmetric."""
+    """Return ``yes`` or ``no``, depending on a condition; square matrices are symmetric."""
     if yes.shape[0] != yes.shape[1]:
         return ca.if_else(condition, yes, no)
     return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))

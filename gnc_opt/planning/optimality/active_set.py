@@ -40,7 +40,7 @@ from gnc_opt.tolerances import ACTIVE, NOTABLE, RANK, SMALL
 
 
 def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
-    """Return, for every sample, an orthonormal basis (m, k) of the free controls that active constraints leave free.
+    """Return, for every sample, an orthonormal basis (m, k) of the control directions along active constraints.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ def fit_trajectory(samples: Samples, rates: Rates) -> FittedPhase:
 
 @dataclass
 class _Jump:
-    """Jump of channels, or of their slopes, after a sample: at the time of it and the next one, or between them."""
+    """Jump of channels, or of their slopes, between a sample and the next one, which may have the same time."""
 
     after: int
     time: float

@@ -134,7 +134,7 @@ class Mesh:
 
     @cached_property
     def segment_arcs(self) -> Indices:
-        """The arc that each segment belongs to, shape (K,)."""
+        """Arc index of each segment, shape (K,)."""
         return np.searchsorted(
             np.asarray(self.movable, dtype=np.int64), np.arange(self.segments), side="right"
         )

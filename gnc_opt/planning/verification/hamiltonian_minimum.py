@@ -1,6 +1,6 @@
 """Global minimum of the Hamiltonian over admissible controls, by groups coupled in H or path constraints.
 
-It has a closed form for a vector control in which H is affine. If H is a convex quadratic function with affine
+The minimum has a closed form for a vector control in which H is affine. If H is a convex quadratic function with affine
 constraints, one descent finds it. For other groups `POINTS` controls of a Kronecker lattice are evaluated along the
 phase (gaps: Slater, Proc. Cambridge Philos. Soc. 63, 1967), and Newton's method descends from the best of them.
 """
