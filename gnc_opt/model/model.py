@@ -381,8 +381,8 @@ class Model(Strict):
         state : Symbol or str
         function : callable
             ``function(x, x_ref)`` of SX columns returns the error, to first order; 3 components for a quaternion.
-            retraction : callable, optional
-                ``retraction(x_ref, e)`` returns the state with error e relative to x_ref; needed by estimators.
+        retraction : callable, optional
+            ``retraction(x_ref, e)`` returns the state with error e relative to x_ref; needed by estimators.
 
         Raises
         ------

@@ -29,9 +29,9 @@ class Tick:
 
     Attributes
     ----------
-    t : SX
     t, h, dt : SX, float, float
         Start, length of the minor step and of the control step, s; for sensors both lengths are the control step.
+    x : mapping of str to SX
         State of the plant by name, SX columns.
     """
 

@@ -164,7 +164,7 @@ def _kill_processes(executor: Any) -> None:
     for process in list((executor._processes or {}).values()):
         process.terminate()
     # A process killed while it sends a result leaves a partial message; the executor waits for the rest as long as a
-    # writer exists. Once the processes are gone, only this process is one.
+    # writer exists. After the processes have ended, this process has the only writer.
     if executor._result_queue is not None:
         executor._result_queue._writer.close()
 

@@ -17,11 +17,11 @@ from gnc_opt.planning.solution.variation_scales import (
 from gnc_opt.tolerances import EQUAL, NOTABLE, TINY
 
 MEAN_SHARE = 0.1
-"""Smallest deviation of a control at any time, as a share of its mean over the phase; the distance to the minimum of H
-exceeds it at most by the inverse of this."""
+"""Smallest deviation of a control at any time, relative to its mean over the phase; the inverse limits the ratio of the
+distance to the minimum of H to the deviation."""
 
 BESIDE = 1.3
-"""Multiple of a control at which its effect is compared with that at its value."""
+"""Factor of a control for the test whether the control has an effect."""
 
 
 def compute_control_deviation(s: PhaseSamples) -> Array:
@@ -88,7 +88,7 @@ def limit_deviation_from_below(s: PhaseSamples, deviation: Array, cost: float) -
 
 
 def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, cost: float) -> Array:
-    """Return deviations with idle controls at what costs as much as those of all others."""
+    """Return deviations in which those of inactive controls cost as much as those of all others together."""
     idle = np.max(deviation, axis=1, initial=0.0) <= 0
     if not np.any(idle):
         return deviation

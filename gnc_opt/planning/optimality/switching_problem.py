@@ -217,7 +217,7 @@ class InducedProblem:
 def _choose_integration_grid(
     problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
 ) -> tuple[int, BangBangFlow]:
-    """Return the refinement of the flow's steps at which it reaches the end of the solution, and that flow."""
+    """Return the step refinement with which the flow reaches the final state of the solution, and the flow."""
     end = s.leg.x(s.leg.breaks[-1])
     flows = []
     for finer in GRIDS:

@@ -393,7 +393,6 @@ class Phase(Strict):
         states : array (n_states, K), optional
             LOWER or UPPER: at that bound, INTERIOR: within the bounds, RELEASED: without bounds. A bound of higher
             order (the state's derivative contains no control) needs a junction at the start of the arc.
-        smooth : tuple of Smooth
         smooth, junctions : tuple
             Controls that are one polynomial over several segments; mesh breaks at which a state reaches its bound.
         """
