@@ -4,11 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names for type checkers
-    from gnc_opt.analysis import (
-        LinearCovariance,
-        Scenario,
-        linear_covariance,
-    )
+    from gnc_opt.analysis import LinearCovariance, Scenario, linear_covariance
     from gnc_opt.control import (
         Controller,
         DesignReport,
@@ -34,25 +30,11 @@ if TYPE_CHECKING:  # the same names for type checkers
         UnknownAttributeError,
         UnknownNameError,
     )
-    from gnc_opt.estimation import (
-        design_ekf,
-        design_ukf,
-        output_feedback,
-    )
-    from gnc_opt.guidance import (
-        design_neighbouring_optimal,
-    )
-    from gnc_opt.model import (
-        Model,
-    )
-    from gnc_opt.model.expressions import (
-        smooth_abs,
-    )
-    from gnc_opt.model.table import (
-        Table,
-        table,
-        table_from_csv,
-    )
+    from gnc_opt.estimation import design_ekf, design_ukf, output_feedback
+    from gnc_opt.guidance import design_neighbouring_optimal
+    from gnc_opt.model import Model
+    from gnc_opt.model.expressions import smooth_abs
+    from gnc_opt.model.table import Table, table, table_from_csv
     from gnc_opt.planning import (
         Arc,
         ArcKind,
@@ -92,14 +74,7 @@ if TYPE_CHECKING:  # the same names for type checkers
         verify,
         verify_trajectory,
     )
-    from gnc_opt.simulation import (
-        Campaign,
-        ClosedLoop,
-        Outcome,
-        Run,
-        RunStatus,
-        monte_carlo,
-    )
+    from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus, monte_carlo
 
 __all__ = [
     "Arc",

@@ -53,14 +53,16 @@ class Packing:
             return {"type": self._get_type_name(value, place), "value": value.value}
         if is_dataclass(value):
             members = {
-                name: self.pack(getattr(value, name), _join(place, name), arrays)
+                name: self.pack(getattr(value, name), _field_path(place, name), arrays)
                 for name in self.stored_fields(type(value))
             }
             return {"type": self._get_type_name(value, place), "fields": members}
         if isinstance(value, Mapping):
             if not all(isinstance(key, str) for key in value):
                 raise GncOptError(f"'{place}' cannot be saved: its keys are not all names.")
-            return {"map": {key: self.pack(item, _join(place, key), arrays) for key, item in value.items()}}
+            return {
+                "map": {key: self.pack(item, _field_path(place, key), arrays) for key, item in value.items()}
+            }
         if isinstance(value, (tuple, list)):
             return self._pack_sequence(value, place, arrays)
         if isinstance(value, (float, np.floating)):
@@ -95,7 +97,7 @@ class Packing:
         if _are_stackable_arrays(value):
             whole = _store_array(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
-        trees = [self.pack(item, _join(place, str(i)), arrays) for i, item in enumerate(value)]
+        trees = [self.pack(item, _field_path(place, str(i)), arrays) for i, item in enumerate(value)]
         if not all(is_dataclass(item) for item in value):
             return trees
         texts = [json.dumps(tree) for tree in trees]
@@ -107,12 +109,11 @@ class Packing:
 
     def _get_type_name(self, value: Any, place: str) -> str:
         if type(value) not in self.classes:
-            raise _make_type_error(value, place)
+            raise _unpackable_type_error(value, place)
         return type(value).__name__
 
 
 def _are_stackable_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
-    """Return whether the values are arrays of equal shape and type."""
     if not value or not all(isinstance(item, np.ndarray) and item.ndim for item in value):
         return False
     return len({(item.dtype, item.shape[:-1]) for item in value}) == 1
@@ -132,14 +133,14 @@ def _store_array(array: Array, place: str, arrays: Arrays) -> str:
 def _to_plain_value(value: Any, place: str) -> Any:
     if value is None or isinstance(value, (str, bool, int)):
         return value
-    raise _make_type_error(value, place)
+    raise _unpackable_type_error(value, place)
 
 
-def _make_type_error(value: Any, place: str) -> GncOptError:
+def _unpackable_type_error(value: Any, place: str) -> GncOptError:
     return GncOptError(f"'{place}' cannot be saved: files cannot store a {type(value).__name__}.")
 
 
-def _join(place: str, name: str) -> str:
+def _field_path(place: str, name: str) -> str:
     return f"{place}.{name}" if place else name
 
 
@@ -201,9 +202,9 @@ class FileFormat:
             values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)
         except Exception as error:  # any error: the tree does not describe a result
-            raise _make_damage_error(path, self.noun) from error
+            raise _damaged_file_error(path, self.noun) from error
         if not isinstance(result, self.kind):
-            raise _make_damage_error(path, self.noun)
+            raise _damaged_file_error(path, self.noun)
         return result, values
 
     @property
@@ -230,7 +231,7 @@ def write_atomically(target: Path) -> Iterator[IO[bytes]]:
     try:
         with os.fdopen(handle, "wb") as stream:
             yield stream
-        os.chmod(name, 0o666 & ~_get_umask())
+        os.chmod(name, 0o666 & ~_read_file_umask())
         os.replace(name, target)
     except BaseException as error:
         with contextlib.suppress(OSError):
@@ -243,16 +244,16 @@ def write_atomically(target: Path) -> Iterator[IO[bytes]]:
 def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
     with Path(path).open("rb") as stream:
         try:
-            entries = _read_verified_arrays(stream)
+            entries = _read_checked_arrays(stream)
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
         except _NoArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
         except Exception as error:  # zipfile, zlib, NumPy and JSON raise different errors
-            raise _make_damage_error(path, noun) from error
+            raise _damaged_file_error(path, noun) from error
     return header, entries
 
 
-def _make_damage_error(path: str | Path, noun: str) -> GncOptError:
+def _damaged_file_error(path: str | Path, noun: str) -> GncOptError:
     return GncOptError(f"'{path}' is damaged: its content is not a complete {noun}; save it again.")
 
 
@@ -260,7 +261,7 @@ class _NoArchive(Exception):
     """The file is not a zip archive."""
 
 
-def _read_verified_arrays(stream: BinaryIO) -> dict[str, Array]:
+def _read_checked_arrays(stream: BinaryIO) -> dict[str, Array]:
     """Return all arrays of an archive after verifying their checksums, which NumPy does not do completely."""
     if not zipfile.is_zipfile(stream):
         raise _NoArchive
@@ -273,7 +274,7 @@ def _read_verified_arrays(stream: BinaryIO) -> dict[str, Array]:
         return {name: arrays[name] for name in arrays.files}
 
 
-def _get_umask() -> int:
+def _read_file_umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, did_you_mean, quote
 from gnc_opt.renamed import RENAMED_PARAMETERS
 
 P = ParamSpec("P")
@@ -61,10 +61,12 @@ class Strict:
         if isinstance(known, MemberDescriptorType) or hasattr(self, "__dict__"):
             object.__setattr__(self, name, value)
         elif callable(known):
-            raise UnknownAttributeError(f"{_called(self)} sets {name} by a method call: write {name}(...).")
+            raise UnknownAttributeError(
+                f"{_format_call(self)} sets {name} by a method call: write {name}(...)."
+            )
         elif known is not None:
             raise UnknownAttributeError(
-                f"'{name}' of {_called(self)} follows from its declarations: change those."
+                f"'{name}' of {_format_call(self)} follows from its declarations: change those."
             )
         else:
             raise _make_attribute_error(self, name)
@@ -81,10 +83,10 @@ def _make_attribute_error(instance: Strict, name: str) -> UnknownAttributeError:
     public = [known for known in dir(type(instance)) if not known.startswith("_")]
     owners = [c.__name__ for c in _find_leaf_classes(Strict) if not name.startswith("_") and hasattr(c, name)]
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else did_you_mean(name, public)
-    return UnknownAttributeError(f"{_called(instance)} has no '{name}': {remedy}")
+    return UnknownAttributeError(f"{_format_call(instance)} has no '{name}': {remedy}")
 
 
-def _called(instance: Strict) -> str:
+def _format_call(instance: Strict) -> str:
     kind = type(instance).__name__.lower()
     try:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"
@@ -93,7 +95,6 @@ def _called(instance: Strict) -> str:
 
 
 def _find_leaf_classes(kind: type) -> list[type]:
-    """Return the subclasses without subclasses, the public ones."""
     below: list[type] = kind.__subclasses__()
     return [leaf for c in below for leaf in _find_leaf_classes(c)] if below else [kind]
 
@@ -123,7 +124,7 @@ def require_distinct(names: Sequence[str], what: str) -> None:
 def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:
     """Return a name that is a valid keyword argument, for variables and phases."""
     if not isinstance(name, str) or not name.isidentifier():
-        raise error(f"{shown(name)} cannot be the name of a {what}: use letters, digits and underscores.")
+        raise error(f"{quote(name)} cannot be the name of a {what}: use letters, digits and underscores.")
     if keyword.iskeyword(name) or name == "time":
         raise error(f"'{name}' is a reserved word and cannot be the name of a {what}: write '{name}_'.")
     return name
@@ -139,16 +140,16 @@ def read_label(
     """Return a name for results and reports: any text without brackets."""
     article = "an" if what[:1] in "aeiou" else "a"
     if not isinstance(name, str):
-        raise error(f"{shown(name)} cannot be the name of {article} {what}: {instead}.")
+        raise error(f"{quote(name)} cannot be the name of {article} {what}: {instead}.")
     if not name.strip() or "[" in name:
-        raise error(f"{shown(name)} cannot be the name of {article} {what}: give a text without brackets.")
+        raise error(f"{quote(name)} cannot be the name of {article} {what}: give a text without brackets.")
     return name
 
 
 def read_integer(value: Any, what: str, least: int, error: ErrorType = ArgumentError) -> int:
     """Return a whole number that is not less than ``least``."""
     if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < least:
-        raise error(f"{what} is {shown(value)}: give an integer >= {least}.")
+        raise error(f"{what} is {quote(value)}: give an integer >= {least}.")
     return int(value)
 
 
@@ -159,14 +160,14 @@ def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or
             number = float(value)
             if np.isfinite(number) and (number > 0 or (or_zero and number == 0)):
                 return number
-    raise error(f"{what} is {shown(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
+    raise error(f"{what} is {quote(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
 
 
 def read_probability(value: Any, what: str, error: ErrorType = ArgumentError) -> float:
     """Return a number in (0, 1)."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < float(value) < 1:
         return float(value)
-    raise error(f"{what} is {shown(value)}: give a number between 0 and 1.")
+    raise error(f"{what} is {quote(value)}: give a number between 0 and 1.")
 
 
 def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
@@ -176,7 +177,7 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
     if isinstance(value, ca.DM):
         value = value.full()
     if _contains_symbols(value):
-        raise error(f"{what} is the expression {shown(value)} where numbers are needed: give numbers.")
+        raise error(f"{what} is the expression {quote(value)} where numbers are needed: give numbers.")
     try:
         array = np.asarray(value)
         real = array.dtype.kind in "biuf" or all(isinstance(entry, numbers.Real) for entry in array.flat)
@@ -184,7 +185,7 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
             return np.array(array, dtype=float)
     except (TypeError, ValueError, OverflowError):  # ragged rows, or objects without conversion
         pass
-    raise error(f"{what} is {shown(value)}, which is not a number or an array of numbers.")
+    raise error(f"{what} is {quote(value)}, which is not a number or an array of numbers.")
 
 
 def _contains_symbols(value: Any) -> bool:

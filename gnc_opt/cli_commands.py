@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gnc_opt.errors import GncOptError, ProblemWarning
-from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_setting
+from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_option
 from gnc_opt.templates import write_template
-from gnc_opt.text_formatting import counted, json_text
+from gnc_opt.text_formatting import count_text, json_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,8 +56,8 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
 
     _check_output_paths(args)
     console = _select_console(args)
-    with _format_warnings():
-        file, problem = _load_and_build(args)
+    with _print_warning_format():
+        file, problem = _load_problem(args)
         solution = solve(
             problem,
             mesh=args.mesh or file.mesh,
@@ -84,8 +84,8 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.report import search_dict, write_json
 
     _check_output_paths(args)
-    options = dict(parse_setting(text) for text in args.set)
-    with _format_warnings():
+    options = dict(parse_option(text) for text in args.set)
+    with _print_warning_format():
         file = load_problem_file(args.file)
         found = multistart(
             partial(_build_problem_from_file, args.file, options),
@@ -113,8 +113,8 @@ def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
 
 
 def check_command(args: argparse.Namespace) -> ExitCode:
-    with _format_warnings():
-        file, problem = _load_and_build(args)
+    with _print_warning_format():
+        file, problem = _load_problem(args)
         problem.check()
     _print_text(_select_console(args), _describe_problem(file, problem))
     return ExitCode.OK
@@ -137,8 +137,8 @@ def examples_command(args: argparse.Namespace) -> int:
     return ExitCode.OK
 
 
-def _load_and_build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
-    options = dict(parse_setting(text) for text in args.set)
+def _load_problem(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
+    options = dict(parse_option(text) for text in args.set)
     file = load_problem_file(args.file)
     return file, file.build(options)
 
@@ -202,13 +202,13 @@ def _describe_problem(file: ProblemFile, problem: Problem) -> str:
     for leg in problem.phases.values():
         states, controls = leg.model.states, leg.model.controls
         lines.append(
-            f"  phase {leg.name}: {counted(states.size, 'state')} ({', '.join(states.names)}), "
-            f"{counted(controls.size, 'control')} ({', '.join(controls.names)}), "
-            f"{counted(len(leg.path_labels), 'path constraint')}, {counted(len(leg.integrands), 'integral')}"
+            f"  phase {leg.name}: {count_text(states.size, 'state')} ({', '.join(states.names)}), "
+            f"{count_text(controls.size, 'control')} ({', '.join(controls.names)}), "
+            f"{count_text(len(leg.path_labels), 'path constraint')}, {count_text(len(leg.integrands), 'integral')}"
         )
     lines.append(
-        f"  {counted(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
-        f"{counted(problem.parameters.size, 'free parameter')}, "
+        f"  {count_text(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
+        f"{count_text(problem.parameters.size, 'free parameter')}, "
         f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
     options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.options.values())
@@ -227,7 +227,7 @@ def _check_output_paths(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _format_warnings() -> Iterator[None]:
+def _print_warning_format() -> Iterator[None]:
     """Show warnings of gnc_opt on one line without their source location; other warnings are unchanged."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

@@ -56,7 +56,7 @@ def warn_user(message: str) -> None:
     warnings.warn(message, ProblemWarning, stacklevel=depth + 1)
 
 
-def shown(value: object) -> str:
+def quote(value: object) -> str:
     """Return a short one-line form of a value for messages."""
     return " ".join(reprlib.repr(value).split())
 
@@ -80,7 +80,7 @@ def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> U
     """Return the error for an undeclared name, for example ``unknown_name("state", "vv", "model 'cart'", ...)``."""
     if not isinstance(name, str):
         return UnknownNameError(
-            f"{where} has no {what} {shown(name)}: give a name, {did_you_mean('', known)}"
+            f"{where} has no {what} {quote(name)}: give a name, {did_you_mean('', known)}"
         )
     return UnknownNameError(f"{where} has no {what} '{name}': {did_you_mean(name, known)}")
 

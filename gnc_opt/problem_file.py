@@ -208,7 +208,7 @@ def _resolve_source_path(path: Path) -> Path:
 
 def _execute_file(file: Path) -> ModuleType:
     folder = file.resolve().parent
-    _prepend_import_paths(_find_import_root(folder), folder.parent, folder)
+    _with_import_paths(_find_import_root(folder), folder.parent, folder)
     spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
@@ -220,10 +220,9 @@ def _execute_file(file: Path) -> ModuleType:
 
 
 def _import_package(folder: Path) -> ModuleType:
-    """Import a package under its own name, which its modules use in imports."""
     holder = _find_import_root(folder.resolve())
     names = folder.resolve().relative_to(holder).parts
-    _prepend_import_paths(holder)
+    _with_import_paths(holder)
     with _name_failing_line(folder, "the package"):
         outermost = importlib.import_module(names[0])
         if str(holder / names[0]) not in (str(Path(p).resolve()) for p in getattr(outermost, "__path__", [])):
@@ -239,14 +238,13 @@ def _find_import_root(folder: Path) -> Path:
     return next((above for above in folder.parents if not (above / _INIT).is_file()), folder)
 
 
-def _prepend_import_paths(*folders: Path) -> None:
-    """Add folders to the import path, the last one first."""
+def _with_import_paths(*folders: Path) -> None:
     for folder in folders:
         if str(folder) not in sys.path:
             sys.path.insert(0, str(folder))
 
 
-def parse_setting(text: str) -> tuple[str, Any]:
+def parse_option(text: str) -> tuple[str, Any]:
     """Parse ``NAME=VALUE``: an integer, float, true/false, none, JSON list or string; else `ProblemFileError`."""
     name, equals, value = text.partition("=")
     name = name.strip()
@@ -282,10 +280,10 @@ def _name_failing_line(path: Path, what: str) -> Iterator[None]:
         raise ProblemFileError(f"{path}: {what} ends the program (exit code {error.code}).") from error
     except Exception as error:
         place = _find_failing_line(path, error)
-        raise ProblemFileError(f"{place}: {_format_reason(error)}") from error
+        raise ProblemFileError(f"{place}: {_error_reason(error)}") from error
 
 
-def _format_reason(error: Exception) -> str:
+def _error_reason(error: Exception) -> str:
     """Return the error message, with its type if it is not from gnc_opt, and a hint for rejected expressions."""
     if isinstance(error, GncOptError):
         return str(error)

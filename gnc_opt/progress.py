@@ -24,7 +24,7 @@ def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
 
     On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
     """
-    console = _make_console() if console is None else console
+    console = _make_rich_console() if console is None else console
     meter = _Meter(name, console)
     try:
         yield meter.show
@@ -68,7 +68,7 @@ class _Meter:
 @contextmanager
 def refinement_meter(name: str, tolerance: float, console: Console | None = None) -> Iterator[ShowPass]:
     """Show each completed iteration of a refinement to a tolerance; yields ``show(record)``."""
-    console = _make_console() if console is None else console
+    console = _make_rich_console() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
     count = 0
     with console.status("solving") as status:
@@ -92,7 +92,7 @@ def search_meter(
     name: str, total: int, sense: float = 1.0, console: Console | None = None
 ) -> Iterator[ShowEnding]:
     """Show completed tasks and the best objective; yields ``show(objective)``; ``sense`` < 0: maximise."""
-    with _bar(name, total, console) as advance:
+    with _progress_bar(name, total, console) as advance:
         best: float | None = None
 
         def show(objective: float | None) -> None:
@@ -107,7 +107,7 @@ def search_meter(
 @contextmanager
 def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
     """Show the numbers of completed and failed runs; yields ``show(runs, failed)`` for additional runs."""
-    with _bar("runs", total, console) as advance:
+    with _progress_bar("runs", total, console) as advance:
         all_failed = 0
 
         def show(runs: int, failed: int) -> None:
@@ -119,9 +119,9 @@ def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowR
 
 
 @contextmanager
-def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
+def _progress_bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
     """Show a progress bar; yields ``advance(count, note)``, with a note after the bar."""
-    console = _make_console() if console is None else console
+    console = _make_rich_console() if console is None else console
     columns = (
         TextColumn("{task.description}", style="bold"),
         BarColumn(),
@@ -138,7 +138,7 @@ def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[i
         yield advance
 
 
-def _make_console() -> Console:
+def _make_rich_console() -> Console:
     """Return a console on standard error; notebooks overwrite lines as terminals do, without widgets."""
     notebook = Console().is_jupyter
     return Console(stderr=True, force_jupyter=False, force_terminal=True if notebook else None)

@@ -39,12 +39,12 @@ def package_version(name: str) -> str:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Limit BLAS and LAPACK to one thread, as context manager or decorator."""
-    with _get_thread_controller().limit(limits=1, user_api="blas"):
+    with _find_thread_controller().limit(limits=1, user_api="blas"):
         yield
 
 
 @cache
-def _get_thread_controller() -> Any:
+def _find_thread_controller() -> Any:
     import scipy.linalg  # noqa: F401  (brings a library of its own, which must be there to be found)
     from threadpoolctl import ThreadpoolController
 

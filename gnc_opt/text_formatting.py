@@ -16,7 +16,7 @@ def html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
-def counted(number: int, noun: str) -> str:
+def count_text(number: int, noun: str) -> str:
     """Return "1 state", "2 states"."""
     return f"{number} {noun}{'s' * (number != 1)}"
 

@@ -11,7 +11,7 @@ from rich import box
 from rich.table import Table
 
 from gnc_opt.simulation import Campaign
-from gnc_opt.simulation.campaign_text import campaign_dict
+from gnc_opt.simulation.campaign_tables import campaign_dict
 
 
 def parser(prog: str, description: str) -> argparse.ArgumentParser:

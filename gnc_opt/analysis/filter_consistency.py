@@ -184,7 +184,6 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
 
 
 def _compute_nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[Array, int]:
-    """Return the NEES of all columns, and the number of components."""
     there = flown.layouts["state"]
     shared = [name for name in estimator.states.names if name in there]
     if not shared:
@@ -240,13 +239,13 @@ def _compute_chi_square_interval(
     """Return the equal-tailed interval of the mean of independent (gated) chi-square values."""
     if values < 1:
         return float("nan"), float("nan")
-    mean, freedom = (components, components) if gate is None else _compute_gated_chi_square(components, gate)
+    mean, freedom = (components, components) if gate is None else _gated_chi_square_interval(components, gate)
     tails = [0.5 - confidence / 2, 0.5 + confidence / 2]
     low, high = scipy.stats.chi2.ppf(tails, freedom * values).tolist()
     return mean * low / (freedom * values), mean * high / (freedom * values)
 
 
-def _compute_gated_chi_square(components: int, gate: float) -> tuple[float, float]:
+def _gated_chi_square_interval(components: int, gate: float) -> tuple[float, float]:
     """Return the mean of a gated chi-square value, and the degrees of freedom of the equivalent scaled chi-square."""
     half, limit = components / 2, float(scipy.stats.chi2.ppf(gate, components)) / 2
     first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))

@@ -156,7 +156,7 @@ def sobol_indices(
         raise GncOptError(
             f"of {count} rows {count - np.sum(usable)} have a failed run: reduce the dispersions."
         )
-    return _bootstrap_indices(measure, design.factors, f[:, usable], count, level, scenario.seed)
+    return _bootstrap_indices(measure, design.factor_names, f[:, usable], count, level, scenario.seed)
 
 
 def _bootstrap_indices(
@@ -205,7 +205,7 @@ class _Design:
     measure: str
 
     @property
-    def factors(self) -> tuple[str, ...]:
+    def factor_names(self) -> tuple[str, ...]:
         noise = (NOISE,) if self.scenario.noise_size else ()
         return (*self.scenario.dispersions, *noise)
 
@@ -219,14 +219,14 @@ class _Design:
             for s in (2 * self.scenario.seed, 2 * self.scenario.seed + 1)
         )
         numbers = [[[2 * self.scenario.seed + k, i] for i in rows] for k in (0, 1)]
-        found = [self._measure_values(a, numbers[0]), self._measure_values(b, numbers[1])]
+        found = [self._evaluate_measures(a, numbers[0]), self._evaluate_measures(b, numbers[1])]
         for name in dispersions:
             mixed, place = a.copy(), flight.layout.slice(name)
             mixed[place] = b[place]
-            found.append(self._measure_values(mixed, numbers[0]))
+            found.append(self._evaluate_measures(mixed, numbers[0]))
         if self.scenario.noise_size:
-            found.append(self._measure_values(a, numbers[1]))
+            found.append(self._evaluate_measures(a, numbers[1]))
         return np.stack(found)
 
-    def _measure_values(self, P: Array, seeds: list[list[int]]) -> Array:
+    def _evaluate_measures(self, P: Array, seeds: list[list[int]]) -> Array:
         return self.scenario.values(self.measure, P, seeds)

@@ -31,7 +31,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text_formatting import Printed, counted
+from gnc_opt.text_formatting import Printed, count_text
 from gnc_opt.tolerances import TINY
 
 
@@ -41,19 +41,19 @@ def format_covariance_table(found: LinearCovariance) -> str:
     width = max([5, *map(len, layout.names)])
     units = max([1, *(len(v.unit) for v in layout.variables)])
     lines = [
-        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {counted(len(found.sources), 'source')}",
+        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {count_text(len(found.sources), 'source')}",
         f"  {'at the end':{width + units + 1}}  1 sigma   sources",
     ]
     for variable in layout.variables:
         sigma = float(np.linalg.norm(found.std(variable.name)[:, -1]))
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
         shares = [(s, share) for s, share in found.budget(variable.name).items() if share > 0][:3]
-        lines.append((line + ", ".join(f"{s} {_format_percent(share)}" for s, share in shares)).rstrip())
+        lines.append((line + ", ".join(f"{s} {_percent_text(share)}" for s, share in shares)).rstrip())
     lines.append("  sources: shares of the variance")
     return "\n".join(lines)
 
 
-def _format_percent(share: float) -> str:
+def _percent_text(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
@@ -188,7 +188,7 @@ def linear_covariance(
     linearization = Linearization(flight, scenario.loop.wiring, columns)
     if linearization.nominal_nis() <= FROZEN_GAINS_MAX_NIS:
         linearization = replace(linearization, hold=True)
-    return _Pass(linearization, dispersions, every).result()
+    return _Pass(linearization, dispersions, every).propagate_covariance()
 
 
 class _Pass:
@@ -200,7 +200,7 @@ class _Pass:
         layout, nominal = self.flight.layout, self.flight.nominal
         moments = {name: d.moments(nominal[layout.slice(name)]) for name, d in dispersions.items()}
         self.shift = np.concatenate([np.empty(0), *[mean for mean, _ in moments.values()]])
-        numbers = linearization.noises
+        numbers = linearization.linearize_noises
         units = [np.eye(place.stop - place.start) for place in numbers.values()]
         self.sources = Sources(
             (*moments, *numbers),
@@ -211,11 +211,11 @@ class _Pass:
         self.covariances: dict[str, list[Array]] = {kind: [] for kind in ("error", *_KINDS)}
         self.mean: list[Array] = []
 
-    def result(self) -> LinearCovariance:
+    def propagate_covariance(self) -> LinearCovariance:
         """Return the covariances."""
-        X, g, h = self.linearization.start()
+        X, g, h = self.linearization.linearize_initial_state()
         scatter = Scatter.first(self.sources, g, h)
-        for k, step in enumerate(self.linearization.steps(X)):
+        for k, step in enumerate(self.linearization.linearize_steps(X)):
             first = k == 0
             if k % self.every == 0:
                 self._store_state_covariance(X, scatter)

@@ -85,7 +85,7 @@ class Linearization:
         return Places(tuple((name, sizes[name]) for name in OUTPUTS))
 
     @cached_property
-    def noises(self) -> dict[str, slice]:
+    def linearize_noises(self) -> dict[str, slice]:
         """Slices of n for the blocks that draw random numbers, by block name."""
         blocks = {
             f"{kind} {i}": link.block.name
@@ -104,7 +104,7 @@ class Linearization:
                 at += size
         return found
 
-    def start(self) -> tuple[Array, Array, Array]:
+    def linearize_initial_state(self) -> tuple[Array, Array, Array]:
         """Return the nominal initial X (n_X,), and its derivatives in the initial noise and the parameters."""
         kernel, P = self.flight.kernel, self.flight.nominal
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
@@ -120,13 +120,13 @@ class Linearization:
         memory, kernel = self.wiring.controller.memory, self.flight.kernel
         if COVARIANCE not in memory:
             return 0.0
-        C, X = kernel.constants(self.flight.nominal), self.start()[0]
+        C, X = kernel.constants(self.flight.nominal), self.linearize_initial_state()[0]
         for row in self._known_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
 
-    def steps(self, X: Array) -> Iterator[LinearStep]:
+    def linearize_steps(self, X: Array) -> Iterator[LinearStep]:
         """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])

@@ -90,7 +90,7 @@ class LoopResponse(Strict):
         left = np.eye(closed.shape[1]) + closed
         if np.any(np.linalg.norm(left, -2, axis=(1, 2)) <= ROUNDING * np.linalg.norm(closed, 2, axis=(1, 2))):
             raise _estimate_pole_error()
-        return _solve_systems(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
+        return _solve_linear_systems(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return the sensitivity S, (n_omega, m, m) complex, from d to the input of the actuators."""
@@ -172,7 +172,7 @@ class LoopResponse(Strict):
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
         return np.asarray(
-            c @ _solve_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
+            c @ _solve_linear_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
         )
 
     def _read_instant(self, index: int) -> int:
@@ -188,7 +188,7 @@ class LoopResponse(Strict):
         return command
 
 
-def _solve_systems(matrices: Array, columns: Array) -> Array:
+def _solve_linear_systems(matrices: Array, columns: Array) -> Array:
     """Return the solutions of systems at some frequencies, (n_omega, n, m)."""
     try:
         return np.asarray(np.linalg.solve(matrices, columns))
@@ -253,8 +253,8 @@ def loop_response(
     linearization = Linearization(flight, opened.wiring, columns)
     rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
     found = []
-    X = linearization.start()[0]
-    for k, step in enumerate(linearization.steps(X)):
+    X = linearization.linearize_initial_state()[0]
+    for k, step in enumerate(linearization.linearize_steps(X)):
         if k in wanted:
             found.append((step.a, step.h, step.c[rows]))
         if k == wanted[-1]:

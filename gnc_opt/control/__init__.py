@@ -10,22 +10,12 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.fmu_export import Fmu, export_fmu
-from gnc_opt.control.input_output_linearization import (
-    lie_derivative,
-    output_errors,
-    zero_dynamics,
-)
+from gnc_opt.control.input_output_linearization import lie_derivative, output_errors, zero_dynamics
 from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.control.lqr import design_lqr
 from gnc_opt.control.mpc import design_mpc
 from gnc_opt.control.quadratic_cost import bryson
-from gnc_opt.control.reaching_laws import (
-    ConstantRate,
-    ExponentialRate,
-    SaturationLayer,
-    Sign,
-    SuperTwisting,
-)
+from gnc_opt.control.reaching_laws import ConstantRate, ExponentialRate, SaturationLayer, Sign, SuperTwisting
 from gnc_opt.control.reference import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver

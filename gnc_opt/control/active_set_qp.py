@@ -14,7 +14,7 @@ from gnc_opt.control.c_export.c_writer import CNumbers
 from gnc_opt.control.control_limits import clip
 from gnc_opt.control.controller import Controller, FlightLaw, initial_state_function, law
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
+from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.horizon_qp import Rows
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
@@ -53,14 +53,14 @@ class ProgrammeCode:
         return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
-    def stack(self) -> int:
+    def stack_entries(self) -> int:
         """Largest number of entries on the stack of a call."""
         m, size = self.rows.lower.size, self.unknowns
         n = self.matrices[0].shape[1]
         active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1
         return int(active + 4 * self.limits + 6 * (size + 1) + 2 * n + 3 * m)
 
-    def text(self, numbers: CNumbers) -> str:
+    def c_text(self, numbers: CNumbers) -> str:
         """Return the C code, to be placed after a table ``schedule[N_ROWS][.]``."""
         rows, m, n = self.rows, self.rows.lower.size, self.matrices[0].shape[1]
         slack = [
@@ -94,7 +94,7 @@ class ProgrammeCode:
         for name, entries in places.items():
             lines.append(f"static const int {name}[] = {{{', '.join(map(str, entries or (0,)))}}};")
         steps = [
-            "{" + ", ".join(numbers.nested(table[k]) for table in self.matrices) + "}"
+            "{" + ", ".join(numbers.nested_initializer(table[k]) for table in self.matrices) + "}"
             for k in range(len(self.matrices[0]))
         ]
         lines += ["static const matrices steps[N_TABLES] = {", ",\n".join(steps), "};", ""]
@@ -106,7 +106,7 @@ class ProgrammeCode:
             "}",
             "",
         ]
-        return "\n".join([*lines, numbers.typed(_SOURCE.read_text(encoding="ascii"))])
+        return "\n".join([*lines, numbers.typed_literal(_SOURCE.read_text(encoding="ascii"))])
 
     # --- internals ----------------------------------------------------------------------------------------
 
@@ -150,12 +150,12 @@ def build_flight_law(
     code: ProgrammeCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> FlightLaw:
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
-    signals = reference_signal_layout(reference, Variable("row", 1))
+    signals = build_reference_layout(reference, Variable("row", 1))
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", m + 1)
     x_ref, u_ff, number = ca.vertsplit(r, [0, x.numel(), x.numel() + m, x.numel() + m + 1])
     previous, alarm = ca.vertsplit(z, [0, m, m + 1])
-    e = deviation.expression(x, x_ref)
+    e = deviation.error_expression(x, x_ref)
     v, solved = _qp_solver_placeholder(e.numel(), m)(number, e, previous)
     u = limit_command(u_ff + v, previous, rows)
     first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)

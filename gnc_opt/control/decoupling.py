@@ -19,8 +19,8 @@ from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import (
     ReferenceSchedule,
     StackedSchedule,
+    build_reference_layout,
     reference_sample_times,
-    reference_signal_layout,
 )
 from gnc_opt.control.input_output_linearization import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
@@ -160,7 +160,7 @@ def build_guarded_controller(
     alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)
     if nominal is not None:
         variables += nominal.variables
-        inner_signals = nominal.signals
+        inner_signals = nominal.nominal_signals
         alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
         schedule = StackedSchedule(schedule, nominal.controller.schedule)
         z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
@@ -173,7 +173,7 @@ def build_guarded_controller(
         start=initial_state_function(pair.t, pair.x, r, start),
         states=model.states,
         commands=model.controls,
-        signals=reference_signal_layout(reference, *inner_signals),
+        signals=build_reference_layout(reference, *inner_signals),
         memory=Layout("memory", tuple(variables), f"controller '{name}'"),
         schedule=schedule,
         explanation=explanation,
@@ -212,15 +212,15 @@ class Nominal:
     @property
     def variables(self) -> list[Variable]:
         """Memory of the nominal controller, with prefixed names."""
-        return [_add_nominal_prefix(v) for v in self.controller.memory.variables]
+        return [_prefix_nominal_names(v) for v in self.controller.memory.variables]
 
     @property
-    def signals(self) -> list[Variable]:
+    def nominal_signals(self) -> list[Variable]:
         """Signals of the nominal controller, with prefixed names."""
-        return [_add_nominal_prefix(v) for v in self.controller.signals.variables]
+        return [_prefix_nominal_names(v) for v in self.controller.signals.variables]
 
 
-def _add_nominal_prefix(variable: Variable) -> Variable:
+def _prefix_nominal_names(variable: Variable) -> Variable:
     return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
 
 

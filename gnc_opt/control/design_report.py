@@ -80,7 +80,7 @@ class DesignReport(Strict):
     def __str__(self) -> str:
         rows = [
             ("quantity", "value", "unit", "remark"),
-            *(row for fact in self.facts for row in _entry_rows(fact)),
+            *(row for fact in self.facts for row in _entry_table_rows(fact)),
         ]
         widths = [max(len(row[k]) for row in rows) for k in range(3)]
         widths[1] = min(widths[1], REPORT_VALUE_WIDTH)
@@ -92,8 +92,7 @@ class DesignReport(Strict):
         return html_heading(self.title) + html_table(("quantity", "value", "unit", "remark"), rows)
 
 
-def _entry_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
-    """Return the table rows of one entry, one for each row of a matrix."""
+def _entry_table_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
     first, *more = _format_value(fact).splitlines()
     return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
 
@@ -104,11 +103,11 @@ def _format_value(fact: ReportEntry) -> str:
         return fact.value
     array = np.asarray(fact.value)
     if array.ndim == 2:
-        return "\n".join(_format_list(row) for row in array)
-    return _format_list(np.atleast_1d(array))
+        return "\n".join(_list_text(row) for row in array)
+    return _list_text(np.atleast_1d(array))
 
 
-def _format_list(values: Array) -> str:
+def _list_text(values: Array) -> str:
     texts, left = [], list(values)
     while left:
         value = left.pop(0)

@@ -91,8 +91,8 @@ def with_dropout_handling(
         Variable("lost", 1),
         Variable(INVALID, 1),
     )
-    step, start = _bridged_law_functions(inner, inner.step, hold, given)
-    easy = None if inner.easy is None else _bridged_law_functions(inner, inner.easy, hold, given)[0]
+    step, start = _build_bridged_law(inner, inner.step, hold, given)
+    easy = None if inner.easy is None else _build_bridged_law(inner, inner.easy, hold, given)[0]
     flight = inner.flight
     if flight is not None:
         flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
@@ -114,7 +114,7 @@ def with_dropout_handling(
     )
 
 
-def _bridged_law_functions(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
+def _build_bridged_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
     """Return law and initial memory of the controller with dropout handling, for the full or the easy law."""
     states, size = inner.states.size, inner.memory.size
     kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX

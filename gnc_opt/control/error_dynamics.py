@@ -47,7 +47,7 @@ class ErrorDynamics:
         self._x, self._u = xs, us
         self._x_ref = ca.SX.sym("x_ref", model.states.size)
 
-    def expression(self, x: Any, x_ref: Any) -> Any:
+    def error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return e as an SX expression of SX columns x and x_ref."""
         return self.model.error_expression(x, x_ref)
 
@@ -92,7 +92,7 @@ class ErrorDynamics:
 
     @cached_property
     def _error_function(self) -> Any:
-        return ca.Function("e", [self._x, self._x_ref], [self.expression(self._x, self._x_ref)])
+        return ca.Function("e", [self._x, self._x_ref], [self.error_expression(self._x, self._x_ref)])
 
     @cached_property
     def _jacobian_function(self) -> Any:
@@ -100,7 +100,7 @@ class ErrorDynamics:
         x_ref, u_ref = self._x_ref, ca.SX.sym("u_ref", u.shape)
         f = self.model.derivative()
         f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
-        e = self.expression(x, x_ref)
+        e = self.error_expression(x, x_ref)
         rate = ca.jtimes(e, x, f) + ca.jtimes(e, x_ref, f_ref)
         outputs = [ca.jacobian(e, x), ca.jacobian(rate, x), ca.jacobian(rate, u)]
         here = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]

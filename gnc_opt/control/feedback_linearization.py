@@ -29,8 +29,8 @@ from gnc_opt.control.decoupling import (
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_value, output_errors
-from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, output_errors, read_component
+from gnc_opt.control.reference import Reference, read_plant_model
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
@@ -88,7 +88,7 @@ def design_feedback_linearization(
     >>> print(np.round(u, 6))  # (s + 1)(s + 2) = s^2 + 3 s + 2
     [-2.]
     """
-    reference = read_plant(model, reference, "design_feedback_linearization")
+    reference = read_plant_model(model, reference, "design_feedback_linearization")
     errors = output_errors(model, reference, outputs)
     pair = errors.pair
     authority = read_limits(model, limits)
@@ -166,7 +166,7 @@ def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Se
 def _pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        poles = component_value(label, poles, errors, "the linearisation")
+        poles = read_component(label, poles, errors, "the linearisation")
         if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
     row = np.atleast_1d(np.asarray(poles, dtype=complex))

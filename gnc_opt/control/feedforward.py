@@ -16,7 +16,7 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import SAME_TIME
 
 
-def reference_signal_layout(reference: Reference, *more: Variable) -> Layout:
+def build_reference_layout(reference: Reference, *more: Variable) -> Layout:
     """Return the layout of a schedule: ``<state>_ref``, ``<control>_ff`` (feedforward) and the variables ``more``."""
     states = [replace(v, name=f"{v.name}_ref", nominal=None) for v in reference.states.variables]
     controls = [replace(v, name=f"{v.name}_ff", nominal=None) for v in reference.controls.variables]
@@ -72,7 +72,7 @@ def feedforward(reference: Reference) -> Controller:
     >>> law = go.feedforward(go.Reference(solution))
     """
     expect(reference, Reference, "the argument of feedforward()", "write feedforward(Reference(solution))")
-    signals = reference_signal_layout(reference)
+    signals = build_reference_layout(reference)
     states, controls = reference.states.size, reference.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", 0)

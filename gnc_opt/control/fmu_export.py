@@ -115,7 +115,7 @@ def export_fmu(
         controller = flight_controller(controller).controller
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
-        guid = _compute_source_digest(sources)
+        guid = _source_digest(sources)
         (sources / _LAW_HEADER).write_text(_write_law_header(controller, code, guid), encoding="ascii")
         members = {f"sources/{path.name}": path.read_bytes() for path in sorted(sources.iterdir())}
         members["modelDescription.xml"] = _write_model_description(controller, code, guid)
@@ -125,11 +125,11 @@ def export_fmu(
             name = code.name + _SUFFIXES[sys.platform]
             members[f"binaries/{place}/{name}"] = _compile_library(compiler, sources, code, name)
     file.parent.mkdir(parents=True, exist_ok=True)
-    _write_archive(file, members)
+    _zip_fmu(file, members)
     return Fmu(file, code.name, guid, code.dt, place)
 
 
-def _compute_source_digest(sources: Path) -> str:
+def _source_digest(sources: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(sources.iterdir()):
         digest.update(path.read_bytes())
@@ -182,7 +182,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
         definitions = _add_child(root, "UnitDefinitions")
         for unit in units:
             _add_child(definitions, "Unit", name=unit)
-    _add_child(root, "DefaultExperiment", stepSize=repr(code.dt), **_default_experiment(controller))
+    _add_child(root, "DefaultExperiment", stepSize=repr(code.dt), **_default_experiment_times(controller))
     variables, structure = _add_child(root, "ModelVariables"), _add_child(root, "ModelStructure")
     _add_variables(controller, variables)
     outputs = _add_child(structure, "Outputs")
@@ -194,7 +194,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
     return text
 
 
-def _default_experiment(controller: Controller) -> Mapping[str, str]:
+def _default_experiment_times(controller: Controller) -> Mapping[str, str]:
     times = [] if controller.span is None else [float(t) for t in controller.span]
     names = ("startTime", "stopTime")
     return {name: repr(t) for name, t in zip(names, times, strict=False) if math.isfinite(t)}
@@ -257,7 +257,7 @@ def _compile_library(compiler: str, sources: Path, code: CCode, name: str) -> by
     return library.read_bytes()
 
 
-def _write_archive(file: Path, members: Mapping[str, bytes]) -> None:
+def _zip_fmu(file: Path, members: Mapping[str, bytes]) -> None:
     with write_atomically(file) as stream, zipfile.ZipFile(stream, "w") as archive:
         for name in sorted(members):
             archive.writestr(zipfile.ZipInfo(name, _SAME_DATE), members[name], zipfile.ZIP_DEFLATED)

@@ -33,7 +33,7 @@ class Rows:
     price: Array
 
     @property
-    def count(self) -> int:
+    def n_rows(self) -> int:
         return (
             self.lower.size * (1 if self.change is None else 2)
             + len(self.lower_limited)
@@ -61,7 +61,7 @@ class Rows:
         return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
 
     @property
-    def price_roots(self) -> Array:
+    def price_square_roots(self) -> Array:
         """Square roots of the penalties; scaled by them, squared slacks have weight one."""
         price = self.price[self.soft_limited] * self.state_scale[self.soft_limited] ** 2
         return np.sqrt(np.maximum(price, _LEAST_PRICE))
@@ -104,33 +104,33 @@ class Horizon:
     matrices: list[list[Any]]
 
     @property
-    def count(self) -> int:
+    def n_steps(self) -> int:
         return len(self.matrices[0])
 
     @property
-    def free(self) -> int:
+    def n_free_commands(self) -> int:
         """Number of unknowns without sign restriction."""
-        return self.count * self.rows.lower.size
+        return self.n_steps * self.rows.lower.size
 
     @property
-    def unknowns(self) -> int:
-        return self.free + self.count * len(self.rows.soft_limited)
+    def n_unknowns(self) -> int:
+        return self.n_free_commands + self.n_steps * len(self.rows.soft_limited)
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
         """Return the QP for initial errors, feedforward, limited states and previous command (m,)."""
         rows, m, errors = self.rows, self.rows.lower.size, self._predict_errors(e_0)
-        commands = [self._command_rows(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
+        commands = [self._command_rows(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)]
         found = [_build_interval_rows(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
-            before = (ca.DM(m, self.unknowns), previous)
+            before = (ca.DM(m, self.n_unknowns), previous)
             for row, u in commands:
                 found.append(_build_interval_rows(row - before[0], u - before[1], -rows.change, rows.change))
                 before = (row, u)
         found += self._state_limit_rows(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
-        gradient = np.zeros(self.unknowns)
-        gradient[self.free :] = np.tile(self.rows.price_roots, self.count)
-        return Programme(ca.DM(gradient), ca.densify(a), low, high, self.free)
+        gradient = np.zeros(self.n_unknowns)
+        gradient[self.n_free_commands :] = np.tile(self.rows.price_square_roots, self.n_steps)
+        return Programme(ca.DM(gradient), ca.densify(a), low, high, self.n_free_commands)
 
     def inactive(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
         """Return whether the unconstrained regulator satisfies all limits; arguments as in `programme`."""
@@ -152,7 +152,7 @@ class Horizon:
 
     def _predict_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
         """Return the errors before and after each step, as (coefficients of the unknowns, constant)."""
-        found = [(ca.DM(e_0.shape[0], self.unknowns), e_0)]
+        found = [(ca.DM(e_0.shape[0], self.n_unknowns), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
             found.append((a @ rows + self._sparse_rows(self.rows.lower.size * j, f), a @ rest))
@@ -165,7 +165,7 @@ class Horizon:
 
     def _sparse_rows(self, begin: int, block: Any) -> Any:
         height, end = block.shape[0], begin + block.shape[1]
-        return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.unknowns - end))
+        return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_unknowns - end))
 
     def _state_limit_rows(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
@@ -174,14 +174,14 @@ class Horizon:
             (-1, rows.lower_limited, rows.state_lower),
             (1, rows.upper_limited, rows.state_upper),
         ):
-            for j in range(self.count):
+            for j in range(self.n_steps):
                 for i in which:
                     row, rest = (part[rows.errors[i], :] for part in errors[j + 1])
                     row = row / scale[i]
                     if i in rows.soft_limited:
                         slack = rows.soft_limited.index(i)
-                        place = self.free + j * len(rows.soft_limited) + slack
-                        row = row + self._sparse_rows(place, ca.DM(-side / rows.price_roots[slack]))
+                        place = self.n_free_commands + j * len(rows.soft_limited) + slack
+                        row = row + self._sparse_rows(place, ca.DM(-side / rows.price_square_roots[slack]))
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
                     found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
         return found

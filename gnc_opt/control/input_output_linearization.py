@@ -46,7 +46,7 @@ class Pair:
     f_ref: Any
 
     @classmethod
-    def of(cls, model: Model) -> Pair:
+    def of_plant_and_reference(cls, model: Model) -> Pair:
         """Return the pair of a model; `DesignError` unless the controls enter dx/dt affinely."""
         t, x, u, p = model.arguments()
         f = ca.substitute(model.derivative(), p, ca.DM(model.parameter_values))
@@ -60,7 +60,7 @@ class Pair:
         f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
         return cls(model, t, x, u, x_ref, u_ref, f, f_ref)
 
-    def rate(self, e: Any) -> Any:
+    def lie_derivative_of(self, e: Any) -> Any:
         """Return the time derivative of e(t, x, x_ref) along plant and reference, for constant u_ref."""
         return (
             ca.jtimes(e, self.t, ca.SX(1))
@@ -72,13 +72,13 @@ class Pair:
         """Return an expression with the plant's variables replaced by the reference's."""
         return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
 
-    def function(self, *expressions: Any) -> Any:
+    def compile_function(self, *expressions: Any) -> Any:
         """Return the CasADi function ``(t, x, u, x_ref, u_ref) -> expressions``."""
         return ca.Function("pair", [self.t, self.x, self.u, self.x_ref, self.u_ref], list(expressions))
 
     def evaluate_along_reference(self, reference: Reference, times: Array, expression: Any) -> list[Array]:
         """Return the values of an expression on the reference at ``times`` (s)."""
-        function = self.function(expression)
+        function = self.compile_function(expression)
         points = ((t, reference.x(t), reference.u(t)) for t in times)
         return [np.asarray(function(t, x, u, x, u).full()) for t, x, u in points]
 
@@ -156,7 +156,7 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     >>> print(errors.degrees)
     (2,)
     """
-    pair = Pair.of(model)
+    pair = Pair.of_plant_and_reference(model)
     return chain_errors(pair, reference, error_expressions(pair, outputs))
 
 
@@ -222,7 +222,7 @@ def _differentiate_to_control(pair: Pair, reference: Reference, label: str, e: A
     nothing = ca.DM.zeros(pair.u.numel())
     chain = [e]
     for _ in range(pair.x.numel()):
-        rate = pair.rate(chain[-1])
+        rate = pair.lie_derivative_of(chain[-1])
         if _depends_on_control(pair, reference, chain[-1], rate):
             return chain, rate
         chain.append(ca.substitute(rate, pair.u, nothing))
@@ -237,7 +237,7 @@ def _depends_on_control(pair: Pair, reference: Reference, e: Any, rate: Any) -> 
     if not ca.depends_on(rate, pair.u):
         return False
     size = ca.fabs(ca.jacobian(e, pair.x)) @ ca.fabs(ca.jacobian(pair.f, pair.u))
-    function = pair.function(ca.jacobian(rate, pair.u), size)
+    function = pair.compile_function(ca.jacobian(rate, pair.u), size)
     random = np.random.default_rng(0)
     for t in np.linspace(reference.initial_time, reference.final_time, 5):
         x, u = reference.x(t), reference.u(t)
@@ -293,10 +293,10 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     pair = errors.pair
     deviation = pair.model.error_expression(pair.x, pair.x_ref)
     rates = errors.drift + errors.decoupling @ pair.u
-    function = pair.function(
+    function = pair.compile_function(
         ca.jacobian(deviation, pair.x),
-        ca.jacobian(pair.rate(deviation), pair.x),
-        ca.jacobian(pair.rate(deviation), pair.u),
+        ca.jacobian(pair.lie_derivative_of(deviation), pair.x),
+        ca.jacobian(pair.lie_derivative_of(deviation), pair.u),
         ca.jacobian(ca.vertcat(*errors.chains), pair.x),
         ca.jacobian(rates, pair.x),
         errors.decoupling,
@@ -314,7 +314,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 
 
-def component_value(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+def read_component(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
     known = [*errors.labels, *map(_output_of_component, errors.labels)]
     for key in given:

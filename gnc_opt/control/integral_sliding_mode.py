@@ -37,7 +37,7 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.input_output_linearization import OutputErrors, Pair, chain_errors
 from gnc_opt.control.reaching_laws import Boundary, Law
-from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.reference import Reference, read_plant_model
 from gnc_opt.control.sampled_data import spectral_radius, zero_order_hold
 from gnc_opt.control.sliding_mode import read_switching
 from gnc_opt.errors import DesignError, did_you_mean
@@ -104,8 +104,8 @@ def design_integral_sliding_mode(
     0.22 m off
     0.00 m off
     """
-    reference = read_plant(model, reference, "design_integral_sliding_mode")
-    pair = Pair.of(model)
+    reference = read_plant_model(model, reference, "design_integral_sliding_mode")
+    pair = Pair.of_plant_and_reference(model)
     switching = read_switching(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
     errors, singular = _projected_surface(pair, reference, projection)
     inverse = build_guarded_inverse(errors, reference, guard)
@@ -144,7 +144,7 @@ def _projected_surface(
             f"there is no projection {projection!r}: {did_you_mean(str(projection), get_args(Projection))}"
         )
     e = pair.model.error_expression(pair.x, pair.x_ref)
-    b = ca.densify(ca.simplify(pair.substitute_reference(ca.jacobian(pair.rate(e), pair.u))))
+    b = ca.densify(ca.simplify(pair.substitute_reference(ca.jacobian(pair.lie_derivative_of(e), pair.u))))
     first = pair.evaluate_along_reference(reference, np.array([reference.initial_time]), b)[0]
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
     if first.shape[0] < first.shape[1] or are_dependent(singular):
@@ -166,7 +166,7 @@ def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     pair = errors.pair
     w = ca.vertcat(*[chain[0] for chain in errors.chains])
     g = errors.drift + errors.decoupling @ pair.u
-    g_rate = pair.rate(g)
+    g_rate = pair.lie_derivative_of(g)
     held = ca.SX.sym("u_nominal", pair.u.numel()), ca.SX.sym("u_ref_held", pair.u.numel())
     here = ca.vertcat(pair.u, pair.u_ref)
     right = ca.substitute(dt / 2 * g - dt**2 / 12 * g_rate, here, ca.vertcat(*held))

@@ -29,10 +29,10 @@ from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_sample_times, reference_signal_layout
+from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout, reference_sample_times
 from gnc_opt.control.loop_margins import stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
-from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.reference import Reference, read_plant_model
 from gnc_opt.control.riccati import Steady, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.sampled_data import discretize, to_continuous_poles
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
@@ -130,7 +130,7 @@ def design_lqr(
     >>> print(np.round(u, 4))
     [-2.7321]
     """
-    reference = read_plant(model, reference, "design_lqr")
+    reference = read_plant_model(model, reference, "design_lqr")
     deviation = ErrorDynamics(model)
     a, b = require_constant_linearization(deviation, reference)
     cost = read_cost(model, Q, R, N)
@@ -138,7 +138,7 @@ def design_lqr(
     solution, plant = _solve_augmented_riccati(deviation, (a, b), cost, integrals, dt)
     bounds = read_limits(model, limits)
     step, start, memory = _lqr_law(model, deviation, solution.gain, integrals, bounds)
-    signals = reference_signal_layout(reference, *([Variable("step", 1, "s")] if integrals.size else []))
+    signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.size else []))
     facts = [*_report_lqr(solution, plant, model.controls, dt), *authority_margin_fact(reference, bounds)]
     regulator = Controller(
         name=name,
@@ -273,7 +273,7 @@ def _lqr_law(
     r = ca.SX.sym("r", states + controls + (1 if integrals.size else 0))
     z = ca.SX.sym("z", integrals.size)
     x_ref, u_ff = r[:states], r[states : states + controls]
-    e = deviation.expression(x, x_ref)
+    e = deviation.error_expression(x, x_ref)
     k_e, k_i = gain[:, : e.shape[0]], gain[:, e.shape[0] :]
     u, z_next = u_ff - ca.DM(k_e) @ e, z
     if integrals.size:

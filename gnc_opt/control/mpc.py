@@ -43,14 +43,14 @@ from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
+from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.horizon_qp import Horizon, Rows
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.quadratic_cost import Weight, read_cost
-from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.reference import Reference, read_plant_model
 from gnc_opt.control.riccati import riccati_backward_step
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
-from gnc_opt.errors import ArgumentError, DesignError, shown, unknown_name
+from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.runtime_environment import one_thread
@@ -132,10 +132,10 @@ def design_mpc(
     >>> print(np.round(u, 6))
     [-0.2]
     """
-    reference = read_plant(model, reference, "design_mpc")
+    reference = read_plant_model(model, reference, "design_mpc")
     limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
     dt = read_positive(dt, "the control step dt")
-    count = _count_horizon_steps(read_positive(horizon, "the horizon"), dt)
+    count = _read_horizon_length(read_positive(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
     gains = compute_riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
     assert isinstance(gains, SampledGains)
@@ -144,7 +144,7 @@ def design_mpc(
         raise ArgumentError("design_mpc() has no limits of the controls: give (lower, upper).")
     if not np.all(np.isfinite(bounds)):  # the QP is scaled by their range
         raise ArgumentError(
-            f"the limits of design_mpc() are {shown(limits)}: give finite limits, larger than any command if a control "
+            f"the limits of design_mpc() are {quote(limits)}: give finite limits, larger than any command if a control "
             "has none."
         )
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
@@ -155,12 +155,12 @@ def design_mpc(
     beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _Windows(gains, count)
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
-    signals = reference_signal_layout(reference, *schedule.extra_variables())
+    signals = build_reference_layout(reference, *schedule.extra_variables())
     law_ = _Law(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
-        step=law_.step(),
-        easy=law_.step(easy=True),
+        step=law_.mpc_step(),
+        easy=law_.mpc_step(easy=True),
         start=law_.initial_memory_function(),
         states=model.states,
         commands=model.controls,
@@ -254,7 +254,7 @@ class _Law:
     rows: Rows
     signals: Layout
 
-    def step(self, *, easy: bool = False) -> Any:
+    def mpc_step(self, *, easy: bool = False) -> Any:
         """Return the law ``(t, x, r, z) -> (u, z_next)``; the easy form has a validity flag as third output."""
         t, x, r, z = self._law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_signals(x, r, z)
@@ -293,7 +293,7 @@ class _Law:
         edges = [0, states, states + m * count, states + (m + limited) * count, r.shape[0]]
         x_ref, *given = ca.vertsplit(r, edges)
         sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
-        error = ca.Function("e", [sx, sx_ref], [self.deviation.expression(sx, sx_ref)])
+        error = ca.Function("e", [sx, sx_ref], [self.deviation.error_expression(sx, sx_ref)])
         return [error(x, x_ref), *given, *ca.vertsplit(z, [0, m, m + 1])]
 
     def _horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
@@ -308,9 +308,9 @@ class _Law:
     def _solve_horizon_qp(self, horizon: Horizon, *known: Any) -> list[Any]:
         """Return the first unknowns of the QP solution, and whether it satisfies the optimality conditions."""
         task = horizon.programme(*known)
-        one = ca.DM.eye(horizon.unknowns)
+        one = ca.DM.eye(horizon.n_unknowns)
         shape = {"h": one.sparsity(), "a": task.a.sparsity()}
-        least = np.full(horizon.unknowns, -np.inf)
+        least = np.full(horizon.n_unknowns, -np.inf)
         least[task.free :] = 0  # slacks are >= 0
         solver = ca.conic("qp", "daqp", shape, {"daqp": _DAQP, "error_on_fail": False})
         answer = solver(h=one, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least)
@@ -324,7 +324,7 @@ def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
     firsts = [last + windows.count] if windows.constant else range(last + 1)
     found = [windows(k) for k in firsts]
     parts = [np.concatenate([w[i][:1] for w in found]) for i in range(4)]
-    return ProgrammeCode(rows, rows.price_roots, tuple(parts), windows.count, model.states.size)
+    return ProgrammeCode(rows, rows.price_square_roots, tuple(parts), windows.count, model.states.size)
 
 
 def _compute_step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
@@ -344,7 +344,7 @@ def _compute_step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
     return found
 
 
-def _count_horizon_steps(horizon: float, dt: float) -> int:
+def _read_horizon_length(horizon: float, dt: float) -> int:
     count = round(horizon / dt)
     if count < 1 or not np.isclose(count * dt, horizon, rtol=SAME_TIME):
         raise ArgumentError(
@@ -389,7 +389,7 @@ def _read_state_limits(
     upper: list[float] = []
     prices: list[float] = []
     if isinstance(hard, str) or not isinstance(hard, Sequence):
-        raise ArgumentError(f"hard of design_mpc() is {shown(hard)}: give a list of states.")
+        raise ArgumentError(f"hard of design_mpc() is {quote(hard)}: give a list of states.")
     for name in hard:
         if name not in limits:
             raise unknown_name("limited state", name, "state_limits", limits)
@@ -401,7 +401,7 @@ def _read_state_limits(
                 f"the error of state '{name}' is not a difference: its limits are not linear; use Q instead."
             )
         if not isinstance(pair, Sequence | np.ndarray) or len(pair) != 2:
-            raise ArgumentError(f"the limits of state '{name}' are {shown(pair)}: give (lower, upper).")
+            raise ArgumentError(f"the limits of state '{name}' are {quote(pair)}: give (lower, upper).")
         low, high = (as_vector(v, size, f"the limits of state '{name}'", ArgumentError) for v in pair)
         if not np.all(low < high):
             raise DesignError(f"the limits of state '{name}' are empty: {low} to {high}; give lower < upper.")
@@ -416,7 +416,7 @@ def _read_state_limits(
 
 def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
-    size, limits = (m + len(rows.soft_limited)) * count, rows.count * count
+    size, limits = (m + len(rows.soft_limited)) * count, rows.n_rows * count
     remark = f"{size} unknowns, {limits} rows"
     first = windows(0)
     facts = [

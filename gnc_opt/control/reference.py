@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arguments import Strict, expect, read_numbers
 from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.errors import ArgumentError, did_you_mean, shown, warn_user
+from gnc_opt.errors import ArgumentError, did_you_mean, quote, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory import Trajectory, TrajectoryPhase
 from gnc_opt.model.variables import Layout, as_point
@@ -111,7 +111,7 @@ class Reference(Strict):
     def __init__(self, solution: Trajectory, *, tail: Tail = "trim") -> None:
         expect(solution, Trajectory, "the argument of Reference()", "write Reference(solve(problem))")
         phases = solution.trajectory_phases()
-        _require_same_layouts(phases)
+        _require_equal_layouts(phases)
         self._set_functions(
             phases[0].model,
             [phase.x for phase in phases],
@@ -189,9 +189,9 @@ class Reference(Strict):
         for function, of in ((x, "states"), (u, "controls")):
             if not callable(function):
                 raise ArgumentError(
-                    f"the {of} of a reference are {shown(function)}: give a function of time."
+                    f"the {of} of a reference are {quote(function)}: give a function of time."
                 )
-        over = _check_vectorized if vectorized else _vectorize
+        over = _check_vectorized if vectorized else _vectorize_function
         reference._set_functions(
             model,
             [over(x, model.states)],
@@ -217,7 +217,7 @@ class Reference(Strict):
     ) -> None:
         if tail not in get_args(Tail):
             raise ArgumentError(
-                f"a reference has no tail {shown(tail)}: {did_you_mean(str(tail), get_args(Tail))}"
+                f"a reference has no tail {quote(tail)}: {did_you_mean(str(tail), get_args(Tail))}"
             )
         self.model, self.states, self.controls = model, model.states, model.controls
         self._x, self._u, self._breaks = x, u, np.asarray(breaks, dtype=float)
@@ -250,7 +250,7 @@ class Reference(Strict):
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
-        owners, left, right = _cut_steps(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
+        owners, left, right = _clip_steps(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
         means = (
             self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ _WEIGHTS * (0.5 * (right - left) / dt)
@@ -267,7 +267,7 @@ class Reference(Strict):
         if np.any(times < self.initial_time - slack):
             raise ArgumentError(
                 f"the reference runs from {self.initial_time:g} s to {self.final_time:g} s, not at "
-                f"{shown(float(np.min(times)))} s: choose a time in this interval."
+                f"{quote(float(np.min(times)))} s: choose a time in this interval."
             )
         within = np.clip(times, self.initial_time, self.final_time)
         part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
@@ -281,7 +281,7 @@ class Reference(Strict):
         return values if np.ndim(t) else values[:, 0]
 
 
-def read_plant(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
+def read_plant_model(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
     """Return the reference of a design; a state array gives a constant reference."""
     expect(model, Model, f"the plant of {designer}()", "give the Model to control")
     return reference if isinstance(reference, Reference) else Reference.constant(model, reference)
@@ -341,7 +341,7 @@ def _warn_of_residual(
         )
 
 
-def _cut_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
+def _clip_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the pieces of steps between marks: index of the step, start and end of each piece."""
     first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
     counts = np.maximum(behind - first, 0) + 1
@@ -354,7 +354,7 @@ def _cut_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp]
     return owners, left, right
 
 
-def _vectorize(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
+def _vectorize_function(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
     def evaluate_many(times: Array) -> Array:
         what = f"the {layout.kind}s of a reference"
         rows = [as_point(function(float(t)), layout.size, what) for t in times]
@@ -386,7 +386,7 @@ def _require_finite_reference(values: Array, times: Array, layout: Layout) -> Ar
     return values
 
 
-def _require_same_layouts(phases: Sequence[TrajectoryPhase]) -> None:
+def _require_equal_layouts(phases: Sequence[TrajectoryPhase]) -> None:
     """Raise `ArgumentError` if the states or controls of two phases differ."""
     first = phases[0]
     names = (first.model.states.labels, first.model.controls.labels)

@@ -109,7 +109,7 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
         if not _is_decaying(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
-                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_join_names(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_names(mode.states)} "
                 f"(smallest singular value of [lambda - A, B]: "
                 f"{mode.rank_gap:.2g}); give those states a control, or leave them out of the design."
             )
@@ -121,7 +121,7 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
         if not _is_decaying(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the weights are not detectable: the mode with eigenvalue "
-                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_join_names(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_names(mode.states)} "
                 "costs nothing and does not decay "
                 f"(smallest singular value of [lambda - A; Q]: {mode.rank_gap:.2g}); give one of those states a weight."
             )
@@ -174,5 +174,5 @@ def _is_decaying(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     return eigenvalue.real < -EQUAL * rate
 
 
-def _join_names(names: tuple[str, ...]) -> str:
+def _quote_names(names: tuple[str, ...]) -> str:
     return ", ".join(f"'{name}'" for name in names)

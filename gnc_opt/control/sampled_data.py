@@ -38,7 +38,7 @@ def count_whole_steps(duration: float, step: float, what: str) -> int:
     return count
 
 
-def count_started_steps(duration: float, step: float) -> int:
+def count_periods_begun(duration: float, step: float) -> int:
     """Return the number of steps that begin within a duration (s)."""
     return math.ceil(duration / step - SAME_TIME)
 
@@ -53,7 +53,7 @@ def advance_phase(phase: Any, count: int) -> Any:
     return ca.if_else(phase > count - 1.5, 0.0, phase + 1)
 
 
-def sort_symbolic(times: Sequence[Any]) -> list[Any]:
+def sort_symbols(times: Sequence[Any]) -> list[Any]:
     """Return SX scalars in ascending order."""
     times = list(times)
     for last in range(len(times) - 1, 0, -1):
@@ -102,7 +102,7 @@ class SampledStep:
 
 def discretize(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
     """Return the exact discretisation of constant A, B and cost over dt (s)."""
-    flow = _van_loan_generator(a, b, _cost_matrix(q, r, n))
+    flow = _van_loan_matrix(a, b, _stack_cost_matrix(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M only: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
     phi, cost = _compute_transition_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
@@ -122,10 +122,10 @@ def discretize_time_varying(
     steps = np.repeat(np.diff(edges) / _SUBSTEPS, _SUBSTEPS)
     middles = np.repeat(edges[:-1], _SUBSTEPS) + steps * np.tile(np.arange(_SUBSTEPS) + 0.5, edges.size - 1)
     a, b = linearize((middles[:, None] + steps[:, None] * np.sqrt(3) / 6 * [-1.0, 1.0]).ravel())
-    weight = _cost_matrix(q, r, n)
+    weight = _stack_cost_matrix(q, r, n)
     phi, cost = np.eye(weight.shape[0]), np.zeros_like(weight)
     for k, h in enumerate(steps):
-        first, second = (_van_loan_generator(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
+        first, second = (_van_loan_matrix(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
         commutator = second @ first - first @ second
         exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator
         step, part = _compute_transition_and_cost(scipy.linalg.expm(exponent))
@@ -146,11 +146,11 @@ def spectral_radius(matrix: Array) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(matrix))))
 
 
-def _cost_matrix(q: Array, r: Array, n: Array) -> Array:
+def _stack_cost_matrix(q: Array, r: Array, n: Array) -> Array:
     return np.block([[q, n], [n.T, r]])
 
 
-def _van_loan_generator(a: Array, b: Array, weight: Array) -> Array:
+def _van_loan_matrix(a: Array, b: Array, weight: Array) -> Array:
     size = weight.shape[0]
     m = np.zeros((size, size))
     m[: a.shape[0]] = np.hstack([a, b])

@@ -35,7 +35,7 @@ from gnc_opt.control.decoupling import (
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_value, output_errors
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, output_errors, read_component
 from gnc_opt.control.reaching_laws import (
     Boundary,
     ExponentialRate,
@@ -45,10 +45,10 @@ from gnc_opt.control.reaching_laws import (
     SuperTwisting,
     read_bounds,
 )
-from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.reference import Reference, read_plant_model
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.control.super_twisting import SuperTwistingObserver
-from gnc_opt.errors import DesignError, shown
+from gnc_opt.errors import DesignError, quote
 from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import one_thread
 
@@ -144,12 +144,12 @@ class Switching:
         return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
 
     def alarm_memory(self, s: Any, *, stays: bool = True) -> list[Memory]:
-        """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `gain_alarm_memory`."""
+        """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `create_gain_alarm`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.width(1.0)
         if isinstance(self.reaching, SuperTwisting):
             return []
-        return gain_alarm_memory(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
+        return create_gain_alarm(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
     def facts(self) -> list[ReportEntry]:
         """Return the report entries of the bands of s and the sampling limit."""
@@ -223,7 +223,7 @@ LAYER_EXIT_MIN_STEPS = 10
 """Consecutive control steps outside the boundary layer that raise the alarm; fewer may be noise."""
 
 
-def gain_alarm_memory(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
+def create_gain_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
     """Return the memory of an alarm for abs(s) > ``edge`` > 0; without ``stays`` only steps with growing s count."""
     if edge <= 0:
         return []
@@ -314,7 +314,7 @@ def design_sliding_mode(
     >>> print(u)  # far from the surface: the full rate
     [-0.5]
     """
-    reference = read_plant(model, reference, "design_sliding_mode")
+    reference = read_plant_model(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)
     coefficients = _surface_coefficients(errors, slopes)
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
@@ -354,7 +354,7 @@ def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
             poles = np.asarray(given, dtype=complex)
         except (TypeError, ValueError):
             raise DesignError(
-                f"the slope of output '{label}' is {shown(given)}: give lambda, in 1/s, or poles."
+                f"the slope of output '{label}' is {quote(given)}: give lambda, in 1/s, or poles."
             ) from None
         if poles.ndim == 0:
             poles = np.full(r - 1, -poles)
@@ -375,7 +375,7 @@ def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
 
 def _read_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
-        slope = component_value(label, slopes, errors, "the surface")
+        slope = read_component(label, slopes, errors, "the surface")
         if slope is None:
             raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
         return slope

@@ -26,7 +26,7 @@ from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_sample_times, reference_signal_layout
+from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout, reference_sample_times
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference
@@ -115,9 +115,7 @@ def design_tvlqr(
         start=start,
         states=model.states,
         commands=model.controls,
-        signals=reference_signal_layout(
-            reference, Variable("K", model.controls.size * deviation.errors.size)
-        ),
+        signals=build_reference_layout(reference, Variable("K", model.controls.size * deviation.errors.size)),
         memory=Layout("memory", (), "a law without memory"),
         schedule=GainSchedule(gains, ReferenceSchedule(reference)),
         dt=dt,
@@ -135,7 +133,7 @@ def _tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     r = ca.SX.sym("r", states + controls + controls * errors)
     x_ref, u_ff = r[:states], r[states : states + controls]
     gain = ca.reshape(r[states + controls :], errors, controls).T  # row by row
-    u = u_ff - gain @ deviation.expression(x, x_ref)
+    u = u_ff - gain @ deviation.error_expression(x, x_ref)
     return law(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.control.sampled_data import count_whole_steps
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
-from gnc_opt.estimation.error_space import Space, euclidean_space, product_space
+from gnc_opt.estimation.error_retraction import Space, euclidean_space, product_space
 from gnc_opt.estimation.measurement import Measurement
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, call_user_function
@@ -86,7 +86,7 @@ class AugmentedModel:
         slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
 
-    def flow(self, h: float) -> Any:
+    def augmented_flow(self, h: float) -> Any:
         """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, for constant u."""
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
@@ -229,7 +229,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
         )
     if measurement.difference is not None:
-        space = _replace_difference(space, measurement.difference, name)
+        space = _replace_error_difference(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
         measurement.values(each, space.errors)
     what = f"of the measurement of '{name}'"
@@ -249,7 +249,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel
     return Channel(measurement, variable, space, period, delay)
 
 
-def _replace_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
+def _replace_error_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
     remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"

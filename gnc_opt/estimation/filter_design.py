@@ -182,8 +182,8 @@ class FilterDesign:
         x, x_ref = ca.SX.sym("x", model.states.size), ca.SX.sym("x_ref", model.states.size)
         return Estimator(
             name=self.name,
-            update=filter_.update,
-            predict=filter_.predict,
+            update=filter_.measurement_update,
+            predict=filter_.time_update,
             first=first,
             states=model.states,
             errors=model.errors,
@@ -257,7 +257,7 @@ class FilterDesign:
         augmented, space, tangent = self.augmented, self.augmented.space, Tangent()
         x, first = ca.SX.sym("x", space.size), augmented.first(self.t0, self.x0)
         u = ca.SX.zeros(self.model.controls.size)
-        shift, after = augmented.shift_delay_lines(), augmented.flow(self.dt)(self.t0, x, u)
+        shift, after = augmented.shift_delay_lines(), augmented.augmented_flow(self.dt)(self.t0, x, u)
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
         F, early, late = augmented.transition(self.t0, x, after, u, self.dt, density)
         delays = tangent.fit_linear_model(partial(shift, self.t0), space, space, x, None)[1]

@@ -134,7 +134,6 @@ class KalmanFilter:
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
     def _covariance_pattern(self) -> Any:
-        """Return the sparsity of the lower triangle of P."""
         augmented, n = self.augmented, self.augmented.errors.size
         if not self.linearization.preserves_sparsity:
             return ca.Sparsity.lower(n)
@@ -180,7 +179,7 @@ class KalmanFilter:
     # --- update -------------------------------------------------------------------------------------------
 
     @cached_property
-    def update(self) -> Any:
+    def measurement_update(self) -> Any:
         """``(t, y, z) -> (x, z)``."""
         augmented = self.augmented
         sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
@@ -223,7 +222,7 @@ class KalmanFilter:
     # --- prediction ---------------------------------------------------------------------------------------
 
     @cached_property
-    def predict(self) -> Any:
+    def time_update(self) -> Any:
         """``(t, u, z) -> z``."""
         augmented = self.augmented
         t, z = ca.SX.sym("t"), ca.SX.sym("z", self.memory.size)
@@ -238,7 +237,7 @@ class KalmanFilter:
                 lambda own: shift(t, own), space, x, P, *self._linearize_delay_shift(t, x)
             )
         h = augmented.dt / self.substeps
-        flow = augmented.flow(h)
+        flow = augmented.augmented_flow(h)
         for i in range(self.substeps):
             begin = t + i * h
             after = flow(begin, x, u)
@@ -289,7 +288,6 @@ def _select_matrix(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def _copy_upper_to_lower(matrix: Any, j: int) -> Any:
-    """Return the symmetric matrix with row j copied from column j of the lower part."""
     matrix[j, :] = matrix[:, j].T
     return ca.tril2symm(ca.tril(matrix))
 
@@ -299,5 +297,4 @@ def _flow_with_held_command(flow: Any, t: Any, u: Any) -> Map:
 
 
 def _structural_nonzeros(matrix: Any) -> Any:
-    """Return the structural nonzeros of a matrix, bool array."""
     return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

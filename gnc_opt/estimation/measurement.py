@@ -13,7 +13,7 @@ from gnc_opt.arguments import expect, read_numbers, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Limits
 from gnc_opt.control.dropout import HOLD
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import as_vector
 
 
@@ -95,7 +95,7 @@ class Measurement:
 
     def __post_init__(self) -> None:
         if not isinstance(self.of, str):
-            raise ArgumentError(f"a measurement of {shown(self.of)}: name a state or an output of the model.")
+            raise ArgumentError(f"a measurement of {quote(self.of)}: name a state or an output of the model.")
         for name in ("sigma", "bias", "bias_walk"):
             numbers = read_numbers(getattr(self, name), f"the {name} of the measurement of '{self.of}'")
             if not np.all(np.isfinite(numbers)) or not np.all(

@@ -20,7 +20,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sampled_data import sort_symbolic
+from gnc_opt.control.sampled_data import sort_symbols
 from gnc_opt.errors import DesignError
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -54,8 +54,8 @@ class Prediction:
 
     def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
         """Return the mean controls (SX) over a step; after the end the trim control of the final state."""
-        late = _compute_step_share(begin, length, tau[-1] - self.ending.length)
-        over, rest = _compute_step_share(begin, length, tau[-1]), self.plan.reference.tail_control
+        late = _share_of_step_after(begin, length, tau[-1] - self.ending.length)
+        over, rest = _share_of_step_after(begin, length, tau[-1]), self.plan.reference.tail_control
         before = self.plan.mean_control(begin, length, tau) * (1 - self.ending.reserve * late)
         return before * (1 - over) + ca.DM(rest) * over
 
@@ -85,7 +85,7 @@ class Prediction:
         """Return the times from t to the end between which the controls are constant."""
         end = ca.fmax(tau[-1], t)
         inner = [*ca.vertsplit(tau)[:-1], *([tau[-1] - self.ending.length] if self.ending.reserve else [])]
-        return [t, *sort_symbolic([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
+        return [t, *sort_symbols([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
 
     @cached_property
     def _arc_propagation_function(self) -> Any:
@@ -105,7 +105,7 @@ class Prediction:
         return ca.Function("arc", [t, x, u, length], [after])
 
 
-def _compute_step_share(begin: Any, length: float, since: Any) -> Any:
+def _share_of_step_after(begin: Any, length: float, since: Any) -> Any:
     """Return the share of a step that is later than a given time."""
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
@@ -150,7 +150,7 @@ class SwitchingPlan:
         return ca.vertcat(*u)
 
     @classmethod
-    def of(cls, solution: Solution) -> SwitchingPlan:
+    def from_solution(cls, solution: Solution) -> SwitchingPlan:
         """Return the plan of a bang-bang solution with one phase, free final time and fixed final states."""
         reference = Reference(solution)
         name = solution.problem_name

@@ -34,9 +34,9 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
+from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
-from gnc_opt.errors import ArgumentError, DesignError, shown
+from gnc_opt.errors import ArgumentError, DesignError, quote
 from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
@@ -73,7 +73,7 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
             f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
             "neighbouring-optimal guidance does not apply; use design_tvlqr()."
         )
-    first, _, _ = _terminal_derivatives(prediction, tau)
+    first, _, _ = _terminal_condition_derivatives(prediction, tau)
     if not _has_full_row_rank(first.S):
         raise DesignError(
             f"the switch times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
@@ -88,7 +88,7 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
         return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
 
     found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
-    optimum, gradient, psi = _terminal_derivatives(prediction, found.x[: tau.size] * duration)
+    optimum, gradient, psi = _terminal_condition_derivatives(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
@@ -119,7 +119,7 @@ def _has_full_row_rank(S: Array) -> bool:
     return bool(sizes[-1] > RANK * sizes[0])
 
 
-def _terminal_derivatives(prediction: Prediction, tau: Array) -> tuple[Optimum, Array, Array]:
+def _terminal_condition_derivatives(prediction: Prediction, tau: Array) -> tuple[Optimum, Array, Array]:
     """Return S, H and the least-squares multipliers at these times, with the gradient of L and psi."""
     plan, g = prediction.plan, np.eye(tau.size)[-1]
 
@@ -207,7 +207,7 @@ def design_neighbouring_optimal(
     """
     expect(solution, Solution, "the plan of design_neighbouring_optimal()", "give a refined Solution")
     expect(regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)")
-    plan = SwitchingPlan.of(solution)
+    plan = SwitchingPlan.from_solution(solution)
     inner = regulator.unbridged or regulator
     step = inner.step_length(dt)
     _check_regulator(inner, plan)
@@ -215,13 +215,13 @@ def design_neighbouring_optimal(
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
     read_positive(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
     if reserve >= 1:
-        raise ArgumentError(f"the reserve is {shown(reserve)}: give a share in [0, 1).")
+        raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
     read_positive(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
     ending = _read_regulated_end(last, reserve, plan)
     prediction = _refine_prediction(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _Guidance(prediction, optimum, weight, inner, step, delay)
-    signals = reference_signal_layout(plan.reference)
+    signals = build_reference_layout(plan.reference)
     law_, start = guidance.law_functions(signals.size)
     own = (
         Variable("switching_times", plan.times.size - 1, "s"),
@@ -257,7 +257,7 @@ def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
                 f"the regulator '{regulator.name}' has the {what} {list(found.names)}, the plan {list(needed.names)}: "
                 "design it with the model of the plan."
             )
-    if regulator.signals.labels != reference_signal_layout(plan.reference).labels:
+    if regulator.signals.labels != build_reference_layout(plan.reference).labels:
         raise ArgumentError(
             f"the regulator '{regulator.name}' needs the signals {list(regulator.signals.names)}, but guidance only "
             "provides a reference: use one with constant gains, such as design_lqr() about the final state."

@@ -27,10 +27,10 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.feedforward import ReferenceSchedule
 from gnc_opt.control.reference import Reference
-from gnc_opt.errors import ArgumentError, GncOptError, format_error, shown
+from gnc_opt.errors import ArgumentError, GncOptError, format_error, quote
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.measured_start import clip_start_to_bounds
+from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
@@ -83,12 +83,12 @@ def _is_cost_additive(problem: Problem, leg: Phase) -> bool:
         y, b = numbers.uniform(2.0, 3.0, rest.numel()), numbers.uniform(0.0, 1.0, before.numel())
         later, flown = b + numbers.uniform(0.1, 0.5, b.size), y.copy()
         flown[n + 1 : n + 1 + len(leg.integrands)] += numbers.uniform(0.1, 0.5, len(leg.integrands))
-        if not _are_proportional(gradient(b, flown), gradient(later, y)):
+        if not _are_durations_proportional(gradient(b, flown), gradient(later, y)):
             return False
     return True
 
 
-def _are_proportional(first: Any, second: Any) -> bool:
+def _are_durations_proportional(first: Any, second: Any) -> bool:
     a, b = (np.asarray(g.full()[:, 0]) for g in (first, second))
     sizes = np.linalg.norm(a), np.linalg.norm(b)
     if not np.isfinite(sizes).all() or min(sizes) == 0:  # inconclusive
@@ -181,7 +181,7 @@ class Replanner:
             made = self.resolver()
             if not isinstance(getattr(made, "solution", None), Solution):
                 raise ArgumentError(
-                    f"the resolver of a Replanner returned {shown(made)}: write lambda: Resolver(solve(problem))."
+                    f"the resolver of a Replanner returned {quote(made)}: write lambda: Resolver(solve(problem))."
                 )
             object.__setattr__(self, "_solver", made)
         return self._solver  # type: ignore[attr-defined,no-any-return]
@@ -313,7 +313,7 @@ class Replanner:
         check_remaining_problem(plan.need_problem("solve again"))
         if not callable(getattr(self.solver, "solve", None)):
             raise ArgumentError(
-                f"the resolver of a Replanner returned {shown(self.solver)}, which has no solve(): write lambda: "
+                f"the resolver of a Replanner returned {quote(self.solver)}, which has no solve(): write lambda: "
                 "Resolver(plan)."
             )
 

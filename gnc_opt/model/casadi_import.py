@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.errors import ModelError, shown, unknown_name
+from gnc_opt.errors import ModelError, quote, unknown_name
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ def read_variables(given: Any, what: str) -> list[Declared]:
     if isinstance(given, Mapping):
         return [_describe_input(name, value, what) for name, value in given.items()]
     columns = given if isinstance(given, (list, tuple)) else [given]
-    return [entry for column in columns for entry in _name_variables(_stack_input(column, what))]
+    return [entry for column in columns for entry in _named_variables(_stack_input(column, what))]
 
 
-def read_named_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
+def read_parameter_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
     """Return the values by name; raise `UnknownNameError` for a name that is not in ``names``."""
     for name in given or {}:
         if name not in names:
@@ -40,7 +40,7 @@ def read_named_values(given: Mapping[str, Any] | None, names: Sequence[str], wha
     return dict(given or {})
 
 
-def express_derivative(
+def read_derivative(
     f: Any, arguments: Mapping[str, Any], symbols: Mapping[str, list[Any]], size: int, what: str
 ) -> Any:
     """Return dx/dt, SX (size, 1), in the model's symbols; raise `ModelError` for other inputs, sizes or symbols.
@@ -73,7 +73,7 @@ def _make_function(expression: Any, symbols: Mapping[str, list[Any]], what: str)
         function = ca.Function("f", inputs, [column], names, ["dx_dt"], {"allow_free": True})
     except (NotImplementedError, RuntimeError) as error:
         raise ModelError(
-            f"{what} is {shown(expression)} or mixes SX and MX: give an expression in symbols of one kind, each once."
+            f"{what} is {quote(expression)} or mixes SX and MX: give an expression in symbols of one kind, each once."
         ) from error
     if function.has_free():
         free = ", ".join(function.get_free())
@@ -101,11 +101,11 @@ def _describe_input(name: str, value: Any, what: str) -> Declared:
 
 def _stack_input(value: Any, what: str) -> Any:
     if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
-        raise ModelError(f"{what} are given as {shown(value)}: give columns of SX or MX symbols.")
+        raise ModelError(f"{what} are given as {quote(value)}: give columns of SX or MX symbols.")
     return value
 
 
-def _name_variables(column: Any) -> Iterator[Declared]:
+def _named_variables(column: Any) -> Iterator[Declared]:
     if isinstance(column, ca.MX):
         for part in column.primitives():
             yield Declared(part.name(), part.shape[0], part)

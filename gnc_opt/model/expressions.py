@@ -44,18 +44,18 @@ def rebuild_node(expression: Any, replacement: Callable[[Any], Any | None]) -> A
                 if missing:
                     waiting += missing
                     continue
-                new = _same_operation(node, operands, [done[o.element_hash()] for o in operands])
+                new = _is_same_operation(node, operands, [done[o.element_hash()] for o in operands])
             done[place] = new
         waiting.pop()
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
 
 
-def replace_in(expression: Any, instead: Mapping[int, Any]) -> Any:
+def replace_nodes(expression: Any, instead: Mapping[int, Any]) -> Any:
     """Return a column with nodes replaced according to their hashes, see `rebuild_node`."""
     return rebuild_node(expression, lambda node: instead.get(node.element_hash()))
 
 
-def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
+def _is_same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
     if all(a.element_hash() == b.element_hash() for a, b in zip(old, new, strict=True)):
         return node
     return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
@@ -120,12 +120,12 @@ class NormNodes:
     degrees: dict[int, int]
 
     @classmethod
-    def of(cls, expression: Any, vector: Any) -> NormNodes:
+    def from_expression(cls, expression: Any, vector: Any) -> NormNodes:
         """Return these nodes of an SX column."""
         nodes = _find_smooth_nodes(expression, vector)
         if not nodes:
             return cls(vector, {})
-        values = _values_along_directions(ca.vertcat(*nodes), vector)
+        values = _evaluate_along_directions(ca.vertcat(*nodes), vector)
         degrees = {n.element_hash(): d for n, d in zip(nodes, _homogeneity_degrees(values), strict=True) if d}
         return cls(vector, degrees)
 
@@ -177,7 +177,7 @@ def _sort_operands_first(expression: Any) -> list[Any]:
     return list(done.values())
 
 
-def _values_along_directions(nodes: Any, vector: Any) -> Array:
+def _evaluate_along_directions(nodes: Any, vector: Any) -> Array:
     """Return the values (n_nodes, n_directions, n_lengths, n_draws) for several directions and lengths of a vector."""
     own = {s.element_hash() for s in ca.vertsplit(vector)}
     others = [s for s in ca.symvar(nodes) if s.element_hash() not in own]

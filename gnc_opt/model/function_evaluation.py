@@ -106,7 +106,7 @@ BLOCK = 16
 """Largest number of evaluations per CasADi call."""
 
 
-def evaluate(
+def evaluate_function(
     function: Any,
     t: ArrayLike,
     x: ArrayLike,
@@ -126,11 +126,11 @@ def evaluate(
         and known.is_faster(times.size)
     ):
         return known(times.size, times.reshape(1, -1), *columns)
-    found = evaluate_columns(function, times.size, times.reshape(1, -1), *columns)
+    found = evaluate_batch(function, times.size, times.reshape(1, -1), *columns)
     return found if times.ndim else found[:, 0]
 
 
-def make_fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
+def make_buffered_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
     """Return a function for the first output at one point, without conversion overhead, for integrators."""
     arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
     free = len(arguments) - len(constants)
@@ -153,7 +153,7 @@ def make_fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]
     return call_compiled
 
 
-def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
+def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
     """Return the first output (rows, n) of a CasADi function; arguments are (rows,) or (rows, n)."""
     pattern = function.sparsity_out(0)
     if not pattern.nnz():

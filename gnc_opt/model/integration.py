@@ -51,7 +51,7 @@ class Budget:
         def counted(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
-                self._note_step(t, x, values)
+                self._record_step(t, x, values)
             self.spend_evaluations(t)
             return values
 
@@ -63,7 +63,7 @@ class Budget:
         if self.count > self.most:
             raise SpentError(f"{self.most:,} evaluations of the dynamics reached only t = {t:.4g} s")
 
-    def _note_step(self, t: float, x: Array, values: Array) -> None:
+    def _record_step(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
         if t < self.earliest and np.isfinite(x).all():
             i = int(np.argmin(np.isfinite(values)))

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import Strict, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, suggest_symbol
-from gnc_opt.model.casadi_import import express_derivative, read_named_values, read_variables
+from gnc_opt.model.casadi_import import read_derivative, read_parameter_values, read_variables
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
-from gnc_opt.model.function_evaluation import check_arguments, evaluate
+from gnc_opt.model.function_evaluation import check_arguments, evaluate_function
 from gnc_opt.model.table import TableUse
 from gnc_opt.model.variables import (
     Layout,
@@ -27,7 +27,7 @@ from gnc_opt.model.variables import (
     as_vector,
     find_foreign_symbols,
 )
-from gnc_opt.text_formatting import counted
+from gnc_opt.text_formatting import count_text
 
 
 class Differences:
@@ -177,8 +177,8 @@ class Model(Strict):
             for what, given in (("states", x), ("controls", u), ("parameters", p))
         )
         names = [v.name for v in (*states, *controls, *parameters)]
-        units = read_named_values(units, names, f"units= of '{name}'")
-        values = read_named_values(values, [v.name for v in parameters], f"values= of '{name}'")
+        units = read_parameter_values(units, names, f"units= of '{name}'")
+        values = read_parameter_values(values, [v.name for v in parameters], f"values= of '{name}'")
         for v in states:
             model.state(v.name, v.size, unit=units.get(v.name, ""))
         for v in controls:
@@ -194,14 +194,14 @@ class Model(Strict):
         }
         symbols = {"t": [] if t is None else [t], **symbols}
         arguments = dict(zip(_ARGUMENTS, model.arguments(), strict=True))
-        rate = express_derivative(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
+        rate = read_derivative(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
         model.ode({state: rate[model.states.slice(state)] for state in model.states.names})
         return model
 
     def __repr__(self) -> str:
         return (
-            f"Model({self.name!r}: {counted(self.states.size, 'state')}, {counted(self.controls.size, 'control')}, "
-            f"{counted(self.parameters.size, 'parameter')})"
+            f"Model({self.name!r}: {count_text(self.states.size, 'state')}, {count_text(self.controls.size, 'control')}"
+            f", {count_text(self.parameters.size, 'parameter')})"
         )
 
     # --- declarations -----------------------------------------------------------------------------
@@ -225,13 +225,13 @@ class Model(Strict):
         ModelError
             Name already declared or not an identifier, size < 1, nominal not positive, model already in use.
         """
-        return self._declare("state", name, size, unit, nominal)
+        return self._declare_variable("state", name, size, unit, nominal)
 
     def control(
         self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
     ) -> Symbol:
         """Declare a control; arguments and errors as in `state`."""
-        return self._declare("control", name, size, unit, nominal)
+        return self._declare_variable("control", name, size, unit, nominal)
 
     def split_control(
         self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
@@ -253,7 +253,7 @@ class Model(Strict):
         """
         plus = self.control(f"{name}_plus", size, unit=unit, nominal=nominal)
         minus = self.control(f"{name}_minus", size, unit=unit, nominal=nominal)
-        return self._compose(SplitControl, name, plus, minus, unit), plus + minus
+        return self._compose_control(SplitControl, name, plus, minus, unit), plus + minus
 
     def vector_control(
         self, name: str, size: int, *, unit: str = "", nominal: ArrayLike | None = None
@@ -283,7 +283,9 @@ class Model(Strict):
         read_integer(size, f"the size of vector control '{name}' of model '{self.name}'", 2, ModelError)
         magnitude = self.control(f"{name}_magnitude", unit=unit, nominal=nominal)
         direction = self.control(f"{name}_direction", size, nominal=1.0)
-        return VectorSymbols((self._compose(VectorControl, name, magnitude, direction, unit), magnitude))
+        return VectorSymbols(
+            (self._compose_control(VectorControl, name, magnitude, direction, unit), magnitude)
+        )
 
     def algebraic(
         self,
@@ -334,7 +336,7 @@ class Model(Strict):
         ``Problem.parameter`` of the same name makes it an optimisation variable.
         """
         vector = self._read_finite(name, value, None)
-        symbol = self._declare("parameter", name, vector.size, unit, None)
+        symbol = self._declare_variable("parameter", name, vector.size, unit, None)
         self._parameter_values[name] = vector
         return symbol
 
@@ -567,7 +569,7 @@ class Model(Strict):
         array
             Shape of ``x``.
         """
-        return evaluate(self.function, t, x, u, self.parameter_values if p is None else p)
+        return evaluate_function(self.function, t, x, u, self.parameter_values if p is None else p)
 
     def linearize(
         self, t: float, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None
@@ -591,12 +593,14 @@ class Model(Strict):
             )
         return self._functions[name]
 
-    def _declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
+    def _declare_variable(
+        self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None
+    ) -> Symbol:
         self._refuse_if_in_use(kind)
         self._check_new_name(name)
         return self._variables.declare(kind, name, size, unit, nominal)
 
-    def _compose(
+    def _compose_control(
         self, kind: type[ComposedControl], name: str, first: Symbol, second: Symbol, unit: str
     ) -> Any:
         size = max(first.variable.size, second.variable.size)

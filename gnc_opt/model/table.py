@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import Strict, read_label, read_numbers
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, quote
 from gnc_opt.model.interpolation import METHODS, Method, Pieces
 from gnc_opt.model.tabular_data import read_columns
 from gnc_opt.model.variables import find_owners
@@ -127,7 +127,7 @@ class Table(Strict):
             return ca.vec(ca.SX(argument))
         except (NotImplementedError, RuntimeError):
             raise ModelError(
-                f"table '{self.name}' got {shown(argument)}: give SX expressions or numbers."
+                f"table '{self.name}' got {quote(argument)}: give SX expressions or numbers."
             ) from None
 
     def _refuse_outside(self, numbers: Sequence[Array]) -> None:
@@ -177,7 +177,7 @@ class Table(Strict):
     def _interpolate(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
         axes, coefficients = self._axis_pieces
-        found = [_Found.of(pieces, point[k]) for k, pieces in enumerate(axes)]
+        found = [_Found.locate(pieces, point[k]) for k, pieces in enumerate(axes)]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
@@ -199,7 +199,7 @@ class _Found:
     comparisons: Any
 
     @classmethod
-    def of(cls, pieces: Pieces, x: Any) -> _Found:
+    def locate(cls, pieces: Pieces, x: Any) -> _Found:
         breaks = pieces.breaks
         below, above = x < breaks[0], x > breaks[-1]
         steps = [x >= b for b in breaks[1:-1]]
@@ -288,7 +288,7 @@ def table(
     for given, known, what in ((method, METHODS, "method"), (outside, get_args(Outside), "outside")):
         if given not in known:
             raise ArgumentError(
-                f"table '{name}' has no {what} {shown(given)}: {did_you_mean(str(given), known)}"
+                f"table '{name}' has no {what} {quote(given)}: {did_you_mean(str(given), known)}"
             )
     return Table(_read_grids(x, data, name), data, method, outside, name)
 

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, did_you_mean, quote
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.runtime_environment import import_optional
 from gnc_opt.text_formatting import json_text
@@ -34,7 +34,7 @@ def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) 
         known = lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
         for name in needed:
             if name not in known:
-                raise ArgumentError(f"{path} has no column {shown(name)}: {did_you_mean(str(name), known)}")
+                raise ArgumentError(f"{path} has no column {quote(name)}: {did_you_mean(str(name), known)}")
         columns: dict[str, list[float]] = {name: [] for name in [*needed, *others] if name in known}
         for line in lines:
             for name, values in columns.items():
@@ -120,7 +120,7 @@ class Records:
         return target
 
 
-def name_rows(
+def name_variable_rows(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
     """Yield the variables of a layout with their rows of stacked values."""
@@ -149,10 +149,10 @@ def _write_json(records: Records, path: Path) -> None:
 
 
 def _write_mat(records: Records, path: Path) -> None:
-    content: dict[str, Any] = {_make_identifier(records.axis.name): np.asarray(records.points)[:, None]}
-    units = {_make_identifier(records.axis.name): records.axis.unit}
+    content: dict[str, Any] = {_matlab_identifier(records.axis.name): np.asarray(records.points)[:, None]}
+    units = {_matlab_identifier(records.axis.name): records.axis.unit}
     for variable, values in records.quantities:
-        name = _make_identifier(variable.name)
+        name = _matlab_identifier(variable.name)
         content[name] = (
             np.array(list(values[0]), dtype=object)[:, None] if _is_text(values) else np.asarray(values).T
         )
@@ -177,5 +177,5 @@ def _is_text(values: Any) -> bool:
     return np.asarray(values).dtype.kind in "OU"
 
 
-def _make_identifier(name: str) -> str:
+def _matlab_identifier(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

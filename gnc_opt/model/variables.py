@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import ErrorType, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_error, shown, unknown_name
+from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_error, quote, unknown_name
 from gnc_opt.model.expressions import contains_nan
 
 
@@ -243,7 +243,7 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
         expression = ca.vertcat(*[ca.SX(v) for v in parts])
     except (NotImplementedError, RuntimeError) as error:
         raise failure(
-            f"{what} is {shown(value)}, which is neither a number nor a CasADi SX expression: "
+            f"{what} is {quote(value)}, which is neither a number nor a CasADi SX expression: "
             "build it from the symbols that state(), control() and parameter() return."
         ) from error
     if expression.shape[1] != 1 and expression.shape[0] == 1:

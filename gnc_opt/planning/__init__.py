@@ -4,53 +4,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names for type checkers
-    from gnc_opt.planning.direct.solve_failure import (
-        SolveError,
-    )
-    from gnc_opt.planning.nlp import (
-        SolverOptions,
-        Status,
-    )
-    from gnc_opt.planning.problem import (
-        Phase,
-        Problem,
-    )
-    from gnc_opt.planning.problem.arcs import (
-        Arc,
-        ArcKind,
-    )
-    from gnc_opt.planning.problem.guess.data import (
-        guess_from_data,
-    )
-    from gnc_opt.planning.problem.guess.simulation import (
-        guess_from_simulation,
-    )
-    from gnc_opt.planning.refinement import (
-        RefinementLimits,
-        refine,
-    )
-    from gnc_opt.planning.solution import (
-        PhaseSolution,
-        Solution,
-        load,
-    )
-    from gnc_opt.planning.solution.history import (
-        History,
-        RefinementStatus,
-    )
-    from gnc_opt.planning.solution.verdict import (
-        Condition,
-        ConditionResult,
-        LowerBound,
-        Verdict,
-    )
-    from gnc_opt.planning.solution.warm_start import (
-        guess_from_solution,
-    )
-    from gnc_opt.planning.solver import (
-        Resolver,
-        solve,
-    )
+    from gnc_opt.planning.direct.solve_failure import SolveError
+    from gnc_opt.planning.nlp import SolverOptions, Status
+    from gnc_opt.planning.problem import Phase, Problem
+    from gnc_opt.planning.problem.arcs import Arc, ArcKind
+    from gnc_opt.planning.problem.guess.simulation import guess_from_simulation
+    from gnc_opt.planning.problem.guess.tables import guess_from_data
+    from gnc_opt.planning.refinement import RefinementLimits, refine
+    from gnc_opt.planning.solution import PhaseSolution, Solution, load
+    from gnc_opt.planning.solution.history import History, RefinementStatus
+    from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
+    from gnc_opt.planning.solution.warm_start import guess_from_solution
+    from gnc_opt.planning.solver import Resolver, solve
     from gnc_opt.planning.study import (
         Continuation,
         ContinuationStatus,
@@ -61,20 +26,10 @@ if TYPE_CHECKING:  # the same names for type checkers
         multistart,
         sweep,
     )
-    from gnc_opt.planning.study.lower_bounds import (
-        lower_bound,
-    )
-    from gnc_opt.planning.study.sensitivity import (
-        Sensitivity,
-        sensitivity,
-    )
-    from gnc_opt.planning.transcription.mesh import (
-        Mesh,
-    )
-    from gnc_opt.planning.verification import (
-        verify,
-        verify_trajectory,
-    )
+    from gnc_opt.planning.study.lower_bounds import lower_bound
+    from gnc_opt.planning.study.sensitivity import Sensitivity, sensitivity
+    from gnc_opt.planning.transcription.mesh import Mesh
+    from gnc_opt.planning.verification import verify, verify_trajectory
 
 __all__ = [
     "Arc",
@@ -121,7 +76,7 @@ _NAMES_OF_MODULES = {
     "planning.nlp": "SolverOptions Status",
     "planning.problem": "Phase Problem",
     "planning.problem.arcs": "Arc ArcKind",
-    "planning.problem.guess.data": "guess_from_data",
+    "planning.problem.guess.tables": "guess_from_data",
     "planning.problem.guess.simulation": "guess_from_simulation",
     "planning.refinement": "RefinementLimits refine",
     "planning.solution": "PhaseSolution Solution load",

@@ -12,7 +12,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.measured_start import clip_start_to_bounds
+from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate
@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import MOVED_START
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, get_family
+from gnc_opt.planning.transcription.point_families import GAUSS, Scheme, get_family
 from gnc_opt.runtime_environment import one_thread
 
 

@@ -24,7 +24,7 @@ from gnc_opt.plot.style import (
     variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_text import LEVELS, select_printed_measures
+from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
 
 _PASSED: dict[str, Any] = {
     "color": COLORS[0],

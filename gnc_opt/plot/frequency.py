@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
 from gnc_opt.analysis.loop_response import LoopResponse
-from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, did_you_mean, quote
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
@@ -52,7 +52,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
     >>> figure = plot_response(loop_response(loop, x0=[1.0, 0.0], tf=8.0), "nyquist")
     """
     if kind not in _KINDS:
-        raise ArgumentError(f"a response is not drawn as {shown(kind)}: {did_you_mean(str(kind), _KINDS)}")
+        raise ArgumentError(f"a response is not drawn as {quote(kind)}: {did_you_mean(str(kind), _KINDS)}")
     if kind != "margins" and response.times.size > len(COLORS):
         raise ArgumentError(
             f"{response.times.size} instants are too many for one figure: give loop_response() at= up to {len(COLORS)} "

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, UnknownNameError, shown, unknown_name
+from gnc_opt.errors import ArgumentError, UnknownNameError, quote, unknown_name
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.simulation.run import Run
@@ -66,7 +66,7 @@ class View:
         for name in self.keep_out:
             self.volume(name)
         for name, position in self.bodies.items():
-            _read_three_numbers(position, f"the position of '{name}'")
+            _read_position(position, f"the position of '{name}'")
 
     def volume(self, name: str) -> tuple[Array, Array]:
         """Return centre (3,) and semi-axes (3,) of a keep-out volume."""
@@ -75,10 +75,10 @@ class View:
         except (TypeError, ValueError):
             raise ArgumentError(f"keep-out volume '{name}' is not a pair: give (centre, radius).") from None
         axes = read_numbers(radius, f"the radius of '{name}'").reshape(-1)
-        axes = np.full(3, axes[0]) if axes.size == 1 else _read_three_numbers(axes, f"the radius of '{name}'")
+        axes = np.full(3, axes[0]) if axes.size == 1 else _read_position(axes, f"the radius of '{name}'")
         if not np.all(axes > 0):
-            raise ArgumentError(f"the radius of '{name}' is {shown(radius)}: give a length > 0.")
-        return _read_three_numbers(centre, f"the centre of '{name}'"), axes
+            raise ArgumentError(f"the radius of '{name}' is {quote(radius)}: give a length > 0.")
+        return _read_position(centre, f"the centre of '{name}'"), axes
 
 
 @dataclass(frozen=True)
@@ -98,13 +98,13 @@ class Motion:
 
 def motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     """Return the start and end time (s) of a motion."""
-    parts = _trajectory_parts(moved, view)
+    parts = _split_trajectory(moved, view)
     return parts[0].begin, parts[-1].end
 
 
 def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
     """Return samples of a motion at times (n,), s; constant before its start and after its end."""
-    parts = _trajectory_parts(moved, view)
+    parts = _split_trajectory(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
     begins = [part.begin for part in parts]
     owner = np.clip(np.searchsorted(begins, at, side="right") - 1, 0, len(parts) - 1)
@@ -112,24 +112,27 @@ def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
 
     def stack_values(names: Names) -> Array:
         return np.concatenate(
-            [np.vstack([part.values(n, t) for n in _list_names(names)]) for part, t in groups], axis=1
+            [np.vstack([part.evaluate_signal(n, t) for n in _format_names(names)]) for part, t in groups],
+            axis=1,
         )
 
     position, unit, labels = np.zeros((3, times.size)), "", ("x", "y", "z")
     if view.position is not None:
-        names, values = _list_names(view.position), stack_values(view.position)
-        position = _to_three_rows(values, f"the position {', '.join(names)}")
-        unit = parts[0].unit(names[0])
+        names, values = _format_names(view.position), stack_values(view.position)
+        position = _pad_to_three_rows(values, f"the position {', '.join(names)}")
+        unit = parts[0].length_unit(names[0])
         if len(values) == 2:
             labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
     dcm = (
         None
         if view.attitude is None
-        else _attitude_matrix(stack_values(view.attitude), ", ".join(_list_names(view.attitude)))
+        else _attitude_matrix(stack_values(view.attitude), ", ".join(_format_names(view.attitude)))
     )
     force = None
     if view.force is not None:
-        force = _to_three_rows(stack_values(view.force), f"the force {', '.join(_list_names(view.force))}")
+        force = _pad_to_three_rows(
+            stack_values(view.force), f"the force {', '.join(_format_names(view.force))}"
+        )
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return Motion(times, position, dcm, force, unit, labels)
 
@@ -146,7 +149,7 @@ class _Part:
     source: Any
     layouts: Mapping[str, Layout]
 
-    def values(self, name: str, t: Array) -> Array:
+    def evaluate_signal(self, name: str, t: Array) -> Array:
         """Return the values of a variable (size, n), or of one component (1, n)."""
         whole, bracket, _ = name.partition("[")
         values = np.atleast_2d(self._find_signal(whole)(t))
@@ -168,13 +171,13 @@ class _Part:
             raise unknown_name("state or control", name, "the motion", known) from None
 
     def has_states(self, names: Names) -> bool:
-        return all(name.partition("[")[0] in self.layouts["state"] for name in _list_names(names))
+        return all(name.partition("[")[0] in self.layouts["state"] for name in _format_names(names))
 
-    def unit(self, name: str) -> str:
+    def length_unit(self, name: str) -> str:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
-def _trajectory_parts(moved: Moved, view: View) -> list[_Part]:
+def _split_trajectory(moved: Moved, view: View) -> list[_Part]:
     if isinstance(moved, Run):
         layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
         parts = [_Part(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
@@ -186,12 +189,12 @@ def _trajectory_parts(moved: Moved, view: View) -> list[_Part]:
     names = view.position if view.position is not None else view.attitude or ()
     found = [part for part in parts if part.has_states(names)]
     if not found:  # say so in the words of what was given
-        for name in _list_names(names):
+        for name in _format_names(names):
             parts[0].source.state(name.partition("[")[0])
     return sorted(found, key=lambda part: part.begin)
 
 
-def _list_names(names: Names) -> list[str]:
+def _format_names(names: Names) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
 
 
@@ -205,7 +208,7 @@ def ellipsoid_points(centre: Array, semi_axes: Array) -> Array:
     return np.asarray(centre[:, None, None] + semi_axes[:, None, None] * unit)
 
 
-def _to_three_rows(values: Array, what: str) -> Array:
+def _pad_to_three_rows(values: Array, what: str) -> Array:
     """Return three rows; the second of two components is drawn upward, as is a single one."""
     nothing = np.zeros(values.shape[1])
     if len(values) == 1:
@@ -227,8 +230,8 @@ def _attitude_matrix(attitude: Array, name: str) -> Array:
     return np.asarray(kinds[len(attitude)](attitude), dtype=float)
 
 
-def _read_three_numbers(value: ArrayLike, what: str) -> Array:
+def _read_position(value: ArrayLike, what: str) -> Array:
     numbers = read_numbers(value, what).reshape(-1)
     if numbers.size != 3 or not np.all(np.isfinite(numbers)):
-        raise ArgumentError(f"{what} is {shown(value)}: give three finite numbers.")
+        raise ArgumentError(f"{what} is {quote(value)}: give three finite numbers.")
     return numbers

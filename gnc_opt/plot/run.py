@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, did_you_mean, quote
 from gnc_opt.plot.style import (
     QUIET,
     apply_style,
@@ -54,7 +54,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
         "errors": [n for n in run.followed.names if n in run.layouts["error"]],
     }
     if kind not in known:
-        raise ArgumentError(f"a run has no {shown(kind)} to draw: {did_you_mean(str(kind), known)}")
+        raise ArgumentError(f"a run has no {quote(kind)} to draw: {did_you_mean(str(kind), known)}")
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
     with apply_style():

@@ -166,7 +166,7 @@ def write_campaign_report(
 
 
 def _results_table(campaign: Campaign) -> str:
-    from gnc_opt.simulation.campaign_text import campaign_notes, campaign_rows
+    from gnc_opt.simulation.campaign_tables import campaign_notes, campaign_rows
 
     titles, *rows = campaign_rows(campaign)
     notes = "".join(f"<p>{escape(note)}</p>" for note in campaign_notes(campaign))

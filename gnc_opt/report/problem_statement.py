@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.report.formulas import (
@@ -258,11 +258,11 @@ def _pair_rows_with_limits(
 
 def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interval]]) -> str:
     if not writer.is_short_enough(ca.vertcat(*[element for _, element, _ in rows])):
-        return _omitted_expressions_note(rows)
+        return _note_omitted_expressions(rows)
     lines = []
     for label, element, box in rows:
         lower, upper = float(box.lower[0]), float(box.upper[0])
-        middle = _join_breakable_terms(writer.split_terms(element))
+        middle = _allow_breaks_between_terms(writer.split_terms(element))
         before = (
             inline_formula(number_mathml(lower) + "<mo>≤</mo>")
             if np.isfinite(lower) and lower != upper
@@ -278,20 +278,19 @@ def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str
     """Return equations; each right side is an expression or MathML."""
     expressions = ca.vertcat(*[value for _, value in rows if not isinstance(value, str)])
     if expressions.numel() and not writer.is_short_enough(expressions):
-        return _omitted_expressions_note(rows)
+        return _note_omitted_expressions(rows)
     lines = []
     for label, value in rows:
         right = (
             inline_formula(value)
             if isinstance(value, str)
-            else _join_breakable_terms(writer.split_terms(value))
+            else _allow_breaks_between_terms(writer.split_terms(value))
         )
         lines.append((inline_formula(label), inline_formula("<mo>=</mo>") + " " + right))
     return _formula_table(lines) + _auxiliary_formulas(writer)
 
 
 def _auxiliary_formulas(writer: Formulas) -> str:
-    """Return the auxiliary quantities since the last call."""
     found = [
         (inline_formula(name), inline_formula("<mo>=</mo>" + formula))
         for name, formula in writer.auxiliary[writer.shown :]
@@ -300,7 +299,7 @@ def _auxiliary_formulas(writer: Formulas) -> str:
     return ("<p>where</p>" if found else "") + _formula_table(found)
 
 
-def _omitted_expressions_note(rows: Sequence[Sequence[Any]]) -> str:
+def _note_omitted_expressions(rows: Sequence[Sequence[Any]]) -> str:
     expressions = [row[1] for row in rows if not isinstance(row[1], str)]
     function = ca.Function("f", [ca.vertcat(*ca.symvar(ca.vertcat(*expressions)))], expressions)
     names = ", ".join(dict.fromkeys(str(row[0]) if not str(row[0]).startswith("<") else "" for row in rows))
@@ -310,8 +309,7 @@ def _omitted_expressions_note(rows: Sequence[Sequence[Any]]) -> str:
     )
 
 
-def _join_breakable_terms(terms: Iterable[str]) -> str:
-    """Return terms as separate formulas, between which a line may break."""
+def _allow_breaks_between_terms(terms: Iterable[str]) -> str:
     return " ".join(inline_formula(term) for term in terms)
 
 

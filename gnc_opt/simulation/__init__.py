@@ -3,7 +3,6 @@
 from typing import Any
 
 from gnc_opt.renamed import check_renamed
-from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,
@@ -41,7 +40,8 @@ from gnc_opt.simulation.disturbances import (
 from gnc_opt.simulation.events import Event, EventOccurrence
 from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.monte_carlo import monte_carlo
-from gnc_opt.simulation.quantities import Quantity
+from gnc_opt.simulation.recorded_quantities import Quantity
+from gnc_opt.simulation.replanned_reference import Replan
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_name, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import DesignError, did_you_mean, shown
+from gnc_opt.errors import DesignError, did_you_mean, quote
 from gnc_opt.simulation.block import (
     Block,
     Defaults,
@@ -159,7 +159,7 @@ class Allocation(Block):
         read_name(self.to, "signal")
         if self.method not in get_args(Method):
             raise DesignError(
-                f"'{self.name}' cannot allocate by {shown(self.method)}: "
+                f"'{self.name}' cannot allocate by {quote(self.method)}: "
                 f"{did_you_mean(str(self.method), get_args(Method))}"
             )
         self._allocate(ca.SX.zeros(np.shape(self.matrix)[0]))
@@ -172,7 +172,7 @@ class Allocation(Block):
         return {self.to: (np.shape(self.matrix)[1], self.unit)}
 
     def check(self, size: int, h: float, dt: float) -> None:
-        check_rows(self.matrix, size, self.name)
+        check_effect_rows(self.matrix, size, self.name)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(self._allocate(signal), state)
@@ -318,7 +318,7 @@ class WheelArray(Block):
         super().__post_init__()
         if self.balance not in get_args(Balance):
             raise DesignError(
-                f"'{self.name}' cannot balance {shown(self.balance)}: "
+                f"'{self.name}' cannot balance {quote(self.balance)}: "
                 f"{did_you_mean(str(self.balance), get_args(Balance))}"
             )
         pseudo_inverse(self.axes, self.failed, f"wheel array '{self.name}'")
@@ -336,7 +336,7 @@ class WheelArray(Block):
         return None if self.to is None else {self.to: (self.n, "N m")}
 
     def check(self, size: int, h: float, dt: float) -> None:
-        check_rows(self.axes, size, self.name)
+        check_effect_rows(self.axes, size, self.name)
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
@@ -418,7 +418,7 @@ def effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
     return effects
 
 
-def check_rows(matrix: ArrayLike, size: int, name: str) -> None:
+def check_effect_rows(matrix: ArrayLike, size: int, name: str) -> None:
     """Raise an error if the size of the command differs from the rows of the matrix."""
     if np.shape(matrix)[0] != size:
         raise DesignError(f"'{name}' allocates {np.shape(matrix)[0]} components, but gets {size}.")

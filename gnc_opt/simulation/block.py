@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_label, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import as_vector
 from gnc_opt.simulation.intersample_input import Wave
 
@@ -170,7 +170,7 @@ def read_block_scalar(value: ArrayLike, what: str) -> Array:
     """Return one number as an array (1,)."""
     number = read_numbers(value, what)
     if number.size != 1 or np.isnan(number).any():
-        raise ArgumentError(f"{what} is {shown(value)}: give one number.")
+        raise ArgumentError(f"{what} is {quote(value)}: give one number.")
     return number.reshape(1)
 
 

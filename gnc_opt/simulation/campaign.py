@@ -15,7 +15,7 @@ from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import Strict
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.model.tabular_data import Records, name_rows
+from gnc_opt.model.tabular_data import Records, name_variable_rows
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.campaign_measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.compiled_loop import CompiledLoop
@@ -114,7 +114,7 @@ class Campaign(Strict, Printed):
         return len(self.outcomes)
 
     def __str__(self) -> str:
-        from gnc_opt.simulation.campaign_text import format_campaign_table
+        from gnc_opt.simulation.campaign_tables import format_campaign_table
 
         return format_campaign_table(self)
 
@@ -151,7 +151,7 @@ class Campaign(Strict, Printed):
             ``"integral(tilt)"``: of a quantity of the loop over the run. ``"replans"``, ``"failed replans"``:
             numbers of successful and of failed re-plannings. Or the name of a user-defined measure.
         """
-        return self._measures.values(name)
+        return self._measures.measure_values(name)
 
     def unit(self, name: str) -> str:
         """Return the unit of a measure."""
@@ -201,7 +201,7 @@ class Campaign(Strict, Printed):
     def maximum(self, name: str) -> float:
         """Return the largest value of a measure; infinite if a run has no value."""
         self._require_runs()
-        return float(np.max(_replace_nan_by_infinity(self.measure(name))))
+        return float(np.max(_nan_to_infinity(self.measure(name))))
 
     @property
     def counts(self) -> dict[RunStatus, int]:
@@ -222,7 +222,7 @@ class Campaign(Strict, Printed):
 
     def worst(self, name: str, count: int = 5) -> list[int]:
         """Return the indices of the runs with the largest values of a measure, in descending order."""
-        order = np.argsort(-_replace_nan_by_infinity(self.measure(name)), kind="stable")
+        order = np.argsort(-_nan_to_infinity(self.measure(name)), kind="stable")
         return [int(i) for i in self.indices[order[:count]]]
 
     def rerun(self, index: int) -> Run:
@@ -265,9 +265,9 @@ class Campaign(Strict, Printed):
         ]
         quantities = (
             (Variable("outcome"), np.array([outcomes], dtype=object)),
-            *name_rows(self.layouts["parameter"], self.parameters),
-            *name_rows(self.layouts["state"], self.states, "final."),
-            *name_rows(self.layouts["error"], self.errors, "error."),
+            *name_variable_rows(self.layouts["parameter"], self.parameters),
+            *name_variable_rows(self.layouts["state"], self.states, "final."),
+            *name_variable_rows(self.layouts["error"], self.errors, "error."),
             *measures,
         )
         about = {"seed": self.seed, "asked": self.asked, "fingerprint": self.fingerprint}
@@ -277,7 +277,7 @@ class Campaign(Strict, Printed):
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return statistics and failures as JSON text; with a path also write them to a file."""
-        from gnc_opt.simulation.campaign_text import campaign_dict
+        from gnc_opt.simulation.campaign_tables import campaign_dict
 
         text = json_text(campaign_dict(self))
         if path is not None:
@@ -337,5 +337,5 @@ CAMPAIGN_FILES = FileFormat(
 )
 
 
-def _replace_nan_by_infinity(values: Array) -> Array:
+def _nan_to_infinity(values: Array) -> Array:
     return np.where(np.isnan(values), np.inf, values)

@@ -19,7 +19,7 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
 from gnc_opt.simulation.final_values import FinalValues
-from gnc_opt.simulation.quantities import select_sample_steps
+from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.workers import Done, WorkerDied
 
@@ -50,7 +50,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Flo
     found = []
     for path in sorted(folder.glob(_PATTERN)):
         part = _load_batch(path)
-        _require_same_plan(part, mission, path)
+        _require_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
             found.append(_find_first_runs(part, count))
@@ -72,7 +72,7 @@ def _load_batch(path: Path) -> Campaign:
         ) from error
 
 
-def _require_same_plan(part: Campaign, mission: CampaignTask, path: Path) -> None:
+def _require_same_campaign(part: Campaign, mission: CampaignTask, path: Path) -> None:
     first = int(part.indices[0])
     why = ""
     if part.fingerprint != mission.flight.fingerprint:

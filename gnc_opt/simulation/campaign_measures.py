@@ -12,7 +12,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.confidence_intervals import estimate_percentile
-from gnc_opt.simulation.quantities import KEPT
+from gnc_opt.simulation.recorded_quantities import KEPT
 from gnc_opt.spacecraft.attitude import attitude_angle
 
 
@@ -105,7 +105,7 @@ class Measures:
         again = REPLANS if self._runs.replans.any() else ()
         return (*states, *self._runs.measured, *costs, *times, *way, *again)
 
-    def values(self, name: str) -> Array:
+    def measure_values(self, name: str) -> Array:
         """Return a measure of every run, (m,)."""
         if name in self._runs.measured:
             return np.asarray(self._runs.measured[name])

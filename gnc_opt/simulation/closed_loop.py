@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
-from gnc_opt.errors import ArgumentError, shown, unknown_name
+from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_point, as_vector
-from gnc_opt.simulation.active_reference import PlanUpdater
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step import list_alarm_labels, list_watched_labels
@@ -24,7 +23,8 @@ from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.loop_assembly import Blocks, Wiring, wire_loop
 from gnc_opt.simulation.loop_kernel import Kernel, build_kernel
-from gnc_opt.simulation.quantities import Quantity
+from gnc_opt.simulation.recorded_quantities import Quantity
+from gnc_opt.simulation.replanned_reference import PlanUpdater
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import OutcomeClassifier
 from gnc_opt.simulation.step_selection import StepSelection
@@ -231,7 +231,7 @@ class ClosedLoop:
         """
         nominal = self.parameters(x0, parameters)
         times = self._control_step_times(t0, tf)
-        rows = self._sample_schedule(times)
+        rows = self._sample_reference_schedule(times)
         flight = self._with_accurate_steps(nominal, times, rows)
         return replace(flight, replanner=self.replanner)
 
@@ -298,7 +298,7 @@ class ClosedLoop:
             times=times,
             schedule=rows,
             dt=self.dt,
-            followed_rows=self._reference_rows(),
+            followed_rows=self._index_reference_rows(),
             states=self.plant.states,
             measured=self.controller.states,
             followed=self.controller.followed,
@@ -341,7 +341,7 @@ class ClosedLoop:
             )
         return np.asarray(begin + self.dt * np.arange(count + 1), dtype=np.float64)
 
-    def _sample_schedule(self, times: Array) -> Array:
+    def _sample_reference_schedule(self, times: Array) -> Array:
         size = self.controller.signals.size
         rows = np.empty((size, times.size))
         for first in range(0, times.size, LEG):  # limits the memory of the evaluation
@@ -355,8 +355,7 @@ class ClosedLoop:
             rows[:, first : first + LEG] = found
         return rows
 
-    def _reference_rows(self) -> Any:
-        """Return the row indices of the reference in the schedule, or None."""
+    def _index_reference_rows(self) -> Any:
         signals, states = self.controller.signals, self.controller.followed
         if all(f"{n}_ref" in signals for n in states.names):
             return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
@@ -379,7 +378,7 @@ class ClosedLoop:
 def _as_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
-        raise ArgumentError(f"the {name} of a closed loop are {shown(given)}: give a list; {remedy}.")
+        raise ArgumentError(f"the {name} of a closed loop are {quote(given)}: give a list; {remedy}.")
     return tuple(expect(part, kind, f"one of the {name} of a closed loop", remedy) for part in parts)
 
 

@@ -14,14 +14,14 @@ import numpy as np
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, build_step_library
 from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
 from gnc_opt.simulation.final_values import FinalValues, integration_errors
 from gnc_opt.simulation.loop_kernel import Kernel
-from gnc_opt.simulation.quantities import select_sample_steps
+from gnc_opt.simulation.recorded_quantities import select_sample_steps
+from gnc_opt.simulation.replanned_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import Outcome, OutcomeClassifier, RunStatus
 
@@ -138,7 +138,7 @@ class CompiledLoop:
         first, second = (build_step_library(folded.machine_code_step) for folded in self._step_executors)
         quick = replace(self, libraries=(first, second))
         _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
-        X, C = self._initial_columns(rows[0], self.nominal)
+        X, C = self._initial_memory_columns(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
             flight._propagate_time_span(X, rows, C, end)
@@ -174,7 +174,7 @@ class CompiledLoop:
                 continue
             course = self._active_reference()
             for last, X, _ in self._propagate_legs(P[:, i], seed, known, course, again=again):
-                self._sample_quantities(samples[..., i], last, X[0])
+                self._sample_recorded_quantities(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
@@ -228,7 +228,7 @@ class CompiledLoop:
             if self._is_ended_by_event(X[0]):
                 last = first + flown
         final = self.kernel.state.split(X[:1].T)
-        ended = self._end_times(final)
+        ended = self._list_end_times(final)
         followed = self._reference_at_end(course, X[:1].T)
         self._log_time_span(log, final, np.array([0]), followed)
         ending = self._collect_final_values(X[None], {}, followed)
@@ -292,7 +292,6 @@ class CompiledLoop:
 
     @cached_property
     def _schedule_rows(self) -> Array:
-        """Schedule with one row per step."""
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
@@ -305,10 +304,9 @@ class CompiledLoop:
 
     @cached_property
     def _sample_step_indices(self) -> Any:
-        """Steps at whose start quantities are sampled, and the end."""
         return select_sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
 
-    def _sample_quantities(self, samples: Array, step: int, X: Array) -> None:
+    def _sample_recorded_quantities(self, samples: Array, step: int, X: Array) -> None:
         """Write the quantities at a step, the last values in the kernel state X, to (n, n_samples)."""
         if step in self._sample_step_indices and not self._is_ended_by_event(X):
             n = self.quantities.size
@@ -335,7 +333,7 @@ class CompiledLoop:
             course.replan_if_due(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
-    def _initial_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _initial_memory_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return the initial X of a run and its companion (2, n_state), and their constants."""
         (X, C), (other, others) = (folded.initial_column(known, P) for folded in self._step_executors)
         return np.stack([X, other]), (C, others)
@@ -358,7 +356,7 @@ class CompiledLoop:
         """Yield, for each leg, its last step, the final states (2, n_state), and the logged states and logs."""
         for first, rows in self.legs(seed, known, course, again=again):
             if first == 0:
-                X, C = self._initial_columns(rows[0], P)
+                X, C = self._initial_memory_columns(rows[0], P)
             else:
                 self._replan_if_due(course, first, X, rows, C)
             before, told = X.copy(), None
@@ -385,7 +383,7 @@ class CompiledLoop:
     def _is_ended_by_event(self, X: Array) -> bool:
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
-    def _end_times(self, parts: dict[str, Array]) -> Array:
+    def _list_end_times(self, parts: dict[str, Array]) -> Array:
         """Return the end times of runs (n,), s."""
         if not self.events.size:
             return np.full(parts["plant"].shape[1], self.times[-1])
@@ -397,7 +395,7 @@ class CompiledLoop:
 
     def _reference_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
-        found = course.reference_at(self._end_times(self.kernel.state.split(X)))
+        found = course.reference_at(self._list_end_times(self.kernel.state.split(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _collect_final_values(
@@ -453,4 +451,4 @@ def _make_seed_sequence(seed: Any) -> np.random.SeedSequence:
             return np.random.SeedSequence(seed)
     except (TypeError, ValueError):
         pass
-    raise ArgumentError(f"the seed of a run is {shown(seed)}: give an integer >= 0, or several.")
+    raise ArgumentError(f"the seed of a run is {quote(seed)}: give an integer >= 0, or several.")

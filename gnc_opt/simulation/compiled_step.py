@@ -210,7 +210,7 @@ def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], in
     return call_library
 
 
-def _append_leg_source(source: str, step: Any) -> str:
+def _append_leg_c_source(source: str, step: Any) -> str:
     sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
     loop = _LOOP
     for name, size in sizes.items():
@@ -224,7 +224,7 @@ def _generate_step_source(step: Any, folder: str) -> str:
         generator.add(step)
         written = Path(generator.generate(f"{folder}{os.sep}"))
     # CasADi generates no C code for solvers, and warns that this source does not compile
-    return "" if messages.getvalue() else _append_leg_source(written.read_text(encoding="utf-8"), step)
+    return "" if messages.getvalue() else _append_leg_c_source(written.read_text(encoding="utf-8"), step)
 
 
 def _compile_library(step: Any, compiler: str, place: Path) -> None:

@@ -13,7 +13,7 @@ from gnc_opt.simulation.dormand_prince import Taken, integrate_dormand_prince
 from gnc_opt.simulation.event_location import Watch, event_note_layout, event_record_layout
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import Wiring
-from gnc_opt.simulation.quantities import Extremes
+from gnc_opt.simulation.recorded_quantities import Extremes
 from gnc_opt.simulation.signals import Link, Places, replace_signals, replace_waves, stack_signals
 from gnc_opt.tolerances import SAME_TIME
 
@@ -139,7 +139,7 @@ class ControlStep:
             wave = concatenate_waves([waves[n] for n in link.on])
             wave, step = link.block.flow(tick, wave, memory[key], self.parameters_of(link), noise)
             memory[key] = step.state
-            _mark_saturation(saturated, step, link, origin)
+            _detect_saturation(saturated, step, link, origin)
             waves = replace_waves(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
@@ -201,7 +201,7 @@ class ControlStep:
         length = end - begin
 
         def applied_control(late: Any) -> Any:
-            return wave.evaluate_wave(lambda tau: ca.exp(-(begin + late) / tau))
+            return wave.evaluate_at(lambda tau: ca.exp(-(begin + late) / tau))
 
         def notify_watches(taken: Taken) -> None:
             for watch in watches:
@@ -249,7 +249,7 @@ class ControlStep:
             "steps": state["steps"] + 1,
         }
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
-        seen = [*watched_measurements(self.wiring, y), u, mean, new["plant"]]
+        seen = [*select_watched_measurements(self.wiring, y), u, mean, new["plant"]]
         if self.wiring.events:
             seen.append(ca.if_else(new["lost"], ca.inf, 0))
         n = len(self.wiring.quantities)
@@ -288,7 +288,7 @@ class ControlStep:
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
 
 
-def watched_measurements(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
+def select_watched_measurements(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
     """Return the measurement, or nothing if the controller or its estimator handles lost samples."""
     controller = wiring.controller
     return (measured,) if controller.unbridged is None and controller.estimated is None else ()
@@ -297,7 +297,7 @@ def watched_measurements(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
 def list_watched_labels(wiring: Wiring) -> list[str]:
     """Return the labels of the codes of non-finite quantities, starting at code 1."""
     groups = (
-        *watched_measurements(wiring, ("measured", wiring.controller.states)),
+        *select_watched_measurements(wiring, ("measured", wiring.controller.states)),
         ("command", wiring.controller.commands),
         ("applied", wiring.plant.controls),
         ("state", wiring.plant.states),
@@ -313,7 +313,7 @@ def list_alarm_labels(wiring: Wiring) -> list[str]:
     return [label for name in wiring.controller.alarms for label in memory[name].labels]
 
 
-def _mark_saturation(
+def _detect_saturation(
     saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]
 ) -> None:
     """Mark saturated components: the same component, or all input components of the block."""

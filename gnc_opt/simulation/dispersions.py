@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, shown, unknown_name
+from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.variables import Layout, as_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
@@ -73,7 +73,7 @@ class Normal(Dispersion):
         _require_finite(self.mean, "the mean of Normal()")
         if np.any(_require_finite(self.std, "the standard deviation of Normal()") < 0):
             raise ArgumentError(
-                f"the standard deviation of Normal() is {shown(self.std)}: give numbers >= 0."
+                f"the standard deviation of Normal() is {quote(self.std)}: give numbers >= 0."
             )
         if self.truncate is not None:
             read_positive(self.truncate, "truncate of Normal()")
@@ -81,7 +81,7 @@ class Normal(Dispersion):
     def check(self, name: str, nominal: Array) -> None:
         _check_size(self.std, nominal, f"the standard deviation of '{name}'")
         _check_size(self.mean, nominal, f"the mean deviation of '{name}'")
-        _check_relative(self.relative, name, nominal)
+        _check_relative_dispersion(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         if self.truncate is None:
@@ -125,13 +125,13 @@ class Uniform(Dispersion):
             _require_finite(self.low, "low of Uniform()") > _require_finite(self.high, "high of Uniform()")
         ):
             raise ArgumentError(
-                f"Uniform() has the range {shown(self.low)} to {shown(self.high)}: give the lower end first."
+                f"Uniform() has the range {quote(self.low)} to {quote(self.high)}: give the lower end first."
             )
 
     def check(self, name: str, nominal: Array) -> None:
         _check_size(self.low, nominal, f"the lower end of '{name}'")
         _check_size(self.high, nominal, f"the upper end of '{name}'")
-        _check_relative(self.relative, name, nominal)
+        _check_relative_dispersion(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         low = np.asarray(self.low, dtype=float)
@@ -326,7 +326,7 @@ def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, se
 def _require_finite(value: Any, what: str) -> Array:
     numbers = read_numbers(value, what)
     if not np.all(np.isfinite(numbers)):
-        raise ArgumentError(f"{what} is {shown(value)}: give finite numbers.")
+        raise ArgumentError(f"{what} is {quote(value)}: give finite numbers.")
     return numbers
 
 
@@ -334,7 +334,7 @@ def _check_size(value: ArrayLike, nominal: Array, what: str) -> None:
     as_vector(value, nominal.size, what, ArgumentError)
 
 
-def _check_relative(relative: bool, name: str, nominal: Array) -> None:
+def _check_relative_dispersion(relative: bool, name: str, nominal: Array) -> None:
     if relative and not np.any(nominal):
         raise ArgumentError(
             f"'{name}' has the nominal value 0, and every share of it is 0: drop relative=True."

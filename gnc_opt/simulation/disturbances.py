@@ -98,7 +98,10 @@ class SinusoidalDisturbance(Disturbance):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            "amplitude": (read_block_values(self.amplitude, size, f"the amplitude of '{self.name}'"), unit),
+            "amplitude": (
+                read_block_values(self.amplitude, size, f"the amplitude of '{self.name}'"),
+                unit,
+            ),
             "frequency": (read_block_scalar(self.frequency, f"the frequency of '{self.name}'"), "rad/s"),
             "phase": (read_block_values(self.phase, size, f"the phase of '{self.name}'"), "rad"),
         }

@@ -3,7 +3,7 @@ r"""Location of events within a minor step, and integration through them.
 A row (see `Events`) is *armed* if it has been >= 0 since the last occurrence of its event. An armed row is a candidate
 in an integration step (`Watch`) if it ends below zero, or if the cubic through its values and slopes, or the tangents
 at both ends, become negative. The minor step is then repeated up to the crossing, which Newton's method locates inside
-a bracket (`event_passage_function`); the resets are applied, and the integration continues.
+a bracket (`build_event_passage`); the resets are applied, and the integration continues.
 
 Events within `SAME_TIME` of the minor step are simultaneous: all conditions are evaluated before the resets, which are
 applied in the order of declaration until one ends the run. The run also ends if a row rises after its reset but crosses
@@ -19,7 +19,7 @@ import casadi as ca
 
 from gnc_opt.simulation.dormand_prince import Taken
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
-from gnc_opt.simulation.quantities import join_records
+from gnc_opt.simulation.recorded_quantities import join_quantity_records
 from gnc_opt.simulation.signals import Places
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
@@ -83,10 +83,10 @@ def event_record_layout(events: Events, n_states: int) -> tuple[tuple[str, int],
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
-def event_passage_function(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
+def build_event_passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
     """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
     way = _Passage(events, leg, h)
-    return way.function(), way.places
+    return way.build_function(), way.places
 
 
 class _Passage:
@@ -115,7 +115,7 @@ class _Passage:
     def _passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
         return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
 
-    def function(self) -> Any:
+    def build_function(self) -> Any:
         q, t, p, *context = self._passage_symbols(("q", self.places.size))
         one = self._leg_to_next_event()
         after = q
@@ -154,7 +154,7 @@ class _Passage:
 
     def _advance_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
         """Return the quantities at s, including those of the leg up to s."""
-        seen = join_records(v["quantities"], leg["quantities"])
+        seen = join_quantity_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
     def _propagate_through_event(self) -> Any:
@@ -310,8 +310,8 @@ class _Passage:
             v["before"] = ca.if_else(spread, ca.repmat(before, EVENTS_PER_STEP_MAX, 1), v["before"])
             v["after"] = ca.if_else(spread, ca.repmat(x, EVENTS_PER_STEP_MAX, 1), v["after"])
             v["number"] += happens
-            v["first"] = _replace_entry(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
-            v["count"] = _replace_entry(v["count"], j, happens, v["count"][j] + 1)
+            v["first"] = _replace_vector_entry(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
+            v["count"] = _replace_vector_entry(v["count"], j, happens, v["count"][j] + 1)
             if event.ends:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
@@ -319,7 +319,7 @@ class _Passage:
         return ca.Function("effect", [column, fired, t, p], [self.places.join(v)])
 
 
-def _replace_entry(column: Any, place: int, condition: Any, value: Any) -> Any:
+def _replace_vector_entry(column: Any, place: int, condition: Any, value: Any) -> Any:
     entries = ca.vertsplit(column)
     entries[place] = ca.if_else(condition, value, entries[place])
     return ca.vertcat(*entries)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnc_opt.arguments import expect, read_label, require_distinct
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, did_you_mean, quote
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_expression, find_foreign_symbols
 
@@ -88,7 +88,7 @@ class Event:
         read_label(self.name, "event")
         if self.direction not in _SIGNS:
             raise ArgumentError(
-                f"the direction of event '{self.name}' is {shown(self.direction)}: give one of {list(_SIGNS)}."
+                f"the direction of event '{self.name}' is {quote(self.direction)}: give one of {list(_SIGNS)}."
             )
         if self.reset is not None:
             remedy = "write reset={v: -v}, states with their new values"
@@ -178,7 +178,7 @@ class Events:
         return Layout("event", tuple(Variable(e.name) for e in self.declared), "the closed loop")
 
     @classmethod
-    def of(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
+    def from_declarations(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
         """Return the events of a plant; raise `ArgumentError` or `ModelError` for invalid ones."""
         require_distinct([event.name for event in declared], "events of the closed loop")
         if not declared:
@@ -236,7 +236,7 @@ def _states_after_event(event: Event, plant: Model) -> Any:
     """Return the states (n_states, 1) after an event."""
     new = {name: plant.symbol(name) for name in plant.states.names}
     for key, value in (event.reset or {}).items():
-        name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", shown(key))
+        name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", quote(key))
         if name not in plant.states or not (isinstance(key, str) or key is plant.symbol(name)):
             raise ArgumentError(
                 f"event '{event.name}' resets '{name}', which is no state of the plant '{plant.name}': "

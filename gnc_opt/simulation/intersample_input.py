@@ -46,7 +46,7 @@ class Wave:
     mean: Any
     at: Callable[[Decay], Any] | None = None
 
-    def evaluate_wave(self, decay: Decay) -> Any:
+    def evaluate_at(self, decay: Decay) -> Any:
         """Return the value for the exponentials ``decay``."""
         return self.mean if self.at is None else self.at(decay)
 
@@ -58,14 +58,14 @@ class Wave:
     def sample_for_integration(self, begin: Any, sigma: Any) -> Input:
         """Return the input for integration steps of length ``sigma`` from ``begin`` (s)."""
         projected = _ProjectedDecay(begin, sigma)
-        return lambda k, node: self.evaluate_wave(lambda tau: projected(tau, k, node))
+        return lambda k, node: self.evaluate_at(lambda tau: projected(tau, k, node))
 
 
 def concatenate_waves(waves: Sequence[Wave]) -> Wave:
     mean = ca.vertcat(*[wave.mean for wave in waves])
     if all(wave.at is None for wave in waves):
         return Wave(mean)
-    return Wave(mean, lambda decay: ca.vertcat(*[wave.evaluate_wave(decay) for wave in waves]))
+    return Wave(mean, lambda decay: ca.vertcat(*[wave.evaluate_at(decay) for wave in waves]))
 
 
 class _ProjectedDecay:

@@ -19,7 +19,7 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.block import Block, Tick
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event, Events
-from gnc_opt.simulation.quantities import Quantities, Quantity
+from gnc_opt.simulation.recorded_quantities import Quantities, Quantity
 from gnc_opt.simulation.signals import Kinds, Link, link_blocks, list_sizes_and_units
 
 
@@ -206,7 +206,10 @@ def wire_loop(
         n: (size, f"{unit}/s") for n, (size, unit) in list_sizes_and_units(plant.states).items()
     }
     pushes = [link_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
-    events, quantities = Events.of(plant, blocks.events), Quantities.of(plant, blocks.quantities)
+    events, quantities = (
+        Events.from_declarations(plant, blocks.events),
+        Quantities.from_declarations(plant, blocks.quantities),
+    )
     wiring = Wiring(
         plant,
         controller,

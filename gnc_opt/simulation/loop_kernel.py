@@ -16,18 +16,18 @@ import casadi as ca
 
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.control_step import ControlStep
-from gnc_opt.simulation.event_location import event_note_layout, event_passage_function
+from gnc_opt.simulation.event_location import build_event_passage, event_note_layout
 from gnc_opt.simulation.loop_assembly import Wiring
-from gnc_opt.simulation.quantities import join_records, make_empty_record
+from gnc_opt.simulation.recorded_quantities import create_empty_record, join_quantity_records
 from gnc_opt.simulation.signals import Places, stack_signals
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:
     """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``: the minor steps with event location."""
-    return _EventfulStep(step).function(act)
+    return _EventfulStep(step).build_function(act)
 
 
-def hold_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
+def freeze_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
     """Return the step, inactive after an event has ended the run, with ``log`` as second output."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, log])
@@ -41,7 +41,7 @@ class _EventfulStep:
         self.base, self.wiring, self.h, self.P = step, step.wiring, step.h, step.P
         self.state, self.known = step.state, step.known
 
-    def function(self, act: Any) -> Any:
+    def build_function(self, act: Any) -> Any:
         """Return ``act``, repeated with event location if it contains an event."""
         sizes = [act.size1_in(i) for i in range(act.n_in())]
         x, w, c, y, u, z = inputs = [ca.MX.sym(f"i{i}", size) for i, size in enumerate(sizes)]
@@ -61,7 +61,7 @@ class _EventfulStep:
         begin = ca.Function("begin", [column, known, self.P], [
             self.state.join(self.base.update_disturbances(state, self.known.split(known)))
         ])  # fmt: skip
-        now, notes = begin(x, w, P), ca.MX.zeros(self.notes.size)
+        now, notes = begin(x, w, P), ca.MX.zeros(self.event_notes.size)
         for i in range(wiring.minor_steps):
             minor, skip = self._minor_step_functions(i)
             either = ca.Function.if_else("minor", skip, minor)
@@ -69,7 +69,7 @@ class _EventfulStep:
         return list(self._closing_function()(x, now, notes, w, y, u, z))
 
     @property
-    def notes(self) -> Places:
+    def event_notes(self) -> Places:
         """Layout of the event notes of a control step, stored next to the state."""
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
         return Places((*sums, *event_note_layout(self.wiring.plant.states.size)))
@@ -90,18 +90,18 @@ class _EventfulStep:
         seen += [watch.lost, watch.lost_inside, extremes.record]
         context = [column, known, self.P, u]
         leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
-        way, places = event_passage_function(wiring.events, leg, h)
-        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.notes.size)
-        v, n = places.split(q), self.notes.split(noted)
+        way, places = build_event_passage(wiring.events, leg, h)
+        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_notes.size)
+        v, n = places.split(q), self.event_notes.split(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.accumulate_totals(new, applied, saturated, v["s"])
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
         n |= {k: v[k] for k, _ in event_note_layout(x.shape[0])}
-        book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.notes.join(n)])
+        book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.event_notes.join(n)])
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
         column_, notes_, w_, P_, u_ = inputs
-        a, b = self.state.split(column_), self.notes.split(notes_)
+        a, b = self.state.split(column_), self.event_notes.split(notes_)
         first = {
             **{k: a[k] for k, _ in places.parts if k in a},
             **{k: b[k] for k, _ in places.parts if k in b},
@@ -119,10 +119,10 @@ class _EventfulStep:
             ca.SX.sym(name, size)
             for name, size in (("before", self.state.size), ("X", self.state.size), ("w", self.known.size))
         )
-        noted, y = ca.SX.sym("notes", self.notes.size), ca.SX.sym("y", self.base.measured.size)
+        noted, y = ca.SX.sym("notes", self.event_notes.size), ca.SX.sym("y", self.base.measured.size)
         u = ca.SX.sym("u", self.wiring.controller.commands.size)
         z = ca.SX.sym("z", self.wiring.controller.memory.size)
-        new, n = self.state.split(column), self.notes.split(noted)
+        new, n = self.state.split(column), self.event_notes.split(noted)
         told = {
             "measured": y,
             "commands": u,
@@ -193,14 +193,14 @@ class _Builder(ControlStep):
         y, sensors = self.apply_sensors(x, w["t"], None, w)
         tick = Tick(w["t"], self.h, wiring.dt, self.split_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
-        parts |= {"plant": x, **sensors, "quantities": make_empty_record(len(wiring.quantities))}
+        parts |= {"plant": x, **sensors, "quantities": create_empty_record(len(wiring.quantities))}
         parts |= self.initial_actuator_memories(tick, w["r"])
         if wiring.events:
             parts |= self.initial_event_record(w["t"], x)
         for i, link in enumerate(wiring.disturbances):
             parts[f"push {i}"] = link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick)
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
-        kind = _symbol_kind(wiring.controller.start)
+        kind = _symbol_type(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
         y_, state = before(w_, p_)
         values = self.state.split(state)
@@ -211,7 +211,7 @@ class _Builder(ControlStep):
     def _step_function(self, constants: Any, act: Any) -> Any:
         inputs, after, log, _ = self._step_expressions(self.wiring.controller.step, constants, act)
         step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
-        return hold_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
+        return freeze_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
 
     def _fast_step_function(self, constants: Any, act: Any) -> Any:
         easy = self.wiring.controller.easy
@@ -219,11 +219,11 @@ class _Builder(ControlStep):
             return None
         inputs, after, _, (enough,) = self._step_expressions(easy, constants, act)
         step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
-        return hold_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
+        return freeze_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
     def _step_expressions(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
         """Return the symbols X, w, C, and X_next, log and the validity of an easy law for one step."""
-        kind = ca.MX if self.wiring.events else _symbol_kind(law)
+        kind = ca.MX if self.wiring.events else _symbol_type(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
         y, sensed = self._sense_function()(x, w, c[: self.P.shape[0]])
@@ -262,7 +262,7 @@ class _Builder(ControlStep):
             )
             watches = (extremes,) if watch is None else (watch, extremes)
             new["plant"] = self.integrate_plant(tick.t, new["plant"], waves, new, watches=watches)
-            new["quantities"] = join_records(new["quantities"], extremes.record)
+            new["quantities"] = join_quantity_records(new["quantities"], extremes.record)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
@@ -280,5 +280,5 @@ class _Builder(ControlStep):
         )
 
 
-def _symbol_kind(function: Any) -> Any:
+def _symbol_type(function: Any) -> Any:
     return ca.SX if function.is_a("SXFunction") else ca.MX

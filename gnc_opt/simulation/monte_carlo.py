@@ -193,7 +193,7 @@ def monte_carlo(
     before = [] if folder is None else load_stored_runs(folder, mission, n)
     with (
         _progress_meter(n, progress) as show,
-        WorkerPool(_share_task(mission, executor), executor, "monte_carlo()") as pool,
+        WorkerPool(_share_campaign_task(mission, executor), executor, "monte_carlo()") as pool,
     ):
 
         def store_batch(batch: Done[Batch, list[Flown]]) -> None:
@@ -226,7 +226,9 @@ def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callabl
     return campaign_meter(total)
 
 
-def _share_task(mission: CampaignTask, executor: Executor | Literal["serial"] | None) -> Shared[CampaignTask]:
+def _share_campaign_task(
+    mission: CampaignTask, executor: Executor | Literal["serial"] | None
+) -> Shared[CampaignTask]:
     remedy = 'define custom dispersions at the top level of a module, or use executor="serial"'
     shared = Shared.picklable(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import Strict, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.tabular_data import Records, name_rows
+from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.model.tabular_data import Records, name_variable_rows
 from gnc_opt.model.variables import Layout, Variable, as_vector
-from gnc_opt.simulation.active_reference import Replan
-from gnc_opt.simulation.campaign_text import LISTED
+from gnc_opt.simulation.campaign_tables import LISTED
 from gnc_opt.simulation.events import EventOccurrence
+from gnc_opt.simulation.replanned_reference import Replan
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.spacecraft.attitude import attitude_angle
 from gnc_opt.text_formatting import Printed
@@ -61,7 +61,7 @@ class Logged:
         first, last = self.times[0], np.inf if self.held else self.times[-1]
         if not np.all((at >= first) & (at <= last * (1 + ROUNDING))):
             raise ArgumentError(
-                f"'{self.name}' is logged from {first:g} s to {self.times[-1]:g} s, not at {shown(t)} s."
+                f"'{self.name}' is logged from {first:g} s to {self.times[-1]:g} s, not at {quote(t)} s."
             )
         if self.held:
             index = np.searchsorted(self.times, at + SAME_TIME * (1 + np.abs(at)), side="right") - 1
@@ -274,7 +274,7 @@ class Run(Strict, Printed):
 
     def _records(self) -> Records:
         n = self.times.size
-        quantities = [*name_rows(self.layouts["state"], self.states)]
+        quantities = [*name_variable_rows(self.layouts["state"], self.states)]
         steps = {
             "measured": self.measured,
             "command": self.commands,
@@ -282,11 +282,11 @@ class Run(Strict, Printed):
             "memory": self.memory,
         }
         for kind, values in steps.items():
-            quantities += name_rows(self.layouts[kind], values, f"{kind}.", n)
+            quantities += name_variable_rows(self.layouts[kind], values, f"{kind}.", n)
         if self.errors is not None:
-            quantities += name_rows(self.layouts["error"], self.errors, "error.")
+            quantities += name_variable_rows(self.layouts["error"], self.errors, "error.")
         if self.reference is not None:
-            quantities += name_rows(self.layouts["measured"], self.reference, "reference.")
+            quantities += name_variable_rows(self.layouts["measured"], self.reference, "reference.")
         about = {"outcome": str(self.outcome), "seed": self.seed}
         return Records(Variable("time", unit="s"), self.times, tuple(quantities), about)
 

@@ -39,12 +39,12 @@ _MODE_MAX_ERROR = 1e-6
 _STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
 
 
-def count_stable_steps(modes: Any, length: float) -> int:
+def count_steps_for_stability(modes: Any, length: float) -> int:
     """Return the number of steps in a length (s) for which the fastest mode (1/s, complex) is stable."""
     return max(1, int(np.ceil(np.max(np.abs(modes), initial=0.0) * length / _STABLE)))
 
 
-def count_accurate_steps(modes: Any, length: float, duration: float, asked: float) -> int:
+def count_steps_for_accuracy(modes: Any, length: float, duration: float, asked: float) -> int:
     """Return the number of steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex).
 
     If that exceeds the limit, the number for `_MODE_MAX_ERROR`; runs that excite the modes then refine it.
@@ -89,12 +89,12 @@ class StepSelection:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
         if self.substeps is not None:
             return flight_with(self.substeps)
-        substeps = count_stable_steps(modes, self.step)
+        substeps = count_steps_for_stability(modes, self.step)
         if substeps > MAX_SUBSTEPS:
             raise self._too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
         flight = flight_with(substeps)
         duration = float(flight.times[-1] - flight.times[0])
-        substeps = max(substeps, count_accurate_steps(modes, self.step, duration, self.asked))
+        substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
         best, least, stalled = flight, np.inf, 0
         while True:
             flight = flight_with(substeps)

@@ -49,7 +49,7 @@ from gnc_opt.spacecraft.rigid_body import (
     wheel_body_acceleration,
     wheel_pyramid,
 )
-from gnc_opt.spacecraft.vectors import apply, cross, transpose
+from gnc_opt.spacecraft.vector_algebra import apply, cross, transpose
 
 __all__ = [
     "J2_EARTH",

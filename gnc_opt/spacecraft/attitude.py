@@ -38,9 +38,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.spacecraft.quaternion import quaternion_angle
-from gnc_opt.spacecraft.vectors import Matrix, Vector, cross, dot, is_symbolic, scale, stack, stack_rows
+from gnc_opt.spacecraft.vector_algebra import (
+    Matrix,
+    Vector,
+    cross,
+    dot,
+    is_symbolic,
+    scale,
+    stack,
+    stack_rows,
+)
 
 
 def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
@@ -181,7 +190,7 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     length = np.linalg.norm(direction)
     if not length > 0:
         raise ArgumentError(
-            f"the axis of a rotation is {shown(axis)}, without a direction: give one that is not zero."
+            f"the axis of a rotation is {quote(axis)}, without a direction: give one that is not zero."
         )
     return np.asarray(direction / length * np.tan(angle / 4))
 

@@ -38,7 +38,7 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError
 from gnc_opt.spacecraft.rigid_body import angular_momentum
-from gnc_opt.spacecraft.vectors import Vector, cross, is_symbolic
+from gnc_opt.spacecraft.vector_algebra import Vector, cross, is_symbolic
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from __future__ import annotations
 from typing import Any
 
 from gnc_opt.spacecraft.rigid_body import angular_momentum
-from gnc_opt.spacecraft.vectors import Vector, cross, dot, scale, stack
+from gnc_opt.spacecraft.vector_algebra import Vector, cross, dot, scale, stack
 
 MU_EARTH = 398600.4418e9
 """Gravitational parameter of the Earth, m^3/s^2 (WGS 84)."""

@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.spacecraft.vectors import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
+from gnc_opt.spacecraft.vector_algebra import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
 
 Quaternion = Any
 """CasADi (4, 1), or an array (4,) or (4, n_times), scalar part first."""

@@ -46,7 +46,17 @@ import numpy as np
 
 from gnc_opt.errors import ArgumentError
 from gnc_opt.spacecraft.gravity import J2_EARTH, MU_EARTH, RADIUS_EARTH, j2_gravity
-from gnc_opt.spacecraft.vectors import Matrix, Vector, apply, cross, dot, scale, stack, stack_rows, transpose
+from gnc_opt.spacecraft.vector_algebra import (
+    Matrix,
+    Vector,
+    apply,
+    cross,
+    dot,
+    scale,
+    stack,
+    stack_rows,
+    transpose,
+)
 
 
 def mean_motion(semi_major_axis: float, mu: float = MU_EARTH) -> float:

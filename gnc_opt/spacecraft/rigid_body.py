@@ -43,7 +43,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.spacecraft.vectors import Matrix, Vector, apply, cross, is_symbolic, stack
+from gnc_opt.spacecraft.vector_algebra import Matrix, Vector, apply, cross, is_symbolic, stack
 
 PYRAMID_ELEVATION = float(np.arctan(1 / np.sqrt(2)))
 """Elevation of the axes above the base (rad) with equal capability about all body axes, 35.264 degrees."""

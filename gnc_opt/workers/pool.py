@@ -164,7 +164,7 @@ class WorkerPool(Generic[Object]):
                 ledger.cancel_tasks()
             else:  # executors with terminating processes fail on futures cancelled one by one
                 self._own.end_processes(at_once=True)
-            ledger.collect_results()
+            ledger.collect_finished_results()
         return ledger.sorted_results()
 
     def _run_parallel(
@@ -185,12 +185,16 @@ class WorkerPool(Generic[Object]):
             else:
                 ledger.store_result((number,), _make_result(ledger.items[number], future, error))
 
-        waiting, pending, room = deque(items), dict[Future[Answer], int](), _count_task_slots(self._executor)
+        waiting, pending, room = (
+            deque(items),
+            dict[Future[Answer], int](),
+            _count_task_slots(self._executor),
+        )
         idle, deserted = 0, False
         while waiting or pending:
             while waiting and len(pending) < room:
                 number, item = waiting.popleft()
-                future = _gone() if deserted else self._submit_task(task, item)
+                future = _worker_died_result() if deserted else self._submit_task(task, item)
                 ledger.futures[number] = future
                 if future.done():
                     record_result(number, _get_error(future))
@@ -204,7 +208,7 @@ class WorkerPool(Generic[Object]):
                 number = pending.pop(future)
                 if deserted:
                     future.cancel()
-                record_result(number, _gone().exception() if deserted else _get_error(future))
+                record_result(number, _worker_died_result().exception() if deserted else _get_error(future))
         return sorted(left, key=lambda numbered: numbered[0])
 
     def _rerun_items(
@@ -245,7 +249,7 @@ class WorkerPool(Generic[Object]):
         except Exception:
             if not _has_lost_workers(self._executor):
                 raise
-            return _gone()
+            return _worker_died_result()
 
 
 @dataclass(eq=False)
@@ -265,7 +269,7 @@ class _Ledger(Generic[Item, Answer]):
         for future in self.futures.values():
             future.cancel()
 
-    def collect_results(self) -> None:
+    def collect_finished_results(self) -> None:
         """Store answers that have not been read."""
         for number, future in self.futures.items():
             if (number,) not in self.done and future.done() and _get_error(future) is None:
@@ -309,7 +313,7 @@ def _make_failed_future(error: BaseException) -> Future[Any]:
     return future
 
 
-def _gone() -> Future[Any]:
+def _worker_died_result() -> Future[Any]:
     return _make_failed_future(WorkerDied("the cluster has no workers left"))
 
 

@@ -50,7 +50,7 @@ class Shared(Generic[Object]):
     @classmethod
     def picklable(cls, value: Object, name: str, remedy: str) -> Shared[Object]:
         """Return a shared object that is pickled itself."""
-        return cls(value, name, remedy, partial(_return_value, value))
+        return cls(value, name, remedy, partial(_return_unchanged, value))
 
     @property
     def here(self) -> Here[Object]:
@@ -97,7 +97,7 @@ def _unpickle_once(parcel: bytes) -> Any:
     return pickle.loads(parcel)()
 
 
-def _return_value(value: Object) -> Object:
+def _return_unchanged(value: Object) -> Object:
     return value
 
 

@@ -28,7 +28,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from gnc_opt.spacecraft.vectors import cross
+from gnc_opt.spacecraft.vector_algebra import cross
 from problems._example import Array, Reference, example_main
 
 MU = 3.986012e14

@@ -32,7 +32,7 @@ from gnc_opt.control import (
     initial_state_function,
     law,
 )
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
+from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Disturbance, Saturation, SinusoidalDisturbance
 from gnc_opt.spacecraft import (
@@ -116,7 +116,7 @@ def quasi_sliding_mode(
     gains : QuasiSlidingMode
     """
     states, controls = model.states, model.controls
-    signals = reference_signal_layout(reference)
+    signals = build_reference_layout(reference)
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states.size)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", 0)
     attitude, rate = states.slice("q_BO"), states.slice("omega")

@@ -51,7 +51,7 @@ from numpy.polynomial.legendre import leggauss
 from gnc_opt.arguments import read_positive
 from gnc_opt.errors import ModelError
 from gnc_opt.spacecraft.gravity import MU_EARTH
-from gnc_opt.spacecraft.vectors import is_symbolic
+from gnc_opt.spacecraft.vector_algebra import is_symbolic
 
 
 class TetherMotion(NamedTuple):

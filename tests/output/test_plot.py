@@ -16,14 +16,7 @@ from testing.internals import derivative_unit, number_text, unit_text, variable_
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.plot import (
-    axes,
-    plot_controls,
-    plot_costates,
-    plot_hamiltonian,
-    plot_states,
-    save_figure,
-)
+from gnc_opt.plot import axes, plot_controls, plot_costates, plot_hamiltonian, plot_states, save_figure
 
 
 @pytest.fixture(scope="module")

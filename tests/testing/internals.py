@@ -17,7 +17,7 @@ from gnc_opt.control.riccati import (
 )
 from gnc_opt.control.sampled_data import (
     advance_phase,
-    count_started_steps,
+    count_periods_begun,
     count_whole_steps,
     discretize,
     discretize_time_varying,
@@ -27,7 +27,7 @@ from gnc_opt.control.sampled_data import (
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import compute_riccati_gains
-from gnc_opt.estimation.error_space import euclidean_space
+from gnc_opt.estimation.error_retraction import euclidean_space
 from gnc_opt.estimation.linearization import (
     Regression,
     cholesky_semidefinite,
@@ -54,7 +54,7 @@ from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
-from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
+from gnc_opt.planning.problem.bounds import Interval, unbounded
 from gnc_opt.planning.problem.guess import simulation as guess_simulation
 from gnc_opt.planning.problem.guess.initial_guess import (
     SUSTAINED,
@@ -64,7 +64,7 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 )
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.interval import Interval, unbounded
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate
@@ -82,7 +82,7 @@ from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iterations import IterationLimits
+from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
@@ -104,9 +104,9 @@ from gnc_opt.planning.transcription.arc_constraints import (
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
+from gnc_opt.planning.transcription.point_families import SCHEMES, Scheme, get_family
 from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales
-from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, get_family
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.planning.verification.bang_bang_second_order import (
     check_strict_bang_bang_property,
@@ -142,8 +142,8 @@ from gnc_opt.simulation.event_location import Watch
 from gnc_opt.simulation.final_values import integration_errors
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
-from gnc_opt.simulation.quantities import SAMPLES, select_sample_steps
+from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.run import Logged, compute_settling_time
 from gnc_opt.simulation.signals import Places, link_blocks
-from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, count_accurate_steps
+from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import derivative_unit

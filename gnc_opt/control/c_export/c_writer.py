@@ -45,7 +45,7 @@ class CNumbers:
         text = repr(float(value)) if self.dtype is np.float64 else str(rounded)
         return text + self.suffix
 
-    def entry(self, value: float) -> str:
+    def c_entry(self, value: float) -> str:
         """Return the C literal of a table entry; raise an error if it is not finite."""
         if not np.isfinite(value):
             raise ArgumentError(
@@ -59,20 +59,20 @@ class CNumbers:
             return text
         return _CALL.sub(rf"\1{self.suffix}(", _LITERAL.sub(rf"\1{self.suffix}", text))
 
-    def typed(self, text: str) -> str:
+    def typed_literal(self, text: str) -> str:
         """Return C code with ``real_t`` replaced by the type."""
         return re.sub(r"\breal_t\b", self.type, text)
 
-    def nested(self, values: Array) -> str:
+    def nested_initializer(self, values: Array) -> str:
         """Return the initializer of an array of any dimension."""
         if np.ndim(values) == 1:
-            return "{" + wrap_initializer(self.entry(float(v)) for v in values) + "}"
-        return "{" + ",\n".join(self.nested(row) for row in values) + "}"
+            return "{" + wrap_initializer(self.c_entry(float(v)) for v in values) + "}"
+        return "{" + ",\n".join(self.nested_initializer(row) for row in values) + "}"
 
     def table(self, name: str, values: Array) -> str:
         """Return the definition of a constant array."""
         shape = "".join(f"[{n}]" for n in np.shape(values))
-        return f"static const {self.type} {name}{shape} = {self.nested(np.asarray(values))};"
+        return f"static const {self.type} {name}{shape} = {self.nested_initializer(np.asarray(values))};"
 
 
 DOUBLE = CNumbers("double", "", np.float64, 1e-9, 1e-11)

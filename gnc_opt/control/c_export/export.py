@@ -23,7 +23,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, write_c_statements
 from gnc_opt.control.c_export.schedule_table import FlightTable, tabulate_schedule
 from gnc_opt.control.controller import Controller, FlightLaw
-from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
 from gnc_opt.model.variables import Layout
 
 _NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
@@ -119,7 +119,7 @@ def export_c(
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: omit span.")
     if precision not in _NUMBERS:
         raise ArgumentError(
-            f"there is no precision {shown(precision)}: {did_you_mean(str(precision), list(_NUMBERS))}"
+            f"there is no precision {quote(precision)}: {did_you_mean(str(precision), list(_NUMBERS))}"
         )
     step, start = (
         _expand_to_scalar_operations(f, form) for f in (form.controller.step, form.controller.start)
@@ -254,7 +254,7 @@ class FlightFiles:
         """Return the bytes of the local arrays of the larger function and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
-        own = self.step.sz_w() + memory + (0 if solver is None else solver.stack)
+        own = self.step.sz_w() + memory + (0 if solver is None else solver.stack_entries)
         return int(self.numbers.size * (row + max(self.start.sz_w(), own)))
 
     def write_header(self, remark: str = "") -> str:
@@ -310,7 +310,7 @@ class FlightFiles:
             "#endif",
             "",
         ]
-        return self.numbers.typed("\n".join(lines))
+        return self.numbers.typed_literal("\n".join(lines))
 
     def write_source(self) -> str:
         upper, prefix = self.prefix.upper(), self.prefix
@@ -329,15 +329,15 @@ class FlightFiles:
                 f"    return schedule[k < {upper}_N_ROWS ? k : {upper}_N_ROWS - 1];",
                 "}",
                 "",
-                self.form.solver.text(self.numbers),
+                self.form.solver.c_text(self.numbers),
             ]
         lines += self._write_c_function("start", ["t", "x", "r"], ["z"], self.start)
         lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
-        return self.numbers.typed("\n".join([*lines, self._fill_template("interface.c")]))
+        return self.numbers.typed_literal("\n".join([*lines, self._fill_template("interface.c")]))
 
     def write_driver(self) -> str:
         """Return the C source of a program that reads measurements and writes commands."""
-        return self.numbers.typed(self._fill_template("driver.c"))
+        return self.numbers.typed_literal(self._fill_template("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
 

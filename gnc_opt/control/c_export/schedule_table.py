@@ -10,7 +10,7 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import CNumbers
 from gnc_opt.control.controller import Controller
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import Layout
 from gnc_opt.tolerances import ROUNDING
 
@@ -66,7 +66,7 @@ def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, floa
     ends = read_numbers(found, "the span of a schedule").reshape(-1)
     if ends.size != 2 or not (np.isfinite(ends).all() and ends[0] <= ends[1]):
         raise ArgumentError(
-            f"the span of a schedule is {shown(found)}: give finite times (t_0, t_f), t_0 <= t_f."
+            f"the span of a schedule is {quote(found)}: give finite times (t_0, t_f), t_0 <= t_f."
         )
     first, last = (float(t) for t in ends)
     # tolerance of rounding: a row at the end itself belongs to the tail

@@ -21,8 +21,8 @@ from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap
 from gnc_opt.planning.solution.violation_diagnosis import find_violations
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
-from gnc_opt.planning.transcription.scheme import Scheme
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.runtime_environment import package_version
 

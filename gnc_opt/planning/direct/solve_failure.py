@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import has_trajectory_guess
 from gnc_opt.planning.nlp import Status
-from gnc_opt.planning.problem.check_functions import singular_norms
+from gnc_opt.planning.problem.differentiability_checks import find_singular_norms
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import missing_bounds_text
 from gnc_opt.planning.solution.solution import Solution
@@ -42,7 +42,9 @@ def format_failure(solution: Solution) -> str:
         worst = f"worst: {first.name}{amount}"
     problem = solution.problem
     norms = (
-        [text for leg in problem.phases.values() for text in singular_norms(problem, leg)] if problem else []
+        [text for leg in problem.phases.values() for text in find_singular_norms(problem, leg)]
+        if problem
+        else []
     )
     return (
         f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "

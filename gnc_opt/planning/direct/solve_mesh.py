@@ -21,7 +21,7 @@ from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multip
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
-from gnc_opt.planning.problem.guess.perturbation import with_random_guess
+from gnc_opt.planning.problem.guess.random_guess import with_random_guess
 from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.warm_start import (
     start_from_guess,
 )
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike, read_meshes
-from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
+from gnc_opt.planning.transcription.point_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription
 
 TRY_MAX_ITERATIONS = 300

@@ -168,7 +168,6 @@ def final_barrier_parameter(tolerance: float) -> float:
 
 
 def _plugin_options(options: SolverOptions) -> dict[str, Any]:
-    """Return the corresponding options of another plugin, as far as they exist."""
     quiet_qp = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     wishes: dict[str, Any] = {
         "max_iter": int(options.max_iterations),

@@ -263,7 +263,6 @@ def _to_casadi_matrix(matrix: Any) -> Any:
 
 
 def _nonzero_entries(expression: Any) -> Any:
-    """Return the nonzeros of an SX matrix as a dense column vector."""
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 
 

@@ -26,10 +26,10 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.state_constraints import TOUCH_MAX_ORDER, StateConstraints
 from gnc_opt.planning.problem.arcs import Arc, ArcKind, Junction
-from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -111,7 +111,7 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
     if chosen.size:
         gradients = _control_gradients_of_derivatives(s.functions, chosen)
         numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
-        flat = evaluate_columns(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
+        flat = evaluate_batch(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
         rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
         found.append(rows * beside[chosen][:, None])
     return np.concatenate(found)

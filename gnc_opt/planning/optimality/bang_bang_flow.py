@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.model.function_evaluation import evaluate_chain, evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch, evaluate_chain
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 
@@ -270,7 +270,7 @@ class _Matrices:
         """Return the dense matrices (n, *shape) for n columns of every argument."""
         n = arguments[0].shape[1]
         found = np.zeros((n, *self.shape))
-        found[:, self.rows, self.columns] = evaluate_columns(self.entries, n, *arguments).T
+        found[:, self.rows, self.columns] = evaluate_batch(self.entries, n, *arguments).T
         return found
 
 
@@ -324,7 +324,7 @@ class _Steps:
         """Return the derivatives of the steps from states (n, n_steps) with given inputs."""
         (n, n_steps), n_stages = states.shape, len(_SHARES)
         h = inputs[0][:, None, None]
-        found = evaluate_columns(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
+        found = evaluate_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
         places = found[0].transpose(1, 0, 2).reshape(n, -1)
         slopes = found[1].transpose(0, 2, 1)
         slope_jacobians = rates.jacobian(places, np.tile(inputs, n_stages)).reshape(n_stages, n_steps, n, n)

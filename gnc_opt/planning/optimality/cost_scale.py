@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.function_evaluation import evaluate_columns
-from gnc_opt.planning.problem.functions import build_endpoint_values
+from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
@@ -54,7 +54,7 @@ def lasts_for_share_of_phase(times: Array, here: Mask, share: float) -> Mask:
     return arcs
 
 
-def lasting_minimum_index(times: Array, values: Array) -> int:
+def index_of_lasting_minimum(times: Array, values: Array) -> int:
     """Return the sample of the smallest values (n_times,) that last for more than the share `SMEARED`.
 
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
@@ -105,7 +105,7 @@ class Magnitudes:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_columns(build_endpoint_values(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_batch(build_endpoint_values(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])

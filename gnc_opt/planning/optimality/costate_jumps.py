@@ -21,8 +21,8 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.cost_scale import AVERAGING_SHARE_OF_PHASE
-from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions
-from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.bounds import Interval, intersect
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
 
@@ -109,7 +109,7 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = StateConstraintSides.evaluate_at(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
     rest, every = jumps.copy(), np.zeros(pushers.active.shape)
-    scale, spare = s.state_scale, _nearby_impulses(s)
+    scale, spare = s.state_scale, _impulses_at_boundaries(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
         least = -spare[pushers.active[:, k], k]
@@ -181,7 +181,7 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
     return np.asarray(np.where(upper > -lower, upper, lower))
 
 
-def _nearby_impulses(s: PhaseSamples) -> Array:
+def _impulses_at_boundaries(s: PhaseSamples) -> Array:
     """Return the integrals by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = integrate_nearby_multipliers(
         s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])

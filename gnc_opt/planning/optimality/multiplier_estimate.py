@@ -25,8 +25,8 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.costate_jumps import path_gradients
 from gnc_opt.planning.optimality.reachable_set import matrix_exponentials
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
-from gnc_opt.planning.problem.functions import PhaseFunctions
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.costates import Iterate

@@ -18,7 +18,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import program_start

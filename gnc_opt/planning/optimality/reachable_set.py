@@ -15,7 +15,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
-from gnc_opt.planning.problem.functions import build_endpoint_values
+from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution

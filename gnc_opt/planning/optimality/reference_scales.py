@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.control_deviation import (
     add_inactive_control_deviations,
     compute_control_deviation,
@@ -51,7 +51,7 @@ from gnc_opt.planning.optimality.reachable_set import (
     final_state_response,
     link_initial_states,
 )
-from gnc_opt.planning.problem.functions import build_endpoint_values, end_gradients
+from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values, end_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -132,7 +132,10 @@ class Scales:
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
         gramians = compute_control_gramians(links, order, deviations, {})
         reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
-        changed = sum(_cost_of_states(s, reach[s.leg.name][1]) for s in lasting)
+        changed = sum(
+            np.max(np.abs(_hamiltonian_differences(s, reach[s.leg.name][1].semi_axes)), initial=0.0)
+            for s in lasting
+        )
         changed += sum(float(np.sum(_cost_of_each_control(s, deviations[s.leg.name]))) for s in samples)
         changed += ends.end_cost_curvature(reach)
         least = EQUAL * changed
@@ -153,7 +156,10 @@ class Scales:
         cost += ends.end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost only through the states.
-            cost = changed + sum(_cost_of_each_state(s, reach[s.leg.name][1]) for s in lasting)
+            cost = changed + sum(
+                np.sum(np.abs(_hamiltonian_differences(s, np.diag(reach[s.leg.name][1].radius))))
+                for s in lasting
+            )
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         curvatures = _parameter_curvatures(problem, solution, samples)
         if not controlled:
@@ -207,16 +213,6 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
     return change if change > NEGLIGIBLE * terms else terms
-
-
-def _cost_of_states(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
-    """Return approximately the largest half second difference of the integral of H over the reach of the states."""
-    return float(np.max(np.abs(_hamiltonian_differences(s, ellipsoid.semi_axes)), initial=0.0))
-
-
-def _cost_of_each_state(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
-    """Return the sum of the half second differences of the integral of H over the reach of each single state."""
-    return float(np.sum(np.abs(_hamiltonian_differences(s, np.diag(ellipsoid.radius)))))
 
 
 def find_cost_curvature(s: PhaseSamples) -> Mask:
@@ -451,7 +447,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_columns(build_endpoint_values(problem), 1 + 2 * len(moves), *columns, nu)
+            found = evaluate_batch(build_endpoint_values(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return replace_nonfinite(first), replace_nonfinite(second)

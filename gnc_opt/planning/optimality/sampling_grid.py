@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.kinks import find_feature_centres
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -51,7 +51,7 @@ def find_feature_edges(problem: Problem, s: PhaseSamples) -> Array:
     def evaluate_centres(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
         x, u = s.leg.x(times), s.leg.applied(times)
-        return np.asarray(evaluate_columns(centres, times.size, times[None], x, u, *numbers))
+        return np.asarray(evaluate_batch(centres, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
     signs = np.sign(evaluate_centres(times))

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.function_evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.problem.interval import Interval, stack_intervals
+from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import ConstraintOrder, constraint_order
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -115,7 +115,7 @@ class StateConstraints:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
         function = self.problem.cache(("derivative", name, row, k), lambda: self._derivative_function(row, k))
-        return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
+        return np.asarray(evaluate_function(function, times, x, u, f.p, f.q)[0])
 
     def state_gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
         """Return the gradient of a row in the states, (n_states,)."""

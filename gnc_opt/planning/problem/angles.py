@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 
 PERIODS = np.pi, 180.0, 2 * np.pi, 360.0

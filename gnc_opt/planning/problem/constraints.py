@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.variables import Variable, as_expression, as_vector
-from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
+from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, suggest_symbol
 from gnc_opt.model.expressions import list_nodes
-from gnc_opt.model.function_evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.model import Model
 from gnc_opt.model.table import Table, TableUse
 from gnc_opt.model.variables import Layout, find_foreign_symbols
@@ -77,7 +77,7 @@ def find_table_exits(
     uses = table_calls(problem, leg)
     if not uses:
         return []
-    arguments = evaluate(_build_table_arguments(problem, leg, uses), times, states, controls, p, q)
+    arguments = evaluate_function(_build_table_arguments(problem, leg, uses), times, states, controls, p, q)
     found, row = [], 0
     for use in uses:
         for axis, grid in enumerate(use.table.grids):

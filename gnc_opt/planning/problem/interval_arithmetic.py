@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.model.expressions import replace_in
-from gnc_opt.planning.problem.interval import Interval, intersect, unbounded
+from gnc_opt.model.expressions import replace_nodes
+from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
@@ -182,7 +182,7 @@ class Domain:
         """Return 1 for nodes in which a scalar expression is nondecreasing, -1 if it is nonincreasing, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
-        of_z = replace_in(expression, place)
+        of_z = replace_nodes(expression, place)
         boxes = (*self.boxes, self.evaluate_ranges(ca.vertcat(*nodes)))
         within = Domain((*self.symbols, z), boxes)
         slopes = within.evaluate_ranges(ca.jacobian(of_z, z).T)

@@ -18,20 +18,12 @@ from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_arc_kinds
-from gnc_opt.planning.problem.constraints import Constraint, make_constraint
-from gnc_opt.planning.problem.control_states import (
-    add_phase_fraction,
-    limit_control_rates,
-    make_polynomial_controls,
-    split_time_bounds,
-)
-from gnc_opt.planning.problem.guess.values import GuessValue
-from gnc_opt.planning.problem.interval import (
+from gnc_opt.planning.problem.bounds import (
     Interval,
-    by_name,
     default_control_bounds,
     intersect,
     magnitude_ranges,
+    ranges_by_name,
     read_interval,
     split_control_ranges,
     stack_intervals,
@@ -39,6 +31,14 @@ from gnc_opt.planning.problem.interval import (
     unbounded,
     with_ranges,
 )
+from gnc_opt.planning.problem.constraints import Constraint, make_constraint
+from gnc_opt.planning.problem.control_states import (
+    add_phase_fraction,
+    limit_control_rates,
+    make_polynomial_controls,
+    split_time_bounds,
+)
+from gnc_opt.planning.problem.guess.profiles import GuessValue
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement, read_duration
 
 
@@ -345,12 +345,12 @@ class Phase(Strict):
         old, box = self.model, self.numbers
         self._owner.refuse_if_frozen()
         model = old.with_states(rates, controls)
-        bounds = {**by_name(box.states, old.states), **by_name(box.controls, old.controls)}
+        bounds = {**ranges_by_name(box.states, old.states), **ranges_by_name(box.controls, old.controls)}
         self._set_numbers(
             states=stack_ranges(bounds, model.states),
             controls=stack_ranges(bounds, model.controls),
-            initial=stack_ranges(by_name(box.initial, old.states), model.states),
-            final=stack_ranges(by_name(box.final, old.states), model.states),
+            initial=stack_ranges(ranges_by_name(box.initial, old.states), model.states),
+            final=stack_ranges(ranges_by_name(box.final, old.states), model.states),
         )
         self.model = model
         for end, symbols in self._ends.items():

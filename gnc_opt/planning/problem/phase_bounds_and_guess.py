@@ -18,8 +18,13 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Held
-from gnc_opt.planning.problem.guess.values import GuessValue, read_guess_times, resample_guesses, sample_guess
-from gnc_opt.planning.problem.interval import Interval, read_interval
+from gnc_opt.planning.problem.bounds import Interval, read_interval
+from gnc_opt.planning.problem.guess.profiles import (
+    GuessValue,
+    read_guess_times,
+    resample_guesses,
+    sample_guess,
+)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Owner, Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 

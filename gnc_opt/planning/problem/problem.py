@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_label, read_mapping, read_name, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ProblemError, shown, unknown_name, warn_user
+from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_vector
 from gnc_opt.planning.problem.arcs import Junction, Smooth
+from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import (
     check_boundary_symbols,
@@ -27,8 +28,7 @@ from gnc_opt.planning.problem.expressions import (
     end_arguments,
 )
 from gnc_opt.planning.problem.guess.initial_guess import record_known_states
-from gnc_opt.planning.problem.guess.values import GuessValue
-from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
+from gnc_opt.planning.problem.guess.profiles import GuessValue
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 from gnc_opt.planning.problem.phase_division import divide_phase
@@ -41,11 +41,11 @@ def compute_fingerprint(problem: Statement) -> str:
     """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
     digest = hashlib.sha256()
     digest.update(
-        repr((problem.sense, _names_and_sizes(problem.parameters), problem.constraint_labels())).encode()
+        repr((problem.sense, _variable_sizes(problem.parameters), problem.constraint_labels())).encode()
     )
     for leg in problem.phases.values():
         model = leg.model
-        layouts = [_names_and_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
+        layouts = [_variable_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
         digest.update(_serialise_phase(problem, leg))
         for vector in (
@@ -65,7 +65,7 @@ def compute_fingerprint(problem: Statement) -> str:
     return digest.hexdigest()[:16]
 
 
-def _names_and_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
+def _variable_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 
@@ -111,7 +111,7 @@ def build_linkages(
         raise ProblemError(f"{label} of problem '{problem}' joins a phase to itself: use time=False.")
     own = first.own_states | second.own_states
     shared = [name for name in first.model.states.names if name in second.model.states and name not in own]
-    names = shared if states is None else _state_names(states, f"the states of {label}")
+    names = shared if states is None else _read_state_names(states, f"the states of {label}")
     jumps = {} if jump is None else expect(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
     for name in dict.fromkeys([*names, *jumps]):
         start, end = second.initial_state(name), first.final_state(name)
@@ -134,10 +134,10 @@ def build_linkages(
         yield f"{label}_time", second.initial_time - first.final_time, as_vector(0.0, 1, label)
 
 
-def _state_names(states: Iterable[str], what: str) -> list[str]:
+def _read_state_names(states: Iterable[str], what: str) -> list[str]:
     if isinstance(states, (list, tuple, set, frozenset)) and all(isinstance(name, str) for name in states):
         return list(states)
-    raise ProblemError(f"{what} are {shown(states)}: give a list of names.")
+    raise ProblemError(f"{what} are {quote(states)}: give a list of names.")
 
 
 class Problem(Statement):

@@ -9,9 +9,10 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError, did_you_mean, warn_user
 from gnc_opt.model.variables import Variable
-from gnc_opt.planning.problem.check_functions import (
+from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
+from gnc_opt.planning.problem.differentiability_checks import (
+    check_finite,
     check_guess_in_tables,
-    check_values,
     warn_of_kinks,
     warn_of_norms,
 )
@@ -22,7 +23,6 @@ from gnc_opt.planning.problem.expressions import (
     stack_terms,
 )
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.interval import Interval, intersect, unbounded
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.reformulation import reformulate
@@ -48,9 +48,9 @@ def check_problem(problem: Statement) -> None:
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
     try:
-        check_values(solved)
+        check_finite(solved)
     except ProblemError:
-        check_values(
+        check_finite(
             with_curved_guess(solved)
         )  # the same guess as the solver: most straight lines need no curvature
     if first:

@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import build_phase_function
-from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement

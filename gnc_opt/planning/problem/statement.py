@@ -13,8 +13,8 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.table import TableUse
 from gnc_opt.model.variables import Layout, Symbol
+from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval import Interval, stack_intervals
 from gnc_opt.planning.problem.phase import Phase
 
 S = TypeVar("S", bound="Statement")

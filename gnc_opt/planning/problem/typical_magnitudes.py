@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.model.function_evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
-from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.tolerances import ROUNDING
 
@@ -63,7 +63,7 @@ def _estimate_state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> 
     for limit, usual in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):
         endless = np.where(guessed[:, None], start.controls, usual[:, None])
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
-        f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
+        f = evaluate_function(leg.model.function, times, start.states, controls, leg.model.parameter_values)
         rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
     together, alone = np.max(rates, axis=0), _rate_change_by_control(leg, start, times, magnitudes)
     rate = np.where(together > CANCELLATION_SHARE * alone, together, alone)
@@ -74,7 +74,7 @@ def _rate_change_by_control(leg: Phase, start: PhaseStart, times: Array, magnitu
     """Return the largest change of each state's rate by a single control of its magnitude, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
-    f = evaluate(
+    f = evaluate_function(
         leg.model.function,
         np.tile(times, count + 1),
         np.tile(start.states, count + 1),

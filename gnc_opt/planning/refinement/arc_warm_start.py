@@ -21,8 +21,8 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidates import Candidate, final_solution
-from gnc_opt.planning.refinement.iterations import IterationLimits
+from gnc_opt.planning.refinement.candidate_solutions import Candidate, final_solution
+from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.switching.warm_start import truncate_solution
 from gnc_opt.planning.solution.history import History, RefinementStatus

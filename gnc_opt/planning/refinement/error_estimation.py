@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.functions import PhaseFunctions
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import evaluate_within_bounds
 from gnc_opt.planning.solution.samples import PhaseSamples

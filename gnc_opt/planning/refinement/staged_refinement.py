@@ -47,8 +47,8 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     Segments,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidates import Candidate, final_solution
-from gnc_opt.planning.refinement.iterations import IterationLimits
+from gnc_opt.planning.refinement.candidate_solutions import Candidate, final_solution
+from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.propagation import integrate_to_times
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import ROUNDING

@@ -12,8 +12,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe
-from gnc_opt.planning.problem.functions import PhaseFunctions
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 
 
 def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:

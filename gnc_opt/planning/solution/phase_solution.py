@@ -14,12 +14,12 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.model.composed_controls import ComposedControl, VectorControl
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angles import Turns
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
-from gnc_opt.planning.transcription.scheme import Scheme
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arguments import read_integer, read_numbers
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     barycentric_interpolation,
@@ -82,7 +82,7 @@ class PiecewisePolynomial:
             A time outside the span or NaN, or an unknown side.
         """
         if not isinstance(side, str) or side not in ("left", "right"):
-            raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
+            raise ArgumentError(f"the side of a segment boundary is {quote(side)}: give 'left' or 'right'.")
         times = self._clamp_times(np.atleast_1d(read_numbers(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
         bases = self._cached_grid.kept if times.size <= KEPT_TIMES else self._cached_grid.interpolation_bases

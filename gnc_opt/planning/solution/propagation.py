@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.integration import Budget, Controls, EndedError, Tolerance, integrate
-from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import nonzero_magnitude
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.propagation import integrate_dynamics
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, ROUNDING

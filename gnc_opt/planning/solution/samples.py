@@ -9,7 +9,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.angle_unwrapping import find_control_periods
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.variation_scales import (
@@ -21,8 +21,8 @@ from gnc_opt.planning.solution.variation_scales import (
     find_inactive_controls,
     state_spans,
 )
+from gnc_opt.planning.transcription.point_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, collocation_points, quadrature_weights
-from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, nonzero_magnitude
 
 SAMPLES_BEYOND_POINTS = 9

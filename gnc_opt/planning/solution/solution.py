@@ -21,14 +21,13 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, table_calls
-from gnc_opt.planning.problem.functions import PhaseFunctions, compile_expression, phase_functions
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
-from gnc_opt.planning.solution.export import build_time_history
 from gnc_opt.planning.solution.history import (
     Actions,
     History,
@@ -42,10 +41,11 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.quality import Quality, measure_quality
 from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.time_history_export import build_time_history
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.scheme import Scheme
+from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.text_formatting import Printed
 
 

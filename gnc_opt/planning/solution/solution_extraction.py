@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions, end_gradients, phase_functions
+from gnc_opt.planning.problem.hamiltonian_functions import (
+    EndGradients,
+    PhaseFunctions,
+    end_gradients,
+    phase_functions,
+)
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles

@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text_formatting import counted
+from gnc_opt.text_formatting import count_text
 from gnc_opt.tolerances import EQUAL
 
 LABEL_WIDTH = 13
@@ -176,20 +176,20 @@ def optimality_text(solution: SummarisedSolution) -> str:
 
 def _mesh_text(mesh: Mesh) -> str:
     low, high = min(mesh.degrees), max(mesh.degrees)
-    words = f"{counted(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
-    return words + f", {counted(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+    words = f"{count_text(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {count_text(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
 def _headline_text(solution: SummarisedSolution) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
-        status = f"NOT SOLVED ({_status_words(solution.status.value)})"
+        status = f"NOT SOLVED ({_format_status(solution.status.value)})"
     elif history is None:
-        status = f"solved ({_status_words(solution.status.value)})"
+        status = f"solved ({_format_status(solution.status.value)})"
     else:
         reached = history.converged or history.status is RefinementStatus.UNCHECKED
-        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_status_words(history.status.value)})"
+        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_format_status(history.status.value)})"
     return f"{solution.problem_name}: {status}, objective {objective_text(solution)} ({sense})"
 
 
@@ -240,7 +240,7 @@ def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
     yield _labelled_line(
         "refinement",
         f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
-        f"{counted(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
+        f"{count_text(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
     )
 
 
@@ -316,7 +316,7 @@ def exited_tables(solution: SummarisedSolution) -> list[OutsideTable]:
     return [] if solution.problem is None else solution.outside_tables()
 
 
-def _status_words(value: str) -> str:
+def _format_status(value: str) -> str:
     return value.replace("_", " ")
 
 

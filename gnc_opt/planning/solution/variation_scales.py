@@ -18,8 +18,8 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.functions import PhaseFunctions
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, nonzero_magnitude
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.nlp import NlpResult, Status
-from gnc_opt.planning.problem.check_functions import find_nonfinite_function
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.transcription.scaling import Scaling
@@ -97,7 +97,6 @@ def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> li
 def _find_nonfinite_functions(
     problem: Problem, phases: dict[str, PhaseSolution], parameters: Array
 ) -> list[Violation]:
-    """Return the functions and derivatives that are NaN or infinite at the collocation points."""
     found = []
     for name, phase in phases.items():
         times = phase.point_times

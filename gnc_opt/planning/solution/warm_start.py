@@ -112,7 +112,7 @@ def start_from_solution(
         leg = problem.phases[name]
         old = _find_matching_phase(guess, leg)
         _fill_phase_variables(transcription, part, old, x, lam_x, lam_g)
-    _fill_parameters(transcription, problem, guess, x, lam_x)
+    _fill_free_parameters(transcription, problem, guess, x, lam_x)
     _fill_end_multipliers(transcription, guess, lam_g)
     box = transcription.variable_interval(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
@@ -191,7 +191,7 @@ def _fill_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Arr
         lam_x[places] = impulses
 
 
-def _fill_parameters(
+def _fill_free_parameters(
     transcription: Transcription, problem: Problem, guess: Solution, x: Array, lam_x: Array
 ) -> None:
     for name in problem.parameters.names:

@@ -33,11 +33,7 @@ from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
-from gnc_opt.planning.optimality.nlp_point import (
-    ProgramLimits,
-    ProgramPoint,
-    saddle_matrix,
-)
+from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import Iterate

@@ -34,7 +34,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solver import solve
-from gnc_opt.planning.study.relaxation import Relaxation, find_relaxations
+from gnc_opt.planning.study.problem_relaxation import Relaxation, find_relaxations
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficiency import is_convex
 from gnc_opt.runtime_environment import one_thread

@@ -1,7 +1,7 @@
 """multistart: search for the best of several local minima from many initial guesses.
 
 Starts differ in durations, revolutions of angles, state perturbations and control switches
-(`gnc_opt.planning.problem.guess.perturbation`). Every start is solved on a coarse mesh, and again with halved segments
+(`gnc_opt.planning.problem.guess.random_guess`). Every start is solved on a coarse mesh, and again with halved segments
 if the integrated dynamics do not confirm it. Equal solutions are merged; the best distinct minima are refined, checked
 and merged again.
 """
@@ -21,7 +21,7 @@ from gnc_opt.arguments import expect, read_integer, read_positive, suggest_keywo
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.perturbation import keeps_guess_shape, with_random_guess
+from gnc_opt.planning.problem.guess.random_guess import keeps_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.optimality.nlp_point import ProgramPoint
-from gnc_opt.planning.problem.functions import phase_functions
+from gnc_opt.planning.problem.hamiltonian_functions import phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, interpolate_points
@@ -491,7 +491,7 @@ def _scaled_rate_derivatives(
         moved[program.transcription.parameter_places],
     ]
     derivative = _directional_rate_derivative(problem, own)
-    change_of_f = evaluate_columns(derivative, times.size, times[None, :], x, u, p, q, *directions)
+    change_of_f = evaluate_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
 

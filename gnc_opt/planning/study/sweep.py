@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
+from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
@@ -90,7 +90,7 @@ class Sweep(Printed):
             return np.asarray(np.where(self.solved, axes[name], np.nan))
         if name not in own:
             known = [*own, *self.outputs, *self.grid]
-            raise ArgumentError(f"the sweep has no quantity {shown(name)}: {did_you_mean(str(name), known)}")
+            raise ArgumentError(f"the sweep has no quantity {quote(name)}: {did_you_mean(str(name), known)}")
         values = [np.nan if s is None else own[name](s) for s in self.solutions.flat]
         return np.array(values, dtype=float).reshape(self.solutions.shape)
 
@@ -104,7 +104,7 @@ class Sweep(Printed):
         """
         if len(senses) < 2 or any(sense not in ("min", "max") for sense in senses.values()):
             raise ArgumentError(
-                f"the arguments of pareto() are {shown(senses)}: name two quantities or more, each with 'min' or 'max'."
+                f"the arguments of pareto() are {quote(senses)}: name two quantities or more, each with 'min' or 'max'."
             )
         worth = np.stack([self.array(n).ravel() * (1 if s == "min" else -1) for n, s in senses.items()])
         front = []
@@ -209,7 +209,7 @@ def sweep(
     for name, output in named.items():
         if not callable(output):
             raise ArgumentError(
-                f"output '{name}' of sweep() is {shown(output)}: give a function of a solution."
+                f"output '{name}' of sweep() is {quote(output)}: give a function of a solution."
             )
     line = _Line(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
     shared = Shared.picklable(

@@ -11,14 +11,10 @@ from numpy.polynomial import legendre
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.arcs import ArcKind, Held, Junction, Kinds, Smooth
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.redundant_bounds import (
-    find_implied_bounds,
-    find_monotone_states,
-    loosen_bounds,
-)
+from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states, loosen_bounds
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 

@@ -26,8 +26,8 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.point_families import Family, Scheme, get_family
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
-from gnc_opt.planning.transcription.scheme import Family, Scheme, get_family
 
 
 @dataclass(frozen=True)

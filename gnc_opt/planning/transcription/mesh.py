@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.errors import ProblemError, shown
+from gnc_opt.errors import ProblemError, quote
 from gnc_opt.tolerances import ROUNDING
 
 
@@ -50,7 +50,7 @@ class Mesh:
         breaks = read_numbers(self.breaks, "the breaks of a mesh", ProblemError)
         if breaks.ndim != 1 or breaks.size < 2 or not np.all(np.diff(breaks) > 0):
             raise ProblemError(
-                f"the breaks of a mesh are {shown(self.breaks)}: give two or more that increase."
+                f"the breaks of a mesh are {quote(self.breaks)}: give two or more that increase."
             )
         if abs(breaks[0]) > ROUNDING or abs(breaks[-1] - 1) > ROUNDING:
             raise ProblemError(
@@ -62,13 +62,13 @@ class Mesh:
                 f"a mesh has {breaks.size - 1} segments, but {degrees.size} degrees: give one each."
             )
         if not np.all((degrees >= 1) & (degrees == np.floor(degrees)) & np.isfinite(degrees)):
-            raise ProblemError(f"the degrees of a mesh are {shown(self.degrees)}: give integers >= 1.")
+            raise ProblemError(f"the degrees of a mesh are {quote(self.degrees)}: give integers >= 1.")
         movable = set(
             read_numbers(self.movable, "the movable breaks of a mesh", ProblemError).ravel().tolist()
         )
         if not movable <= set(range(1, breaks.size - 1)):
             raise ProblemError(
-                f"the movable breaks of a mesh are {shown(self.movable)}: "
+                f"the movable breaks of a mesh are {quote(self.movable)}: "
                 f"choose among its interior breaks 1 to {breaks.size - 2}."
             )
         object.__setattr__(self, "movable", tuple(sorted(int(i) for i in movable)))
@@ -96,7 +96,7 @@ class Mesh:
         t = read_numbers(times, "the times of a mesh", ProblemError).reshape(-1)
         if t.size < 2 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0):
             raise ProblemError(
-                f"the times of a mesh are {shown(times)}: give two or more, finite and increasing."
+                f"the times of a mesh are {quote(times)}: give two or more, finite and increasing."
             )
         counts = read_numbers(degree, "the degrees of a mesh", ProblemError)
         degrees: Any = tuple(counts) if counts.ndim else (degree,) * (t.size - 1)
@@ -109,7 +109,7 @@ class Mesh:
         """Return the mesh of a text: ``"20x3"`` is 20 equal segments with 3 points each."""
         match = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text) if isinstance(text, str) else None
         if not match:
-            raise ProblemError(f"mesh {shown(text)} is not understood: write SEGMENTSxDEGREE, e.g. 20x3.")
+            raise ProblemError(f"mesh {quote(text)} is not understood: write SEGMENTSxDEGREE, e.g. 20x3.")
         return cls.uniform(int(match[1]), int(match[2]))
 
     @property
@@ -191,4 +191,4 @@ def _read_mesh(mesh: MeshLike) -> Mesh:
         return mesh
     if isinstance(mesh, str):
         return Mesh.parse(mesh)
-    raise ProblemError(f"{shown(mesh)} is not a mesh: give Mesh.uniform(20, 3) or '20x3'.")
+    raise ProblemError(f"{quote(mesh)} is not a mesh: give Mesh.uniform(20, 3) or '20x3'.")

@@ -21,7 +21,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.scheme import Scheme
+from gnc_opt.planning.transcription.point_families import Scheme
 
 
 @dataclass(frozen=True)

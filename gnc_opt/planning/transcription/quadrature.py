@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.planning.transcription.scheme import GAUSS, Numbers, Scheme, get_family
+from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.planning.transcription.point_families import GAUSS, Numbers, Scheme, get_family
 
 MAX_POINTS = 64
 
@@ -118,7 +118,7 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
     fewest = get_family(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, or more segments"
-        raise ArgumentError(f"{scheme} has no rule with {shown(n)} points: {remedy}.")
+        raise ArgumentError(f"{scheme} has no rule with {quote(n)} points: {remedy}.")
     return scheme, int(n)
 
 
@@ -145,7 +145,7 @@ def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 @cache
 def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _use_decimal_digits():
-        symmetric = get_family(scheme).symmetric
+        symmetric = get_family(scheme).is_symmetric
         x = _to_decimals(get_family(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
             x = _polish_points(scheme, n, x)

@@ -16,8 +16,8 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.problem.arcs import Junction
+from gnc_opt.planning.problem.bounds import Interval, unbounded
 from gnc_opt.planning.problem.expressions import model_parameter_arguments
-from gnc_opt.planning.problem.interval import Interval, unbounded
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
@@ -38,8 +38,8 @@ from gnc_opt.planning.transcription.arc_constraints import (
 )
 from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.planning.transcription.program_layout import Numbering, PhasePart, is_time_fixed
-from gnc_opt.planning.transcription.scheme import Scheme
 from gnc_opt.tolerances import SHORTEST
 
 

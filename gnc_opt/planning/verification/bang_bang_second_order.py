@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.switches import Switches, find_inner_switches
 from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, Unknowns
-from gnc_opt.planning.problem.functions import EndGradients
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.quality import find_worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution

@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import free_control_directions, undetermined_controls
 from gnc_opt.planning.optimality.cost_scale import (
     average_over_time,
-    lasting_minimum_index,
+    index_of_lasting_minimum,
     mask_interior_controls,
 )
 from gnc_opt.planning.optimality.reference_scales import (
@@ -28,7 +28,7 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import combine_condition_results, judge_violation
+from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
@@ -136,7 +136,7 @@ def check_minimum_principle(
             f" H is neither affine nor a convex quadratic function of all controls: its minimum was searched "
             f"with {POINTS} controls per phase, and a narrower minimum of H is not excluded."
         )
-    found = judge_violation("minimum principle", worst, tolerance, meaning)
+    found = make_condition("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
@@ -156,7 +156,7 @@ def _hamiltonian_gains(
 ) -> tuple[Array, Array, bool]:
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
     apart = _separable_gain(s)
-    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _distribute_control_samples(s), s.lam)
+    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _sample_separable_controls(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
     others, searched = compute_coupled_gains(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
@@ -192,7 +192,7 @@ def _separable_gain(s: PhaseSamples) -> Array:
     return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
 
 
-def _distribute_control_samples(s: PhaseSamples) -> Array:
+def _sample_separable_controls(s: PhaseSamples) -> Array:
     """Return separable controls at random points between their limits, which reveal steps of H with zero slope."""
     lower, upper = control_search_bounds(s)
     shares = draw_low_discrepancy_points(s.u.shape[1], s.u.shape[0])
@@ -236,7 +236,7 @@ def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) ->
             reduced = basis.T @ scaled[:, :, j] @ basis
             finite = np.all(np.isfinite(reduced))  # LAPACK fails for non-finite numbers
             least[j] = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
-    j = lasting_minimum_index(s.times, least)
+    j = index_of_lasting_minimum(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.problem.functions import EndGradients
-from gnc_opt.planning.problem.interval import Interval, stack_intervals
+from gnc_opt.planning.problem.bounds import Interval, stack_intervals
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.propagation import compute_segment_errors
 from gnc_opt.planning.solution.quality import (
     NOTHING,
@@ -40,7 +40,7 @@ LAYER_STEPS = 512
 """Smallest number of steps per segment for a second evaluation of integrals that differ from a scan."""
 
 
-def judge_violation(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+def make_condition(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return a condition: PASS if the value is within the tolerance, else FAIL (also for NaN)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
@@ -58,7 +58,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     worst = NOTHING
     for s in samples:
         worst = worst.select_worse(_find_worst_defect(s, scales, tolerance))
-    return judge_violation(
+    return make_condition(
         "dynamics",
         worst,
         tolerance,
@@ -130,7 +130,7 @@ def check_limits(
             for at in (s, s.resample_evenly(SCANNED_PATHS)):
                 worst = worst.select_worse(_worst_path_violation(s, at, scales))
             worst = worst.select_worse(_path_violation_cost(s, scales))
-    return judge_violation(
+    return make_condition(
         "limits",
         worst,
         tolerance,
@@ -254,7 +254,7 @@ def check_boundary_conditions(
         nothing = Interval(np.zeros(2), np.zeros(2))
         worst = worst.select_worse(_worst_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
     worst = worst.select_worse(_boundary_constraint_violation(solution, ends, scales))
-    return judge_violation(
+    return make_condition(
         "boundary conditions",
         worst,
         tolerance,
@@ -337,7 +337,7 @@ def check_reported_cost(
             _, i = find_worst_index(errors)
             place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
             worst = worst.select_worse(Worst(float(errors[0, i]), place))
-    return judge_violation(
+    return make_condition(
         "cost",
         worst,
         tolerance,

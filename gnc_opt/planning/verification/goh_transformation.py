@@ -31,7 +31,7 @@ from gnc_opt.arrays import Indices, Mask
 from gnc_opt.planning.optimality.active_set import free_control_directions
 from gnc_opt.planning.optimality.kkt import unit_variation_matrix, variation_norm_weights
 from gnc_opt.planning.optimality.switches import find_inner_switches
-from gnc_opt.planning.problem.functions import endpoint_function
+from gnc_opt.planning.problem.hamiltonian_functions import endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -181,7 +181,7 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
     just before the end reduces the cost.
     """
     channels = np.flatnonzero(_undetermined_singular_segments(cone, s)[:, -1])
-    if not channels.size or not _depend_end_conditions_on_controls(cone.point.problem, s, channels):
+    if not channels.size or not _do_end_conditions_depend_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
     last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
@@ -208,7 +208,7 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
     )
 
 
-def _depend_end_conditions_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
+def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Return whether end conditions or cost, apart from costates, depend on the states that controls move."""
     moved = np.concatenate([_driven_states(s, i) for i in map(int, channels)])
     ends, final = endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1

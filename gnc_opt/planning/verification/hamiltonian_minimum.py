@@ -149,7 +149,6 @@ class _Search:
         )
 
     def _expand_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
-        """Return times, states and all controls."""
         columns, (lower, span) = self.chosen[at], self._control_box
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])

@@ -12,7 +12,7 @@ from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.sampling_grid import find_feature_edges
 from gnc_opt.planning.problem.expressions import table_calls
-from gnc_opt.planning.problem.functions import EndGradients
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.kinks import find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.quality import NOTHING
@@ -24,7 +24,7 @@ from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.costate_conditions import add_active_constraints_at_ends
-from gnc_opt.planning.verification.feasibility import judge_violation
+from gnc_opt.planning.verification.feasibility import make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.recomputed_solution import (
     boundary_gradients,
@@ -213,8 +213,8 @@ def _check_first_order(
         costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
-        judge_violation("stationarity", gradient, tol, _STATIONARITY),
-        judge_violation("active set", active, tol, _ACTIVE_SET),
+        make_condition("stationarity", gradient, tol, _STATIONARITY),
+        make_condition("active set", active, tol, _ACTIVE_SET),
         controls.check_minimum_principle(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.problem.functions import EndGradients, end_gradients
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, end_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSa
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import copy_problem_data
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.feasibility import integrate_cost_terms, judge_violation
+from gnc_opt.planning.verification.feasibility import integrate_cost_terms, make_condition
 from gnc_opt.tolerances import TINY
 
 _EXACT = (
@@ -108,7 +108,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
                 off = float(np.max(_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
-    return judge_violation(
+    return make_condition(
         "stored numbers",
         worst,
         tolerance,

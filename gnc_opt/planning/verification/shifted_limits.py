@@ -1,4 +1,4 @@
-r"""Active state limits in the Lagrangian of a shifted trajectory (module `shifted_trajectory`).
+r"""Active state limits in the Lagrangian of a shifted trajectory (module `switching_time_variations`).
 
 A limit with a touch point at :math:`t_k` and the multiplier :math:`\eta`, the costate jump along its gradient,
 adds :math:`\eta \max_t g(t, x(t))`. The touch point moves with the trajectory: if g changes by :math:`\Delta g` and its
@@ -18,7 +18,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.samples import PhaseSamples

@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -175,7 +175,7 @@ def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices,
     """Return matrices (n_samples, m, m) at samples of an arc, over control ranges and relative to H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
     at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]
-    flat = evaluate_columns(function, here.size, *at, numbers)
+    flat = evaluate_batch(function, here.size, *at, numbers)
     scale = s.control_scale[channels]
     matrices = flat.T.reshape(here.size, channels.size, channels.size)
     return np.asarray(matrices * np.outer(scale, scale) / max(s.hamiltonian_scale, TINY))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.reference_scales import Scales, hamiltonian_differences
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
@@ -139,7 +139,7 @@ def _is_concave(coarse: Array, cost: float) -> Mask:
 
 def _evaluate_kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
     numbers = s.functions.p, s.functions.q
-    return evaluate_columns(kinks.arguments, times.size, times[None], x, u, *numbers)
+    return evaluate_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
 
 
 def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> Roughness | None:

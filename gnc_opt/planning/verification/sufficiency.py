@@ -34,9 +34,9 @@ from gnc_opt.planning.optimality.cost_scale import (
     Magnitudes,
     lasts_for_share_of_phase,
 )
+from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import model_parameter_arguments
-from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.kinks import has_kinks
 from gnc_opt.planning.problem.phase import Phase
@@ -66,7 +66,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
     )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
     equal = rows[problem.constraint_interval().fixed & of_ends]
-    same = np.concatenate([_mask_given_boundary_states(leg) for leg in legs])
+    same = np.concatenate([np.append(leg.numbers.initial.fixed, leg.numbers.final.fixed) for leg in legs])
     waiting, places = legs, _index_boundary_states(legs)
     while waiting:
         settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
@@ -78,10 +78,6 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
             same[np.concatenate(places[leg.name])] = True
         waiting = [leg for leg in waiting if leg not in settled]
     return True
-
-
-def _mask_given_boundary_states(leg: Phase) -> Mask:
-    return np.concatenate([leg.numbers.initial.fixed, leg.numbers.final.fixed])
 
 
 def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
@@ -143,7 +139,6 @@ def _has_full_column_rank(matrix: Array) -> bool:
 
 
 def _read_constant_matrix(expression: Any) -> Array | None:
-    """Return the numbers of an expression, or None if it is not constant."""
     simple = ca.simplify(expression)
     return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
 
@@ -151,14 +146,10 @@ def _read_constant_matrix(expression: Any) -> Array | None:
 def is_convex(problem: Problem) -> bool:
     """Return whether a problem is convex in its trajectory, as far as constant Hessians show."""
     return (
-        all(map(_has_fixed_times, problem.phases.values()))
+        all(time.fixed[0] for leg in problem.phases.values() for time in leg.time_ranges())
         and _is_endpoint_problem_convex(problem)
         and _are_phases_affine(problem)
     )
-
-
-def _has_fixed_times(leg: Phase) -> bool:
-    return all(bool(time.fixed[0]) for time in leg.time_ranges())
 
 
 def _are_phases_affine(problem: Problem) -> bool:

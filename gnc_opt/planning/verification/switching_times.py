@@ -1,7 +1,7 @@
 """Switching times condition: no shift of control jumps lowers the cost to second order.
 
 If every switch is an unknown, the module `bang_bang_second_order` applies. At phase boundaries and for coincident
-switches, the trajectory is integrated with shifted jumps (module `shifted_trajectory`).
+switches, `switching_time_variations` integrates the trajectory with shifted jumps.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.problem.functions import EndGradients
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -27,7 +27,7 @@ from gnc_opt.planning.verification.shifted_limits import (
     find_costate_jumps,
     find_held_controls,
 )
-from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajectory
+from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 
 MOST_TOGETHER = 24
@@ -46,7 +46,7 @@ def check_switching_times(
     problem = solution.need_problem("verify")
     jumps = find_jumps(problem, samples) if all(s.has_duration for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
-    if jumps and _are_all_jumps_free_times(jumps, samples):
+    if jumps and _are_jumps_optimised(jumps, samples):
         jumps, place = [], f"{place}: see second order"
     jumps = sorted(jumps, key=lambda jump: jump.time)
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
@@ -59,7 +59,7 @@ def check_switching_times(
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 
-def _are_all_jumps_free_times(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
+def _are_jumps_optimised(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
     """Return whether every jump is an unknown of the second-order condition: bang-bang arcs, or movable breaks with the
     jump of a single control and no active state limit."""
     if any(jump.beyond for jump in jumps):

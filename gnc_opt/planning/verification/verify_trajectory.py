@@ -17,7 +17,7 @@ from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
@@ -35,7 +35,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, model_parameters, phase_functions_at
 from gnc_opt.planning.solution.verdict import FIRST_ORDER, ConditionResult, Verdict
-from gnc_opt.planning.transcription.scheme import GAUSS
+from gnc_opt.planning.transcription.point_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
 from gnc_opt.runtime_environment import one_thread
@@ -59,7 +59,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> 
     function = ca.Function("restated", arguments, [values])
     p = model_parameters(problem, problem.phases[leg.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
-        u = evaluate_columns(function, own.t.size, own.t[None], own.x, own.u, p, q)
+        u = evaluate_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
     controls = leg.model.controls
     for vector in leg.vector_controls:
         direction = controls.slice(vector.direction)

@@ -6,12 +6,7 @@ All other blocks act once per minor step, on the mean of their input.
 
 from gnc_opt.simulation.actuators.dynamic import Delay, Lag, RateLimit, ZeroOrderHold
 from gnc_opt.simulation.actuators.on_off import Pwm, Pwpf, SchmittTrigger
-from gnc_opt.simulation.actuators.static import (
-    Deadband,
-    Quantisation,
-    Saturation,
-    ScaleFactor,
-)
+from gnc_opt.simulation.actuators.static import Deadband, Quantisation, Saturation, ScaleFactor
 
 __all__ = [
     "Deadband",

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_integer, read_positive
 from gnc_opt.control.sampled_data import (
     advance_phase,
-    count_started_steps,
+    count_periods_begun,
     count_whole_steps,
     is_period_start,
 )
@@ -47,7 +47,6 @@ class _Following(Block):
         return isinstance(self.initial, str) and self.initial == "trim"
 
     def _initial_parameter(self, size: int, unit: str) -> Defaults:
-        """Return the parameter of the initial output, if it is a number."""
         if self.initial is None or self.starts_at_trim:
             return {}
         return {
@@ -162,7 +161,7 @@ class Delay(_Following):
     def _delay_line_length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
-        return count_started_steps(longest, h)
+        return count_periods_begun(longest, h)
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.repmat(super().start(signal, p, tick), self._delay_line_length(tick.h), 1)

@@ -52,7 +52,10 @@ class Pwm(Block):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
             "thrust": (read_block_values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
-            "minimum_on": (read_block_scalar(self.minimum_on, f"the minimum on-time of '{self.name}'"), "s"),
+            "minimum_on": (
+                read_block_scalar(self.minimum_on, f"the minimum on-time of '{self.name}'"),
+                "s",
+            ),
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:

@@ -172,7 +172,7 @@ def test_a_covariance_that_moves_little_is_held():
     flight = go.Scenario(loop, **MISSION, dispersions=SPREAD).flight
     whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))
     assert len(part.fixed_indices) == 105 and len(part.retained_indices) == len(whole.retained_indices) - 105
-    a, b = (next(found.steps(found.start()[0])).a for found in (whole, part))
+    a, b = (next(found.linearize_steps(found.linearize_initial_state()[0])).a for found in (whole, part))
     kept = np.isin(whole.retained_indices, part.retained_indices)
     assert np.array_equal(a[np.ix_(kept, kept)], b)
 

@@ -236,7 +236,7 @@ def test_constants_and_texts_of_c():
         and _make_c_identifier("2nd") == "law_2nd"
         and _make_c_identifier("ä!") == "law_"
     )
-    assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.entry(0.1) == "0.1"
+    assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.c_entry(0.1) == "0.1"
     assert wrap_initializer(["1"] * 3) == "1, 1, 1" and wrap_initializer(["1"] * 40).count("\n") >= 1
     assert _write_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
@@ -244,7 +244,7 @@ def test_constants_and_texts_of_c():
         "[2] n, -",
     ]
     for act in (
-        lambda: DOUBLE.entry(INF),
+        lambda: DOUBLE.c_entry(INF),
         lambda: _read_prefix("a b"),
     ):
         with pytest.raises(ArgumentError):

@@ -8,12 +8,7 @@ import pytest
 from testing.controller_steps import decoupling_matrix
 from testing.internals import Pair, error_expressions
 
-from gnc_opt.control import (
-    Reference,
-    lie_derivative,
-    output_errors,
-    zero_dynamics,
-)
+from gnc_opt.control import Reference, lie_derivative, output_errors, zero_dynamics
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model
 from gnc_opt.spacecraft import quaternion_difference, quaternion_rate
@@ -80,7 +75,7 @@ def test_errors_move_along_plant_and_reference():
     reference = Reference.from_functions(model, lambda t: [0.3, 0.1], lambda t: [0.2], 0.0, 1.0)
     errors = output_errors(model, reference, "angle")
     pair = errors.pair
-    function = pair.function(errors.chains[0], errors.drift + errors.decoupling @ pair.u)
+    function = pair.compile_function(errors.chains[0], errors.drift + errors.decoupling @ pair.u)
     x, xr, u, ur, h = np.array([0.5, -0.2]), np.array([0.3, 0.1]), np.array([0.7]), np.array([0.2]), 1e-5
     chain, last = (m.full()[:, 0] for m in function(0.0, x, u, xr, ur))
     ahead = function(0.0, x + h * model.f(0, x, u), u, xr + h * model.f(0, xr, ur), ur)[0].full()[:, 0]
@@ -122,7 +117,7 @@ def test_states_with_a_difference_are_compared_by_it():
     q, w, torque = model.state("q", 4), model.state("w", 3), model.control("torque", 3)
     model.ode({q: quaternion_rate(q, w), w: torque})
     model.difference(q, quaternion_difference)
-    assert error_expressions(Pair.of(model), "q")["q"].shape == (3, 1)
+    assert error_expressions(Pair.of_plant_and_reference(model), "q")["q"].shape == (3, 1)
 
 
 def test_what_cannot_be_steered_is_refused_by_name():
@@ -142,4 +137,4 @@ def test_what_cannot_be_steered_is_refused_by_name():
     a, u = bent.state("a"), bent.control("u")
     bent.ode({a: ca.sin(u)})
     with pytest.raises(DesignError, match="control 'u' of model 'bent' does not enter its dynamics affinely"):
-        Pair.of(bent)
+        Pair.of_plant_and_reference(bent)

@@ -12,12 +12,7 @@ from testing.internals import Criteria, Logged, estimate_pass_rate, read_criteri
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
-from gnc_opt.simulation import (
-    Campaign,
-    Outcome,
-    Run,
-    RunStatus,
-)
+from gnc_opt.simulation import Campaign, Outcome, Run, RunStatus
 
 NAN, INF = math.nan, math.inf
 

@@ -12,15 +12,7 @@ from testing.loops import feedback, scheduled
 from gnc_opt.control import Reference, feedforward
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Model
-from gnc_opt.simulation import (
-    Campaign,
-    ClosedLoop,
-    Event,
-    Lag,
-    Normal,
-    RunStatus,
-    monte_carlo,
-)
+from gnc_opt.simulation import Campaign, ClosedLoop, Event, Lag, Normal, RunStatus, monte_carlo
 from gnc_opt.spacecraft import mrp_rate
 
 G = 9.81

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import MAX_SUBSTEPS, count_accurate_steps, integrate_dormand_prince
+from testing.internals import MAX_SUBSTEPS, count_steps_for_accuracy, integrate_dormand_prince
 
 
 @pytest.mark.parametrize("mode", [4j, -0.3 + 4j, -2.0, -20.0])
@@ -23,7 +23,7 @@ def test_steps_for_a_run_keep_the_sum_of_its_errors(mode):
             state = scipy.linalg.expm(a * h) @ state
         return total
 
-    n = count_accurate_steps(np.array([mode]), length, duration, asked)
+    n = count_steps_for_accuracy(np.array([mode]), length, duration, asked)
     assert 1 < n < MAX_SUBSTEPS
     assert error(n) <= asked * 1.001 < error(n - 1)
-    assert count_accurate_steps(np.array([mode]), length, duration, 1e-30) >= n  # for 1e-6
+    assert count_steps_for_accuracy(np.array([mode]), length, duration, 1e-30) >= n  # for 1e-6

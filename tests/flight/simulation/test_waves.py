@@ -6,13 +6,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.simulation import (
-    ClosedLoop,
-    Lag,
-    Mixer,
-    Saturation,
-    ScaleFactor,
-)
+from gnc_opt.simulation import ClosedLoop, Lag, Mixer, Saturation, ScaleFactor
 
 DT = 0.05
 START = [0.4, -0.2]

@@ -28,7 +28,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
-from gnc_opt.planning.problem.guess.perturbation import (
+from gnc_opt.planning.problem.guess.random_guess import (
     find_angular_states,
     keeps_guess_shape,
     with_random_guess,

@@ -17,7 +17,11 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
-from gnc_opt.planning.refinement.candidates import Candidate, _find_better_coarse_solve, select_best_candidate
+from gnc_opt.planning.refinement.candidate_solutions import (
+    Candidate,
+    _find_better_coarse_solve,
+    select_best_candidate,
+)
 from problems.classics import van_der_pol
 
 
@@ -202,7 +206,7 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
         ("gnc_opt.planning.refinement.mesh.refinement", "solve_mesh", 2),
         ("gnc_opt.planning.refinement.mesh.refinement", "estimate_errors", 2),
         ("gnc_opt.planning.refinement.staged_refinement", "detect_structures", 1),
-        ("gnc_opt.planning.refinement.candidates", "verify", 1),
+        ("gnc_opt.planning.refinement.candidate_solutions", "verify", 1),
     ],
 )
 def test_ctrl_c_keeps_the_best_solution_wherever_it_comes(

@@ -23,7 +23,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
-from gnc_opt.planning.problem.measured_start import clip_start_to_bounds
+from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _remove_sliver_pieces
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.solution.remaining_trajectory import truncate_solution_before

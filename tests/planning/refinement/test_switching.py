@@ -13,7 +13,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs import piece_resolution as r
+from gnc_opt.planning.refinement.arcs import collocation_degree as r
 from problems import rendezvous
 
 # Structure detection and switch-time optimisation against closed forms and the rendezvous' references.

@@ -23,7 +23,7 @@ from gnc_opt.planning.optimality.nlp_point import (
     compute_quadrature_weights,
     saddle_matrix,
 )
-from gnc_opt.planning.transcription.scheme import GAUSS
+from gnc_opt.planning.transcription.point_families import GAUSS
 from gnc_opt.tolerances import ACTIVE, SMALL
 
 # Saddle points: against dense algebra; what is not determined, and what contradicts itself.

@@ -16,7 +16,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
-from gnc_opt.planning.study.relaxation import find_relaxations
+from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
 from gnc_opt.planning.verification.sufficiency import (
     _split_sum,

@@ -18,7 +18,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.active_set import free_control_directions
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular

@@ -36,7 +36,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     _locate_jump_times,
     fit_trajectory,
 )
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import control_conditions as controls

@@ -19,7 +19,7 @@ from testing.wrong_solutions import bang_bang, double_integrator, energy, moved,
 import gnc_opt as go
 from gnc_opt.planning.optimality.active_set import free_control_directions
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.feasibility import check_limits

@@ -16,7 +16,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.kkt import NullSpace, compute_curvature, run_lanczos
 from gnc_opt.planning.optimality.multiplier_estimate import _fit_multipliers, _Limits
 from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _extrapolate_richardson,
     _fit_switch_order_multipliers,

@@ -25,7 +25,7 @@ import gnc_opt as go
 from gnc_opt.planning.optimality.kkt import DENSE, factorise_symmetric
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import Samples
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.recomputed_solution import recompute_from_problem

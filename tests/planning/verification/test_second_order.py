@@ -15,7 +15,7 @@ import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind, ConditionResult, refine
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
-from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.bang_bang_second_order import (

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.planning.problem.check_functions import find_nonfinite_at_guess
+from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.function_evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_terms
@@ -70,7 +70,7 @@ class AlgebraicForm:
             f"rate of {self.constraint}", lambda: ca.Function("rate", [*model.arguments()], [self.rate])
         )
         with np.errstate(all="ignore"):
-            values = evaluate(
+            values = evaluate_function(
                 function,
                 first + SAMPLES * (last - first),
                 start.states,

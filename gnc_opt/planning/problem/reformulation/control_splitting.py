@@ -15,10 +15,10 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.composed_controls import SplitControl
-from gnc_opt.model.expressions import replace_in
+from gnc_opt.model.expressions import replace_nodes
 from gnc_opt.model.variables import Symbol
+from gnc_opt.planning.problem.bounds import Interval, intersect, ranges_by_name, stack_ranges, unbounded
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval import Interval, by_name, intersect, stack_ranges, unbounded
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
@@ -29,7 +29,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     split_kinked_constraint,
 )
 from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_name
-from gnc_opt.planning.problem.reformulation.vector_norms import index_stated_controls
+from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
@@ -69,7 +69,7 @@ BoundsByHand: TypeAlias = dict[str, Interval]
 def find_constraint_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
     """Return the control bounds that are equivalent to path constraints with kinks."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
-    controls = {place: symbols[place] for place in index_stated_controls(leg).values()}
+    controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
     smooth = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
     found = {
         name: _read_control_bounds(c, controls, unbounded(len(symbols)))
@@ -115,7 +115,7 @@ class Bends:
     def from_phase(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
         """Return the bends of controls with exactly one corner of a cost in every component."""
         layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
-        controls = {i: symbols[i] for i in index_stated_controls(leg).values()}
+        controls = {i: symbols[i] for i in index_control_symbols(leg).values()}
         bends = {
             name: [bend for kink in kinks if (bend := Bend.from_kink(kink, controls, domain)) is not None]
             for name, kinks in find_costed_kinks(problem, leg, domain).items()
@@ -171,23 +171,27 @@ class SplitForm(PhaseForm):
             known = {
                 b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in bends.at.get(name, ())
             }
-            return replace_in(replace_in(expression, known), instead)
+            return replace_nodes(replace_nodes(expression, known), instead)
 
         stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
         lengths = {v.length for v in leg.vector_controls}
         return cls(
             old.in_controls(
                 controls,
-                [(c, replace_in(ca.SX(old.symbol(c.name)), instead)) for c in splits],
-                lambda expression: replace_in(expression, instead),
+                [(c, replace_nodes(ca.SX(old.symbol(c.name)), instead)) for c in splits],
+                lambda expression: replace_nodes(expression, instead),
             ),
             {
-                name: c if name in lengths else replace(c, expression=replace_in(c.expression, instead))
+                name: c if name in lengths else replace(c, expression=replace_nodes(c.expression, instead))
                 for name, c in leg.paths.items()
             },
             {name: (symbol, remove_kinks(name, e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(
-                old, stated, replace_in(stated, instead), ca.vertcat(*values), tuple(map(_split_text, splits))
+                old,
+                stated,
+                replace_nodes(stated, instead),
+                ca.vertcat(*values),
+                tuple(map(_split_text, splits)),
             ),
             tuple(splits),
         )
@@ -195,7 +199,7 @@ class SplitForm(PhaseForm):
     def apply_to_phase(self, leg: Phase) -> None:
         """Apply the form to a phase, with the numbers of that phase."""
         old, scales = leg.numbers, dict(leg.numbers.scales)
-        boxes = by_name(old.controls, leg.model.controls)
+        boxes = ranges_by_name(old.controls, leg.model.controls)
         for control in self.controls:
             lower, upper = (
                 control.decompose(end[:, None])

@@ -14,11 +14,11 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import find_operations, list_nodes, replace_in
+from gnc_opt.model.expressions import find_operations, list_nodes, replace_nodes
 from gnc_opt.model.variables import Symbol, Variable
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import table_calls
-from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
@@ -39,7 +39,7 @@ class Extremum:
 def find_costed_kinks(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex in the sense of the cost, by the names of their integrals."""
     ignored, found = _table_node_hashes(problem, leg), {}
-    wanted = find_integral_senses(problem, leg)
+    wanted = find_integral_signs(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
         if nodes:
@@ -47,7 +47,7 @@ def find_costed_kinks(problem: Statement, leg: Phase, domain: Domain) -> dict[st
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
-def read_limit_sense(constraint: Constraint, row: int) -> int:
+def find_limit_side(constraint: Constraint, row: int) -> int:
     """Return 1 for a row with an upper limit only, -1 with a lower limit only, else 0."""
     below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
     return int(above) - int(below)
@@ -65,7 +65,7 @@ def find_convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Dom
 def _is_smoothed(expression: Any, kink: Extremum) -> bool:
     """Return whether an expression has a zero or infinite slope where two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
-    of_z = replace_in(expression, {kink.node.element_hash(): z})
+    of_z = replace_nodes(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
     for first, second in combinations(kink.pieces, 2):
         symbol = next((s for s in ca.symvar(second - first) if is_affine(second - first, s)), None)
@@ -82,7 +82,7 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
     return True
 
 
-def find_integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
+def find_integral_signs(problem: Statement, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = Domain.from_boundary(problem)
     ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
@@ -286,7 +286,7 @@ class EndForm:
             ),
             *(f"'{name}' is solved for as {c.size} smooth limits" for name, c in changed.items()),
         )
-        return cls(replace_in(problem.cost, instead), constraints, parameters, texts)
+        return cls(replace_nodes(problem.cost, instead), constraints, parameters, texts)
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -335,7 +335,7 @@ def split_kinked_constraint(constraint: Constraint, domain: Domain) -> Constrain
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False
     for i, row in enumerate(split_column(constraint.expression)):
-        sense = read_limit_sense(constraint, i)
+        sense = find_limit_side(constraint, i)
         own = find_kink_pieces(row, sense, domain) if sense and not is_smooth(row) else None
         changed |= own is not None
         kept = [
@@ -388,7 +388,7 @@ class EpigraphForm(PhaseForm):
                 texts.append(f"a kink of integral '{name}' is solved for as {label}, bounded by its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
-            integrands[name] = (symbol, replace_in(integrand, value))
+            integrands[name] = (symbol, replace_nodes(integrand, value))
         texts += [f"'{n}' is solved for as {c.size} smooth limits" for n, c in kinked.limits.items()]
         none = ca.SX(0, 1)
         values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]

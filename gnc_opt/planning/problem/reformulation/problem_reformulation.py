@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.expressions import ROOTS, find_operations
-from gnc_opt.model.function_evaluation import evaluate
+from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import build_phase_function, stack_terms
-from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
@@ -31,7 +31,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Kinked,
     has_end_kinks,
 )
-from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_roots
+from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
 
@@ -127,8 +127,8 @@ def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False
     )
     values = leg.model.parameter_values
     if of_states:
-        return AngleProbe(lambda x: evaluate(function, times[0], x, controls, values, free), states)
-    return AngleProbe(lambda u: evaluate(function, times[0], states, u, values, free), controls)
+        return AngleProbe(lambda x: evaluate_function(function, times[0], x, controls, values, free), states)
+    return AngleProbe(lambda u: evaluate_function(function, times[0], states, u, values, free), controls)
 
 
 P = TypeVar("P", bound=Statement)
@@ -148,7 +148,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        rootless = problem.cache(("rootless", leg.name), lambda leg=leg: remove_roots(leg))  # type: ignore[misc]
+        rootless = problem.cache(("rootless", leg.name), lambda leg=leg: remove_norm_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes(), *rootless)
         while (form := _find_next_norm_form(problem, leg, key)) is not None:

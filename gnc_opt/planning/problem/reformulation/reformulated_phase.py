@@ -12,7 +12,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
-from gnc_opt.planning.problem.guess.values import GuessValue
+from gnc_opt.planning.problem.guess.profiles import GuessValue
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement
 from gnc_opt.planning.problem.statement import Statement

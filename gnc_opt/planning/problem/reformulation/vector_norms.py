@@ -18,9 +18,9 @@ from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, V
 from gnc_opt.model.expressions import ROOTS, NormNodes, list_nodes, rebuild_node
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
+from gnc_opt.planning.problem.bounds import Interval, ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_terms
-from gnc_opt.planning.problem.interval import Interval, by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
@@ -45,7 +45,7 @@ def find_norm_vector(leg: Phase) -> Names | None:
     )
 
 
-def index_stated_controls(leg: Phase) -> dict[int, int]:
+def index_control_symbols(leg: Phase) -> dict[int, int]:
     """Return the indices of the control components that are not parts of composed controls, by symbol hash."""
     model = leg.model
     parts = {part for composed in model.composed_controls.values() for part in composed.parts}
@@ -56,7 +56,7 @@ def index_stated_controls(leg: Phase) -> dict[int, int]:
 
 def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
     """Yield vectors (whole controls) whose norm is a square root, not differentiable at zero."""
-    stated, controls = index_stated_controls(leg), leg.model.controls
+    stated, controls = index_control_symbols(leg), leg.model.controls
     for node in list_nodes(stack_terms(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
@@ -68,14 +68,14 @@ def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
             whole = sum(controls[name].size for name in names) == len(places)
             if whole and len(places) > 1:
                 vector = ca.vertcat(*map(leg.model.symbol, names))
-                if NormNodes.of(node, vector).degrees.get(node.element_hash()) == 1:
+                if NormNodes.from_expression(node, vector).degrees.get(node.element_hash()) == 1:
                     yield names
 
 
 def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
     """Yield vectors with the control >= 0 and the path constraint that limit their norm: ``T.T @ T <= d**2``."""
-    layout, box = leg.model.controls, by_name(leg.numbers.controls, leg.model.controls)
-    stated = set(index_stated_controls(leg))
+    layout, box = leg.model.controls, ranges_by_name(leg.numbers.controls, leg.model.controls)
+    stated = set(index_control_symbols(leg))
     for label, row, limits in _split_path_rows(leg):
         own = {s.element_hash() for s in ca.symvar(row)}
         symbols = {name: leg.model.symbol(name) for name in layout.names}
@@ -84,7 +84,7 @@ def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
             others = tuple(other for other in names if other != name)
             if layout[name].size == 1 < sum(layout[n].size for n in others) and box[name].lower[0] >= 0:
                 vector, size = ca.vertcat(*(symbols[n] for n in others)), ca.SX.sym("size")
-                of_size = NormNodes.of(row, vector).replace_norms(row, size, {})
+                of_size = NormNodes.from_expression(row, vector).replace_norms(row, size, {})
                 if _is_norm_upper_limit(of_size, size, symbols[name], limits):
                     yield others, name, label
 
@@ -126,7 +126,7 @@ def read_norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[floa
     return (float(least), float(most)) if ends[1] >= 0 else None
 
 
-def remove_roots(leg: Phase) -> dict[str, Constraint]:
+def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
     """Return the constraints of a phase with rows ``root <= c``, in the form without the root."""
     changed = {}
     for name, c in leg.paths.items():
@@ -186,7 +186,7 @@ class NormForm(PhaseForm):
         """Return the form of a phase in the norm of some controls."""
         old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
-        norms = NormNodes.of(ca.vertcat(stack_terms(leg), *outputs), vector)
+        norms = NormNodes.from_expression(ca.vertcat(stack_terms(leg), *outputs), vector)
         found = _NormLimits.from_constraints(leg, names, norms)
         name, magnitude, direction = _create_vector_symbols(old, names)
         if found.control is not None:
@@ -228,7 +228,7 @@ class NormForm(PhaseForm):
         """Apply the form to a phase, with the numbers of that phase; return the names of the added constraints."""
         stated, old, magnitude = leg.clone(), leg.numbers, self.control.magnitude
         rows = self._component_constraints(stated)
-        boxes = by_name(old.controls, stated.model.controls)
+        boxes = ranges_by_name(old.controls, stated.model.controls)
         boxes.setdefault(magnitude, Interval(np.array([self.limits[0]]), np.array([self.limits[1]])))
         scales = {name: value for name, value in old.scales.items() if name not in self.names}
         own = [np.max(old.scales[name]) for name in self.names if name in old.scales]
@@ -247,7 +247,7 @@ class NormForm(PhaseForm):
 
     def _component_constraints(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
-        boxes, layout = by_name(stated.numbers.controls, stated.model.controls), stated.model.controls
+        boxes, layout = ranges_by_name(stated.numbers.controls, stated.model.controls), stated.model.controls
         box, labels = (
             stack_intervals(boxes[n] for n in self.names),
             [k for n in self.names for k in layout[n].labels],

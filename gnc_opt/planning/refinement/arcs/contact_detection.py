@@ -63,7 +63,7 @@ class ContactNodes:
         ):  # inside an arc, multipliers may vanish
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
-            runs = _join_adjacent_runs(runs)
+            runs = _join_adjacent_node_runs(runs)
         for a, b in runs:
             at_end = self._touched_end(structure, a, b, samples)
             if at_end is not None:
@@ -204,7 +204,7 @@ def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Arr
     return times[order], constraints.evaluate_rows(times, x, u)[:, order], multipliers
 
 
-def _join_adjacent_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _join_adjacent_node_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Join runs with one node between them: a boundary of the mesh, at which no multiplier acts."""
     joined = runs[:1]
     for a, b in runs[1:]:

@@ -114,12 +114,12 @@ def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[fl
     labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
-    labels[_mask_intervals(samples, held)] = ArcKind.SINGULAR
+    labels[_mask_times_in_intervals(samples, held)] = ArcKind.SINGULAR
     _absorb_short_bangs(samples, i, labels, gradient)
     return labels
 
 
-def _mask_intervals(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
+def _mask_times_in_intervals(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
     found = np.zeros(samples.times.size, dtype=bool)
     for start, end in spans:
         found |= (samples.times >= start) & (samples.times <= end)
@@ -142,7 +142,7 @@ def _apply_path_limits(
     segments = _find_singular_segments(samples, i, _compute_hamiltonian_gain(samples, samples.switching, i))
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
-    singular |= _mask_intervals(samples, determined)
+    singular |= _mask_times_in_intervals(samples, determined)
     own, held = limits.label_control(i, samples.switching[i] < 0)
     labels[:] = select_kind(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
@@ -312,7 +312,7 @@ def _label_states(
             off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
             inner = ~np.isin(samples.segments, off)
             pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
-            labels[_mask_intervals(samples, pushes) & inner] = kind
+            labels[_mask_times_in_intervals(samples, pushes) & inner] = kind
             _absorb_short_pieces(samples, labels, kind, commanded[i] & inner)
         rows.append(labels)
     return rows

@@ -128,7 +128,7 @@ def _add_missing_arc(
     kinds = plan.structure.kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
-        _mask_own_switches(violation[i], kinds[i])
+        _mask_near_switches(violation[i], kinds[i])
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
@@ -222,7 +222,7 @@ def _find_run_around(holds: Mask, j: int) -> slice:
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
-def _mask_own_switches(violation: Array, kinds: KindArray) -> None:
+def _mask_near_switches(violation: Array, kinds: KindArray) -> None:
     """Set violations next to a switch of the same channel to zero, unless they are on both sides of it.
 
     There the switching function vanishes at the optimum; its residual is rounding and mesh error. On both sides, the
@@ -230,15 +230,15 @@ def _mask_own_switches(violation: Array, kinds: KindArray) -> None:
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
-            _select_leading_run(violation > 0, range(int(j), -1, -1)),
-            _select_leading_run(violation > 0, range(int(j) + 1, violation.size)),
+            _leading_true_run(violation > 0, range(int(j), -1, -1)),
+            _leading_true_run(violation > 0, range(int(j) + 1, violation.size)),
         )
         if min(np.max(violation[run], initial=0.0) for run in sides) < NEGLIGIBLE:
             for run in sides:
                 violation[run] = 0.0
 
 
-def _select_leading_run(holds: Mask, places: range) -> list[int]:
+def _leading_true_run(holds: Mask, places: range) -> list[int]:
     """Return the first places, in order, up to the first one at which the condition does not hold."""
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 

@@ -19,7 +19,7 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, count_uniform_points
-from gnc_opt.planning.refinement.arcs.piece_resolution import set_resolutions
+from gnc_opt.planning.refinement.arcs.collocation_degree import set_resolutions
 from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
@@ -31,7 +31,7 @@ from gnc_opt.planning.refinement.arcs.structure_update import (
     remove_vanished_piece,
 )
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iterations import IterationLimits, record_iteration, show_progress
+from gnc_opt.planning.refinement.iteration_records import IterationLimits, record_iteration, show_progress
 from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton import optimise_times
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.refinement.error_estimation import PhaseError, get_states_at_points
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
@@ -100,12 +100,12 @@ def _find_junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
     for row in active[:, first : last + 1]:
         here = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
-            start, end = _bracket_onset(here, row, int(j), leg.duration)
+            start, end = _bracket_constraint_onset(here, row, int(j), leg.duration)
             kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def _bracket_onset(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
+def _bracket_constraint_onset(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
     """Return the times between which a constraint multiplier starts, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
     across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]

@@ -18,7 +18,7 @@ from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import final_barrier_parameter
 from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
-from gnc_opt.planning.refinement.iterations import (
+from gnc_opt.planning.refinement.iteration_records import (
     IterationLimits,
     is_stagnating,
     record_iteration,
@@ -199,7 +199,7 @@ class _Refinement:
     def _refine_meshes(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
-            meshes[name], actions = Remesh(error, stage, self._past.get(name, {})).mesh()
+            meshes[name], actions = Remesh(error, stage, self._past.get(name, {})).build_mesh()
             total = total + actions
         return meshes, total
 

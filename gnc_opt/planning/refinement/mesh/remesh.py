@@ -80,7 +80,7 @@ class Remesh:
         self._active: Array | None = None
         self.raised = self.split = 0
 
-    def mesh(self) -> tuple[Mesh, Actions]:
+    def build_mesh(self) -> tuple[Mesh, Actions]:
         """Return the mesh and the numbers of changes."""
         pieces: list[Piece] = []
         rates = legendre_decay_rates(self.error)

@@ -236,7 +236,6 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 
 
 def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
-    """Return one switch for every control that changes between two pieces."""
     bounds = s.leg.control_bounds
     found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.rows_changing_at(k)]
     first = np.where(structure.control_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
@@ -289,7 +288,6 @@ def _shift_switches(switches: Switches, change: Array) -> Switches:
 
 
 def _equal_switches(switches: Switches, others: Switches) -> bool:
-    """Return whether the same controls switch at nearly the same times."""
     if not np.array_equal(switches.channels, others.channels):
         return False
     apart = np.max(np.abs(switches.times - others.times), initial=0.0)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.function_evaluation import evaluate_columns
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import boundary_function_derivatives
-from gnc_opt.planning.problem.functions import build_endpoint_values
+from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
@@ -232,5 +232,5 @@ def _evaluate_end_conditions(s: PhaseSamples, problem: Problem, flow: BangBangFl
     nothing = np.zeros(problem.constraint_interval().lower.size)
     times = (flow.initial[[clock]], flow.final_state[[clock]])
     arguments = (start, final, *times, flow.final_state[n:clock], s.functions.p, s.functions.q, nothing)
-    *constraints, cost = evaluate_columns(build_endpoint_values(problem), 1, *arguments)[:, 0]
+    *constraints, cost = evaluate_batch(build_endpoint_values(problem), 1, *arguments)[:, 0]
     return float(cost), np.array(constraints)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iterations import record_iteration
+from gnc_opt.planning.refinement.iteration_records import record_iteration
 from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
@@ -188,14 +188,14 @@ def final_solution(
     best = candidates[chosen]
     interrupted = ended is RefinementStatus.INTERRUPTED
     verdict = best.known_verdict if interrupted or not check or not best.is_solved else best.verdict
-    status = _classify_status(best, verdict, ended, {c.history.status for c in candidates}, tol)
+    status = _classify_refinement(best, verdict, ended, {c.history.status for c in candidates}, tol)
     passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
     history = History(
         status,
         tol,
         tuple(passes),
         sum(len(c.history.passes) for c in candidates[:chosen]) + best.history.chosen,
-        _format_message(status, best, verdict, tol),
+        _format_status_message(status, best, verdict, tol),
         time.perf_counter() - begin,
     )
     solution = best.solution
@@ -214,7 +214,7 @@ def _find_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) 
     return {BETTER_COARSE_SOLVE: text}
 
 
-def _classify_status(
+def _classify_refinement(
     best: Candidate,
     verdict: Verdict | None,
     ended: RefinementStatus | None,
@@ -242,7 +242,9 @@ def _classify_status(
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 
-def _format_message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
+def _format_status_message(
+    status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float
+) -> str:
     """Return the message: local error, estimated error of the objective and failed conditions."""
     error = best.largest_error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"

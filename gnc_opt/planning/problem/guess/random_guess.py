@@ -10,8 +10,8 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angles import PERIODS
+from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
-from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_probe
@@ -68,7 +68,7 @@ def with_random_guess(
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
-        values = _values_by_name(leg.model.states, states) | _values_by_name(leg.model.controls, controls)
+        values = _guess_by_name(leg.model.states, states) | _guess_by_name(leg.model.controls, controls)
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
     return _draw_parameters(twin, rng)
 
@@ -110,7 +110,7 @@ def _draw_angle_turns(
     return added
 
 
-def _values_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
+def _guess_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
     return {name: rows[layout.slice(name)] for name in layout.names}
 
 

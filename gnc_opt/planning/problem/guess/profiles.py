@@ -12,7 +12,7 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.variables import as_vector
-from gnc_opt.planning.problem.interval import check_ambiguous_pair
+from gnc_opt.planning.problem.bounds import check_ambiguous_pair
 
 GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
 

@@ -69,7 +69,7 @@ class Quantities:
         return self.layout.size
 
     @classmethod
-    def of(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
+    def from_declarations(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
         """Return the declared quantities of a plant; raise `ArgumentError` for invalid ones."""
         require_distinct([quantity.name for quantity in declared], "quantities of the closed loop")
         rows = [
@@ -81,13 +81,13 @@ class Quantities:
         return cls(layout, ca.Function("quantities", plant.arguments(), [y]))
 
 
-def make_empty_record(count: int) -> Any:
-    """Return the empty record (5 count,) of ``count`` quantities: see `join_records`."""
+def create_empty_record(count: int) -> Any:
+    """Return the empty record (5 count,) of ``count`` quantities: see `join_quantity_records`."""
     values = (-ca.inf, ca.inf, 0.0, ca.inf, ca.inf)
     return ca.DM(np.repeat([float(v) for v in values], count))
 
 
-def join_records(one: Any, other: Any) -> Any:
+def join_quantity_records(one: Any, other: Any) -> Any:
     """Return the record of two consecutive intervals: maximum, minimum, integral, first and last values; SX or MX."""
     a, b = _split_record(one), _split_record(other)
     first = ca.if_else(ca.fabs(a[3]) < ca.inf, a[3], b[3])
@@ -101,11 +101,11 @@ def _split_record(record: Any) -> tuple[Any, ...]:
 
 
 class Extremes:
-    """Accumulated ``record`` (5 n_quantities,) of quantities during the integration, see `join_records`; SX."""
+    """Accumulated ``record`` (5 n_quantities,) of quantities during integration, see `join_quantity_records`; SX."""
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
-        self.record = ca.SX(make_empty_record(len(quantities)))
+        self.record = ca.SX(create_empty_record(len(quantities)))
 
     def __call__(self, taken: Taken, applied: Callable[[float], Any]) -> None:
         """Add an integration step to the record."""
@@ -120,8 +120,8 @@ class Extremes:
             _interpolate_maximum(y), -_interpolate_maximum([-each for each in y]), total, y[0], y[-1]
         )
         flown = ca.repmat(taken.length > 0, step.shape[0], 1)
-        self.record = join_records(
-            self.record, ca.if_else(flown, step, ca.SX(make_empty_record(len(self.quantities))))
+        self.record = join_quantity_records(
+            self.record, ca.if_else(flown, step, ca.SX(create_empty_record(len(self.quantities))))
         )
 
     def _evaluate_rows(self, taken: Taken, nu: float, u: Any) -> Any:

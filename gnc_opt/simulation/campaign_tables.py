@@ -55,7 +55,7 @@ def campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
         limit, passed = "", ""
         if name in campaign.limits:
             limit, passed = f"{campaign.limits[name]:.3g}", str(campaign.pass_rate(name))
-        rows.append([name, campaign.unit(name), *(_format_value(v) for v in values), limit, passed])
+        rows.append([name, campaign.unit(name), *(_format_statistic(v) for v in values), limit, passed])
     if campaign.limits:
         rows.append(["all limits", *[""] * (len(LEVELS) + 3), str(campaign.pass_rate())])
     return rows
@@ -91,7 +91,7 @@ def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
     return [*lines, f"{rest} for other causes"] if rest else lines
 
 
-def _format_value(value: float) -> str:
+def _format_statistic(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "failed"
 
 

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.function_evaluation import Operations, evaluate, make_fast_call
+from gnc_opt.model.function_evaluation import Operations, evaluate_function, make_buffered_call
 from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
@@ -73,7 +73,7 @@ class PhaseFunctions:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
-        return make_fast_call(function, costates, multipliers, self.weights, self.p, self.q)
+        return make_buffered_call(function, costates, multipliers, self.weights, self.p, self.q)
 
     def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
@@ -204,7 +204,7 @@ class PhaseFunctions:
         costate = np.zeros(function.size1_in(3)) if lam is None else lam
         multiplier = np.zeros(function.size1_in(4)) if mu is None else mu
         others = costate, multiplier, self.weights, self.p, self.q
-        return evaluate(function, t, x, u, *others, programme=lambda: self._compiled_program(name))
+        return evaluate_function(function, t, x, u, *others, programme=lambda: self._compiled_program(name))
 
     def _compiled_program(self, name: str) -> Operations | None:
         key = f"{name} by NumPy"
@@ -350,4 +350,4 @@ def compile_expression(problem: Problem, phase: str, expression: Any) -> Callabl
     value = value if leg.restatement is None else leg.restatement.restate_expression(value)
     problem.check_foreign_symbols(leg, value, "the expression to evaluate")
     function = build_phase_function(problem, leg, "evaluate", value)
-    return lambda *arguments: evaluate(function, *arguments)
+    return lambda *arguments: evaluate_function(function, *arguments)

@@ -12,6 +12,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expressions import ROOTS, find_operations, list_nodes
+from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
     end_arguments,
@@ -21,7 +22,6 @@ from gnc_opt.planning.problem.expressions import (
     table_calls,
 )
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
-from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.interval_arithmetic import draw_values
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -124,8 +124,8 @@ _REMEDY = (
 
 
 def warn_of_norms(problem: Statement, leg: Phase) -> None:
-    """Issue a `ProblemWarning` for each of `singular_norms` and `find_shifted_norms`."""
-    for text in [*singular_norms(problem, leg), *find_shifted_norms(leg)]:
+    """Issue a `ProblemWarning` for each of `find_singular_norms` and `find_shifted_norms`."""
+    for text in [*find_singular_norms(problem, leg), *find_shifted_norms(leg)]:
         warn_user(f"{text}.")
 
 
@@ -133,8 +133,10 @@ def find_shifted_norms(leg: Phase) -> list[str]:
     """Return the integrands with a norm that is not differentiable at nonzero controls, such as ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
-        vectors = (_vector_of_norm(node) for node in list_nodes(integrand) if node.op() in ROOTS)
-        if any(v is not None and ca.depends_on(v, controls) and _is_shifted(v, controls) for v in vectors):
+        vectors = (_norm_vector(node) for node in list_nodes(integrand) if node.op() in ROOTS)
+        if any(
+            v is not None and ca.depends_on(v, controls) and _is_shifted_norm(v, controls) for v in vectors
+        ):
             texts.append(
                 f"integral '{name}' of {leg.label} contains a norm of controls minus other terms, which has a kink "
                 "where they are equal: let a vector_control() be the difference, equal to it by path()"
@@ -142,13 +144,13 @@ def find_shifted_norms(leg: Phase) -> list[str]:
     return texts
 
 
-def _is_shifted(vector: Any, controls: Any) -> bool:
+def _is_shifted_norm(vector: Any, controls: Any) -> bool:
     """Return whether a vector that depends on controls is nonzero at zero controls."""
     rest = ca.substitute(vector, controls, ca.SX.zeros(controls.numel()))
     return bool(np.any(draw_values(rest) != 0))
 
 
-def _vector_of_norm(root: Any) -> Any | None:
+def _norm_vector(root: Any) -> Any | None:
     """Return the vector whose Euclidean norm a square root is, if it has at least two components; else None."""
     if root.op() == ca.OP_HYPOT:
         return ca.vertcat(root.dep(0), root.dep(1))
@@ -164,7 +166,7 @@ def _vector_of_norm(root: Any) -> Any | None:
     return ca.vertcat(*components) if len(components) > 1 else None
 
 
-def singular_norms(problem: Statement, leg: Phase) -> list[str]:
+def find_singular_norms(problem: Statement, leg: Phase) -> list[str]:
     """Return the functions whose derivatives fail or vanish at zero controls, with replacements."""
     start = build_phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
@@ -214,7 +216,7 @@ _BOUND_OFFSET = 1e-2
 """Scaled distance by which the guess is moved inside its bounds before the evaluation, as by IPOPT."""
 
 
-def check_values(problem: Statement) -> None:
+def check_finite(problem: Statement) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess."""
     ends: list[Any] = []
     for leg in problem.phases.values():

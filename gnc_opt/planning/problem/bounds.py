@@ -29,7 +29,7 @@ def with_ranges(old: Interval, layout: Layout, values: Mapping[str, Any], what: 
     return Interval(lower, upper)
 
 
-def by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
+def ranges_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
     places = ((name, layout.slice(name)) for name in layout.names)
     return {name: Interval(box.lower[place], box.upper[place]) for name, place in places}
 

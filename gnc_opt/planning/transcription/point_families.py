@@ -13,7 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError, quote
 
 Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
 
@@ -45,7 +45,7 @@ class Family(ABC):
     extra_rows: ClassVar[int] = 0
 
     @property
-    def symmetric(self) -> bool:
+    def is_symmetric(self) -> bool:
         """Whether the points are symmetric about 0."""
         return self.starts_at_point == self.ends_at_point
 
@@ -198,6 +198,6 @@ def get_family(scheme: Scheme) -> Family:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)
         hint = f"did you mean '{_SPELLINGS[close[0]]}'? " if close else ""
         raise ArgumentError(
-            f"unknown scheme {shown(scheme)}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)."
+            f"unknown scheme {quote(scheme)}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)."
         )
     return _FAMILIES[scheme]

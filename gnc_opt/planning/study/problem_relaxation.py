@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.arrays import Mask
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 
