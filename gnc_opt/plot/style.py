@@ -1,4 +1,4 @@
-"""How figures look: sized for a journal column, readable in print and by the colour-blind."""
+"""Style of figures: sized for a journal column, readable in print and by the colour-blind."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""A rigid satellite turns from rest to rest in a given time, with the least effort.
+"""Minimum-effort rest-to-rest slew of a rigid satellite in a given time.
 
-The attitude is given by modified Rodrigues parameters (MRP), sigma = axis * tan(angle/4):
-three numbers, as many as there are ways to turn, good for turns below 360 degrees.
-Frames: B is the body, I is inertial; sigma_BI turns I into B, omega_BI_B is in B.
+The attitude is described by modified Rodrigues parameters (MRP), sigma = axis * tan(angle/4),
+which are singular at 360 degrees. Frames: body B, inertial I; sigma_BI is the attitude of B
+relative to I, omega_BI_B the angular rate of B relative to I in B components.
 
 Solve and verify with:   gnc-opt solve FILE --report report
-Look for mistakes with:  gnc-opt check FILE
+Check the problem with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set duration=60
 """
 
@@ -20,9 +20,9 @@ import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.spacecraft import angular_acceleration, mrp_from_axis_angle, mrp_rate
 
-# The mesh to begin with: 8 segments of 5 points each.
+# Initial mesh: 8 segments of 5 points each.
 MESH = "8x5"
-# What the report shows moving in three dimensions (with plotly: pip install "gnc_opt[report]").
+# Animated 3-D view in the report (requires plotly: pip install "gnc_opt[report]").
 VIEW = View(attitude="sigma")
 
 
@@ -32,8 +32,8 @@ def build(
     duration: float = 30.0,
     max_torque: float = 1.0,
 ) -> go.Problem:
-    """Return the problem; turn about an axis by an angle (deg) in a time (s), torque in N m."""
-    # The dynamics dx/dt = f(t, x, u, p), once: kinematics and Euler's equations.
+    """Return the problem; rotation axis, angle in deg, duration in s, largest torque in N m."""
+    # Dynamics dx/dt = f(t, x, u, p): kinematics and Euler's equations.
     satellite = go.Model("rigid satellite")
     sigma_BI = satellite.state("sigma", 3)
     omega_BI_B = satellite.state("omega", 3, unit="rad/s")
@@ -46,7 +46,7 @@ def build(
         }
     )
 
-    # What to achieve. A number or an array is a fixed value, a tuple is a range.
+    # Boundary conditions and bounds. A number or an array is a fixed value, a tuple is a range.
     unit_axis = np.asarray(axis) / np.linalg.norm(axis)
     problem = go.Problem("slew")
     slew = problem.phase("slew", satellite)
@@ -54,7 +54,7 @@ def build(
     slew.initial(sigma=0.0, omega=0.0)
     slew.final(sigma=mrp_from_axis_angle(unit_axis, np.radians(angle)), omega=0.0)
     slew.bounds(torque=(-max_torque, max_torque))
-    # slew.bounds(omega=(-0.1, 0.1))   # rates that the gyroscopes can measure
+    # slew.bounds(omega=(-0.1, 0.1))   # measurement range of the gyroscopes
 
     problem.minimize(slew.integral(ca.sumsqr(torque_B), "effort"))
     return problem

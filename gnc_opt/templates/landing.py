@@ -1,11 +1,11 @@
-"""A rocket lands on the Moon with the least fuel: when to light the engine?
+"""Minimum-fuel landing of a rocket on the Moon with free ignition and final times.
 
-Cost and dynamics are linear in the thrust, hence the best thrust is none or all there is
-(bang-bang). A mesh alone finds the switch only to the width of a segment; refined, the
-structure of the control is recognised and the time of the switch is found.
+Cost and dynamics are linear in the thrust, so that the optimal thrust is zero or maximum
+(bang-bang). A fixed mesh resolves the switching time to the length of a segment only;
+refinement detects the control structure and optimises the switching time.
 
 Solve and verify with:   gnc-opt solve FILE --report report
-Look for mistakes with:  gnc-opt check FILE
+Check the problem with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set height=2000
 """
 
@@ -14,9 +14,9 @@ from __future__ import annotations
 import gnc_opt as go
 from gnc_opt.plot import View
 
-# The mesh to begin with: 20 segments of 3 points each.
+# Initial mesh: 20 segments of 3 points each.
 MESH = "20x3"
-# What the report shows moving in three dimensions (with plotly: pip install "gnc_opt[report]").
+# Animated 3-D view in the report (requires plotly: pip install "gnc_opt[report]").
 VIEW = View(position="h", force="thrust")
 
 
@@ -26,8 +26,8 @@ def build(
     mass: float = 1000.0,
     max_thrust: float = 4000.0,
 ) -> go.Problem:
-    """Return the problem; at the start: height in m, speed in m/s (upwards), mass in kg."""
-    # The dynamics dx/dt = f(t, x, u, p), once.
+    """Return the problem; initial height in m, vertical velocity in m/s (positive upwards), mass in kg."""
+    # Dynamics dx/dt = f(t, x, u, p).
     lander = go.Model("lander")
     h = lander.state("h", unit="m")
     v = lander.state("v", unit="m/s")
@@ -37,8 +37,8 @@ def build(
     exhaust = lander.parameter("exhaust", 3000.0, unit="m/s")
     lander.ode({h: v, v: thrust / m - gravity, m: -thrust / exhaust})
 
-    # What to achieve. A number is a fixed value, a tuple (lower, upper) is a range, None
-    # leaves an end of it open.
+    # Boundary conditions and bounds. A number is a fixed value, a tuple (lower, upper) is a
+    # range, None means no limit.
     problem = go.Problem("landing with the least fuel")
     descent = problem.phase("descent", lander)
     descent.time(initial=0.0, final=(10.0, 200.0))

@@ -1,7 +1,7 @@
-"""A cart is pushed from rest to rest against drag, with the least effort.
+"""Minimum-effort motion of a cart with drag from rest to rest.
 
 Solve and verify with:   gnc-opt solve FILE --report report
-Look for mistakes with:  gnc-opt check FILE
+Check the problem with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set distance=2
 """
 
@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import gnc_opt as go
 
-# The mesh to begin with: 8 segments of 4 points each.
+# Initial mesh: 8 segments of 4 points each.
 MESH = "8x4"
 
 
 def build(distance: float = 1.0, duration: float = 2.0) -> go.Problem:
     """Return the problem; distance in m, duration in s."""
-    # The dynamics dx/dt = f(t, x, u, p), once. Any CasADi expression will do, such as
-    # casadi.sin(q). A vector has a size: cart.state("r", 3, unit="m").
+    # Dynamics dx/dt = f(t, x, u, p), in CasADi expressions such as casadi.sin(q).
+    # A vector has a size: cart.state("r", 3, unit="m").
     cart = go.Model("cart")
     q = cart.state("q", unit="m")
     v = cart.state("v", unit="m/s")
@@ -24,18 +24,18 @@ def build(distance: float = 1.0, duration: float = 2.0) -> go.Problem:
     drag = cart.parameter("drag", 0.3, unit="1/m")
     cart.ode({q: v, v: a - drag * v**2})
 
-    # What to achieve. A number is a fixed value, a tuple (lower, upper) is a range, None
-    # leaves an end of it open.
+    # Boundary conditions and bounds. A number is a fixed value, a tuple (lower, upper) is a
+    # range, None means no limit.
     problem = go.Problem("least effort")
     leg = problem.phase("leg", cart)
     leg.time(initial=0.0, final=duration)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=distance, v=0.0)
     leg.bounds(a=(-10.0, 10.0))
-    # leg.path("power", a * v, upper=1.0)   # a limit along the phase
-    # leg.guess([0.0, duration], a=0.5)     # where the solver begins
+    # leg.path("power", a * v, upper=1.0)   # path constraint
+    # leg.guess([0.0, duration], a=0.5)     # initial guess
 
-    # The cost: problem.minimize(leg.final_time) would be minimum time.
+    # Cost. For minimum time: problem.minimize(leg.final_time).
     problem.minimize(leg.integral(a**2, "effort"))
     return problem
 

@@ -1,10 +1,10 @@
-"""A vehicle in the plane flies to its goal by way of a waypoint, with the least effort.
+"""Minimum-effort trajectory of a vehicle in the plane through a waypoint.
 
-Phases follow each other: each has its model, its times and its limits, and a link joins
-the end of one with the beginning of the next. When the waypoint is passed is free.
+Each phase has its own model, times and limits. A link equates the final time and states
+of one phase with the initial ones of the next. The time of the waypoint is free.
 
 Solve and verify with:   gnc-opt solve FILE --report report
-Look for mistakes with:  gnc-opt check FILE
+Check the problem with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set duration=5
 """
 
@@ -17,9 +17,9 @@ import casadi as ca
 import gnc_opt as go
 from gnc_opt.plot import View
 
-# The mesh to begin with, for each phase: 6 segments of 4 points.
+# Initial mesh, for each phase: 6 segments of 4 points.
 MESH = "6x4"
-# What the report shows moving in three dimensions (with plotly: pip install "gnc_opt[report]").
+# Animated 3-D view in the report (requires plotly: pip install "gnc_opt[report]").
 VIEW = View(position="r", force="a")
 
 
@@ -28,9 +28,9 @@ def build(
     goal: Sequence[float] = (3.0, 0.0),
     duration: float = 4.0,
 ) -> go.Problem:
-    """Return the problem; places in m, duration of the whole flight in s."""
-    # The dynamics dx/dt = f(t, x, u, p), once for both phases. Another phase may have
-    # another model; states of the same name are then linked.
+    """Return the problem; positions in m, total duration in s."""
+    # Dynamics dx/dt = f(t, x, u, p) of both phases. Phases may have different models; a link
+    # then applies to the states with equal names.
     vehicle = go.Model("point mass in the plane")
     r = vehicle.state("r", 2, unit="m")
     v = vehicle.state("v", 2, unit="m/s")
@@ -38,7 +38,7 @@ def build(
     vehicle.ode({r: v, v: a})
 
     # A number or a list is a fixed value, a tuple (lower, upper) is a range.
-    problem = go.Problem("by way of a waypoint")
+    problem = go.Problem("waypoint")
     out = problem.phase("out", vehicle)
     out.time(initial=0.0, final=(0.1 * duration, 0.9 * duration))
     out.initial(r=0.0, v=0.0)
@@ -48,8 +48,8 @@ def build(
     on.time(initial=(0.1 * duration, 0.9 * duration), final=duration)
     on.final(r=list(goal), v=0.0)
 
-    # Time and all states go on from one phase to the next. A jump of a state, such as the mass of a dropped
-    # stage, is given by jump={"m": -200.0}.
+    # Time and all states are continuous between the phases. A jump of a state, such as the mass
+    # of a jettisoned stage, is given by jump={"m": -200.0}.
     problem.link(out, on)
 
     for leg in (out, on):

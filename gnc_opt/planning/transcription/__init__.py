@@ -1,0 +1,1 @@
+"""Transcription of optimal control problems to nonlinear programs by direct collocation."""

@@ -1,4 +1,4 @@
-r"""Critical cone: variations of a solution, on its mesh, that its active limits leave free.
+r"""Critical cone: variations of a solution, on its mesh, that satisfy its active limits to first order.
 
 If a magnitude s with a direction n is zero, :math:`H = H_0 + s\,(c + \sigma \cdot n)` does not depend on n, which is
 fixed; the switching function of s is :math:`c - |\sigma|` (Lawden, Optimal Trajectories for Space Navigation, 1963).
