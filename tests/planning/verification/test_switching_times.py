@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.quality import Worst
+from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajectory
 from gnc_opt.planning.verification.switching_times import find_jumps
 
 HEIGHT = 0.25
@@ -300,3 +305,23 @@ def test_the_largest_fall_of_all_groups_is_reported(monkeypatch: pytest.MonkeyPa
     problem.minimize(leg.integral(leg.model.symbol("u") ** 2))
     condition = go.verify(go.solve(problem, mesh="2x3", tol=None))["switching times"]
     assert condition.value == 0.3 and condition.where.startswith("third")
+
+
+def test_steps_are_small_where_ends_move_far() -> None:
+    """Shifts (2, 1) keep the end and lower the cost; slopes of 4 and 8 reaches leave 1/40 and 1/80 of whole steps."""
+
+    class ClosedForm(ShiftedTrajectory):
+        control_variations = parameter_variations = ()  # type: ignore[assignment]
+
+        def integrate_variations(self, amounts: Array) -> tuple[Array, Array]:
+            first, second = amounts
+            misses = np.arctan(4 * first - 8 * second) + 10 * (first**2 + second**2)
+            return first**2 + second**2 - 3 * first * second, misses[None]
+
+    leg: Any = SimpleNamespace(controls=SimpleNamespace(labels=("u", "v")))
+    solution: Any = SimpleNamespace(phases={"leg": leg}, problem=None)
+    scales: Any = SimpleNamespace(cost=1.0)
+    jumps = [Jump("leg", 1.0, channel, -1.0, 1.0, 1.0) for channel in (0, 1)]
+    ends: Any = None
+    found = ClosedForm(solution, [], ends, scales, jumps).find_second_order_decrease()
+    assert found is not None and found.value == pytest.approx((0.1 / 8) ** 2, rel=0.01)
