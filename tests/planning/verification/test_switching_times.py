@@ -12,7 +12,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.quality import Worst
-from gnc_opt.planning.verification.shifted_trajectory import Jump, ShiftedTrajectory
+from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 from gnc_opt.planning.verification.switching_times import find_jumps
 
 HEIGHT = 0.25
