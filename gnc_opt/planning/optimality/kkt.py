@@ -232,7 +232,7 @@ class NullSpace:
         return int(self.unit.shape[1])
 
     def project_hessian(self, hessian: Any) -> Any:
-        """Return a Hessian in all scaled variables as one in the variations."""
+        """Return a Hessian in all scaled variables as a Hessian in the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
     def expand_variation(self, variation: Array) -> Array:
@@ -248,7 +248,7 @@ class NullSpace:
 
     @cached_property
     def factorise_identity(self) -> tuple[Any, Callable[[Array], Array]]:
-        """Return the same for the identity, which projects variations."""
+        """Return the saddle-point matrix of the identity and its solver, a projection onto the null space."""
         return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
     def projected_hessian_inverse(self, hessian: Any) -> Callable[[Array], Array]:

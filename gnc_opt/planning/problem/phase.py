@@ -389,7 +389,7 @@ class Phase(Strict):
             RELEASED: free without bounds. With free breakpoints only the switching times are optimised.
             ``None`` releases all controls.
         paths : array (n_paths, K), optional
-            The same for the rows of the path constraints.
+            Kinds of the rows of the path constraints.
         states : array (n_states, K), optional
             LOWER or UPPER: at that bound, INTERIOR: within the bounds, RELEASED: without bounds. A bound of higher
             order (the state's derivative contains no control) needs a junction at the start of the arc.

@@ -19,7 +19,7 @@ Every converged solution is a `Candidate`. The first one that passes the optimal
 tolerance is returned at once; without a check, the first one whose estimated error of the objective is within the
 tolerance. A solve with a lower cost than another one on the same mesh replaces it: the first stage is repeated from it,
 at most once each, and finer stages start from it. At the end, at limits and after Ctrl-C the best candidate is returned
-(`candidates.select_best_candidate`).
+(`candidate_solutions.select_best_candidate`).
 """
 
 from __future__ import annotations
