@@ -203,7 +203,7 @@ def two_phases() -> Any:
         (lambda: every(-0.1), "between two re-plannings is"),
         (lambda: every(last=-1.0), "last part without"),
         (lambda: every(latency=-1.0), "latency of a Replanner"),
-        (lambda: every(follow=3), "follow of a Replanner is no function"),
+        (lambda: every(follow=3), "follow of a Replanner is not a function"),
         (lambda: Replanner(resolver(), every=0.1), "write lambda"),  # type: ignore[arg-type]
         (lambda: Replanner(two_phases, every=0.1), "has 2 phases"),
         (lambda: loop(every(0.015)), "multiple of the control step"),

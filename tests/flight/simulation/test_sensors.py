@@ -80,7 +80,7 @@ def test_errors_that_a_retraction_does_not_take_are_refused():
     for sensor, words in (
         (
             Noise("tracker", 0.01, mrp_retraction, on="sigma"),
-            "beside sigma of 'tracker' .* of 1 component as given",
+            "given with sigma of 'tracker' .* of 1 component as given",
         ),
         (
             Bias("mount", [0.01, 0.0], mrp_retraction, on="sigma"),

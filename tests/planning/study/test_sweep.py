@@ -153,9 +153,9 @@ def test_xarray(swept: go.Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
         ((stiff, {"a b": [1.0]}), "cannot be the name"),
         (
             (stiff, {"k": [1.0], "wind": [0.0]}),
-            "function of sweep.. takes .*target.* and the grid has k, wind .*'wind'",
+            "function of sweep.. takes .*target.* but the grid has k, wind .*'wind'",
         ),
-        ((lambda mass: stiff(mass), {"k": [1.0]}), "takes .mass. and the grid has k"),
+        ((lambda mass: stiff(mass), {"k": [1.0]}), "takes .mass. but the grid has k"),
         ((lambda k: k, {"k": [1.0]}), ""),
     ],
 )
