@@ -162,7 +162,7 @@ class Mesh:
         uniform = len(set(self.degrees)) == 1
         degrees = str(self.degrees[0]) if uniform else f"({min(self.degrees)}..{max(self.degrees)})"
         equal = np.allclose(self.widths, self.widths[0])
-        kind = " (movable)" if self.movable else "" if equal else " (uneven)"
+        kind = " (free breakpoints)" if self.movable else "" if equal else " (uneven)"
         return f"{self.segments}x{degrees}{kind}"
 
 

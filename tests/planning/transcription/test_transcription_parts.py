@@ -54,7 +54,7 @@ def test_a_mesh_in_fractions_of_the_phase_and_of_its_arcs() -> None:
     ("mesh", "text"),
     [
         (Mesh.uniform(4, 3), "4x3"),
-        (UNEVEN, "4x(2..4) (movable)"),
+        (UNEVEN, "4x(2..4) (free breakpoints)"),
         (Mesh((0.0, 0.3, 1.0), (3, 3)), "2x3 (uneven)"),
         (Mesh.parse(" 20 x 3 "), "20x3"),
         (DEFAULT_MESH, "20x4"),
