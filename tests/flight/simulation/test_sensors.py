@@ -84,7 +84,7 @@ def test_errors_that_a_retraction_does_not_take_are_refused():
         ),
         (
             Bias("mount", [0.01, 0.0], mrp_retraction, on="sigma"),
-            "beside the bias of 'mount' .* of 2 components as given",
+            "given with the bias of 'mount' .* of 2 components as given",
         ),
         (
             Noise("tracker", 0.01, lambda x, e: x[0] + e, on="sigma"),

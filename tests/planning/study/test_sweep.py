@@ -155,7 +155,7 @@ def test_xarray(swept: go.Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
             (stiff, {"k": [1.0], "wind": [0.0]}),
             "function of sweep.. takes .*target.* but the grid has k, wind .*'wind'",
         ),
-        ((lambda mass: stiff(mass), {"k": [1.0]}), "takes .mass. but the grid has k"),
+        ((lambda mass: stiff(mass), {"k": [1.0]}), "takes .mass., but the grid has k"),
         ((lambda k: k, {"k": [1.0]}), ""),
     ],
 )
