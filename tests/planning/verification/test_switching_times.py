@@ -132,6 +132,21 @@ def test_a_touch_moves_with_the_switches_before_it(as_path: bool) -> None:
     assert coupled_touch(6.1, as_path)["switching times"].result is go.ConditionResult.FAIL
 
 
+@pytest.mark.parametrize("as_path", [False, True])
+def test_lagrangian_of_shifted_switches_before_a_touch(
+    as_path: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shifts d, e change it by d^2 + e^2 + d e - concavity / 2 d^2, and the peak of q by 2 d + e + d e."""
+    found: list[ShiftedTrajectory] = []
+    monkeypatch.setattr(ShiftedTrajectory, "find_second_order_decrease", lambda own: found.append(own))
+    coupled_touch(5.0, as_path)
+    amounts = np.array([[1.0, 0.0, 0.5, -1.0], [0.0, 1.0, -1.0, 0.5]])
+    d, e = 0.02 * amounts * [[1.0], [2.0]]
+    values, misses = found[0].integrate_variations(amounts)
+    np.testing.assert_allclose(values, d**2 + e**2 + d * e - 2.5 * d**2, rtol=1e-5)
+    np.testing.assert_allclose(misses, [(2 * d + e + d * e) / found[0].scales.cost], rtol=1e-5)
+
+
 def test_the_place_counts_switches_and_names_the_second_order() -> None:
     """Rest to rest in minimum time has one switch."""
     model, *_ = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
