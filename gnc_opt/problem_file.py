@@ -250,10 +250,10 @@ def parse_option(text: str) -> tuple[str, Any]:
     name = name.strip()
     if not equals or not name.isidentifier():
         raise ProblemFileError(f"--set {text!r} is not understood: write NAME=VALUE, e.g. --set case=2.")
-    return name, _parse_value(value.strip(), text)
+    return name, _parse_literal(value.strip(), text)
 
 
-def _parse_value(value: str, text: str) -> Any:
+def _parse_literal(value: str, text: str) -> Any:
     if value.lower() in _WORDS:
         return _WORDS[value.lower()]
     for kind in (int, float):

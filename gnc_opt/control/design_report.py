@@ -103,11 +103,11 @@ def _format_value(fact: ReportEntry) -> str:
         return fact.value
     array = np.asarray(fact.value)
     if array.ndim == 2:
-        return "\n".join(_list_text(row) for row in array)
-    return _list_text(np.atleast_1d(array))
+        return "\n".join(_format_list(row) for row in array)
+    return _format_list(np.atleast_1d(array))
 
 
-def _list_text(values: Array) -> str:
+def _format_list(values: Array) -> str:
     texts, left = [], list(values)
     while left:
         value = left.pop(0)

@@ -38,7 +38,7 @@ from gnc_opt.simulation.dormand_prince import integrate_dormand_prince
 from gnc_opt.tolerances import RANK, SAME_TIME
 
 
-def remaining_problem(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
+def build_remaining_problem(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
     """Return the problem of the phase from ``begin`` (s); initial states slightly beyond a limit are moved to it."""
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
@@ -289,7 +289,9 @@ class Replanner:
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}
         (leg,) = self.plan.phases.values()
-        problem = remaining_problem(self.plan.need_problem("solve again"), leg.initial_time, begin, start)
+        problem = build_remaining_problem(
+            self.plan.need_problem("solve again"), leg.initial_time, begin, start
+        )
         plan = self.solver.solve(problem, near=near)
         expect(plan, Solution, "the result of the resolver of a Replanner", "let it return a Solution")
         (found,) = plan.phases.values()

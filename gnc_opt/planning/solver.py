@@ -138,7 +138,7 @@ class Resolver:
                 f"problem '{problem.name}' was not solved next to the known solution, and cold=False excludes a cold "
                 "solve: use a smaller variation, or omit cold=False."
             )
-        return with_method(solve(problem, tol=self.tol), SolveMethod.COLD)
+        return with_solve_method(solve(problem, tol=self.tol), SolveMethod.COLD)
 
     def _solve_nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
@@ -161,7 +161,7 @@ class Resolver:
         found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return with_method(found, SolveMethod.WARM) if found.status.solved else None
+        return with_solve_method(found, SolveMethod.WARM) if found.status.solved else None
 
 
 def _variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
@@ -289,7 +289,7 @@ def solve(
         problem, mesh, scheme=scheme, guess=guess, options=options, limits=within, progress=progress
     )
     if guess is not None:
-        solution = with_method(solution, SolveMethod.WARM)
+        solution = with_solve_method(solution, SolveMethod.WARM)
     if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
         raise SolveError(format_failure(solution), solution)
     if tol is None or not solution.status.solved:
@@ -299,10 +299,10 @@ def solve(
         solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
     )
     final = refine_by_stages(solution, stages, structure)
-    return final if guess is None else with_method(final, SolveMethod.WARM)
+    return final if guess is None else with_solve_method(final, SolveMethod.WARM)
 
 
-def with_method(solution: Solution, way: SolveMethod) -> Solution:
+def with_solve_method(solution: Solution, way: SolveMethod) -> Solution:
     """Return a solution with the method recorded in its provenance."""
     return _with_provenance(solution, "way", way.value)
 
@@ -333,7 +333,7 @@ def _solve_variation(
 def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> Solution | None:
     """Return the solution of a variation by Newton's method on known switching times, or None."""
     found = None if known is None else known.solve_variation(problem)
-    return None if found is None else with_method(found, SolveMethod.SWITCH_TIMES)
+    return None if found is None else with_solve_method(found, SolveMethod.SWITCH_TIMES)
 
 
 def solve_by_known_arcs(
@@ -341,7 +341,7 @@ def solve_by_known_arcs(
 ) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
     found = known.solve_variation(problem, tol, checked)
-    return None if found is None else with_method(found, SolveMethod.WARM)
+    return None if found is None else with_solve_method(found, SolveMethod.WARM)
 
 
 def _is_refined(known: Solution) -> bool:
@@ -360,11 +360,11 @@ def _solve_again(problem: Problem, known: Solution, tol: float, progress: bool, 
     meshes, start = recover_initial_meshes(known), truncate_solution(known, problem)
     warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
     if warm.status is Status.INTERRUPTED:
-        return with_method(warm, SolveMethod.WARM)
+        return with_solve_method(warm, SolveMethod.WARM)
     if warm.status.solved:
         warm = refine(warm, tol=tol, progress=progress)
         if warm.converged or _is_interrupted(warm):
-            return with_method(warm, SolveMethod.WARM)
+            return with_solve_method(warm, SolveMethod.WARM)
     cold = solve(
         problem,
         mesh=meshes,
@@ -374,11 +374,13 @@ def _solve_again(problem: Problem, known: Solution, tol: float, progress: bool, 
         throw=throw and not warm.status.solved,
     )
     return (
-        with_method(warm, SolveMethod.WARM) if _is_better(warm, cold) else with_method(cold, SolveMethod.COLD)
+        with_solve_method(warm, SolveMethod.WARM)
+        if _is_warm_better(warm, cold)
+        else with_solve_method(cold, SolveMethod.COLD)
     )
 
 
-def _is_better(warm: Solution, cold: Solution) -> bool:
+def _is_warm_better(warm: Solution, cold: Solution) -> bool:
     """Return whether the warm solution that did not converge is better than the cold one."""
     if cold.converged or warm.history is None:
         return False

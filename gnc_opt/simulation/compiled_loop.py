@@ -18,7 +18,7 @@ from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, build_step_library
 from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
-from gnc_opt.simulation.final_values import FinalValues, integration_errors
+from gnc_opt.simulation.final_values import FinalValues, estimate_integration_errors
 from gnc_opt.simulation.loop_kernel import Kernel
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.replanned_reference import ActiveReference, PlanUpdater
@@ -408,7 +408,9 @@ class CompiledLoop:
         """Return the final values from the kernel states of runs and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T
         parts = self.kernel.state.split(final)
-        errors, assessed = integration_errors(self.kernel.state, final, companions, float(self.times[-1]))
+        errors, assessed = estimate_integration_errors(
+            self.kernel.state, final, companions, float(self.times[-1])
+        )
         outcomes = tuple(
             Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
             if i in refused

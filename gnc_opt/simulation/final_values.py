@@ -37,7 +37,7 @@ class FinalValues:
     variation : array (n_commands, n)
         Total variation of the commands, which measures chattering.
     integration_error, state_error : array (n,)
-        See `integration_errors`.
+        See `estimate_integration_errors`.
     outcomes : tuple of n Outcome
     event_counts, event_times : array (n_events, n)
         Number of occurrences of each event, and the first time (s), NaN without an occurrence.
@@ -75,7 +75,9 @@ RICHARDSON_FACTOR = 4 / 3
 """Ratio of the error to the change by halving the step, for order 2 and higher."""
 
 
-def integration_errors(places: Places, final: Array, companions: Array, end: float) -> tuple[Array, Array]:
+def estimate_integration_errors(
+    places: Places, final: Array, companions: Array, end: float
+) -> tuple[Array, Array]:
     """Return the relative errors (n,) of runs, relative to max(1, \\|x\\|): of all entries, and of the states only."""
     one, two = places.split(final), places.split(companions)
     x, other = one["plant"], two["plant"]

@@ -34,7 +34,7 @@ from gnc_opt.estimation.linearization import (
     solve_lower_left,
     solve_lower_right,
 )
-from gnc_opt.guidance.replanning import check_remaining_problem, remaining_problem
+from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import (
     HELD_TIME_FACTORS,
@@ -68,7 +68,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, phase
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
+from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, typical_phase_magnitudes
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,
@@ -92,15 +92,15 @@ from gnc_opt.planning.solution.propagation import compute_state_magnitudes, inte
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.summary import find_overshooting_controls
-from gnc_opt.planning.solution.variation_scales import control_spans
+from gnc_opt.planning.solution.variation_scales import compute_control_spans
 from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     check_arc_segments,
-    fix_controls,
-    fix_paths,
-    fix_states,
+    fix_controls_on_arcs,
+    fix_paths_on_arcs,
+    fix_states_on_arcs,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
@@ -139,7 +139,7 @@ from gnc_opt.simulation.confidence_intervals import (
 from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, integrate_dormand_prince
 from gnc_opt.simulation.event_location import Watch
-from gnc_opt.simulation.final_values import integration_errors
+from gnc_opt.simulation.final_values import estimate_integration_errors
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps

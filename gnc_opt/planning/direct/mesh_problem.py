@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.violation_diagnosis import find_violations
-from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
+from gnc_opt.planning.solution.warm_start import ProgramStart, choose_program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
@@ -78,7 +78,7 @@ class Attempt:
         suited = _with_high_pivot_tolerance(options, transcription)
         reused = repr(suited) in transcription.built
         solver = _make_nlp_solver(transcription, suited)
-        start = program_start(transcription, problem, guess)
+        start = choose_program_start(transcription, problem, guess)
         scales = choose_variable_scales(transcription, problem, start.x)
         scaling = Scaling(scales, *choose_row_scales(transcription, problem, start.x, scales))
         build_s = time.perf_counter() - begin

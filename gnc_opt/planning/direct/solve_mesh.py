@@ -28,9 +28,9 @@ from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import (
     ProgramStart,
+    choose_program_start,
     guess_from_solution,
     mesh_with_fixed_breaks,
-    program_start,
     start_from_guess,
 )
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike, read_meshes
@@ -288,7 +288,7 @@ class _Tries:
     def _start_from_simulation(self) -> Iterator[ProgramStart]:
         flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
-            yield program_start(self.attempt.transcription, flown, None)
+            yield choose_program_start(self.attempt.transcription, flown, None)
 
     def _solve_constraints_first(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""

@@ -34,7 +34,7 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
     bends = np.sqrt(replace_nonfinite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
     bounds = s.leg.control_bounds
     extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
-    slope = np.abs(replace_nonfinite(s.switching))
+    slope = np.abs(replace_nonfinite(s.switching_functions))
     pull = np.where(slope > 0, np.inf, 0.0)
     pull = np.minimum(np.divide(slope, bends[:, None], out=pull, where=bends[:, None] > 0), extent[:, None])
     moves = moved > SPAN_MIN_SHARE * size

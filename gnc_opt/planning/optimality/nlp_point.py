@@ -21,7 +21,7 @@ from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.warm_start import program_start
+from gnc_opt.planning.solution.warm_start import choose_program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
@@ -105,7 +105,7 @@ class ProgramPoint:
         problem = held(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
         transcription = transcribe(problem, meshes, solution.scheme)
-        start = program_start(transcription, problem, solution)
+        start = choose_program_start(transcription, problem, solution)
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
         assert lam_x is not None and lam_g is not None, "a solution has multipliers"
         scales = scaled_by(transcription, problem, x)
@@ -221,7 +221,7 @@ class ProgramPoint:
         return -self.lagrangian_gradient / weights, self.lam / row_weights
 
 
-def saddle_matrix(hessian: Any, jacobian: Any) -> Any:
+def build_saddle_matrix(hessian: Any, jacobian: Any) -> Any:
     """Return the symmetric matrix of a quadratic program with equality constraints, sparse."""
     return scipy.sparse.block_array([[hessian, jacobian.T], [jacobian, None]], format="csc")
 

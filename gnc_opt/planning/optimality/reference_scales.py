@@ -51,7 +51,7 @@ from gnc_opt.planning.optimality.reachable_set import (
     final_state_response,
     link_initial_states,
 )
-from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values, end_gradients
+from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values, endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -196,7 +196,7 @@ class Scales:
 
 def _cost_of_each_control(s: PhaseSamples, deviation: Array) -> Array:
     """Return the cost of the deviations of each control alone (m,), to first and second order."""
-    first = np.abs(replace_nonfinite(s.switching)) * deviation
+    first = np.abs(replace_nonfinite(s.switching_functions)) * deviation
     second = 0.5 * np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
     return np.asarray((first + second) @ s.weights)
 
@@ -204,11 +204,11 @@ def _cost_of_each_control(s: PhaseSamples, deviation: Array) -> Array:
 def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
     """Return the cost of the deviations of all controls; if slope and curvature of H vanish, the size of its terms."""
     bends = np.abs(replace_nonfinite(s.control_hessian))
-    first = np.sum(np.abs(replace_nonfinite(s.switching)) * deviation, axis=0) @ s.weights
+    first = np.sum(np.abs(replace_nonfinite(s.switching_functions)) * deviation, axis=0) @ s.weights
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
     slopes = (
         np.abs(replace_nonfinite(s.cost_gradient)),
-        np.abs(replace_nonfinite(s.switching - s.cost_gradient)),
+        np.abs(replace_nonfinite(s.switching_functions - s.cost_gradient)),
     )
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
@@ -294,7 +294,7 @@ def _parameter_gradient(problem: Problem, solution: Solution, samples: list[Phas
         functions = phase_functions_at(problem, s.leg.name, q, s.functions.weights)
         ends[s.leg.name] = [*s.leg.end_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
-    return slope + end_gradients(problem, ends, q, solution.constraint_multipliers).parameters
+    return slope + endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
 
 
 def _rate_parameter_derivatives(s: PhaseSamples) -> Array:
@@ -342,7 +342,7 @@ class EndPoints:
         ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
         values = [np.atleast_1d(v) for arguments in ends.values() for v in arguments]
         nothing = np.zeros(solution.constraint_multipliers.size)
-        gradients = end_gradients(problem, ends, solution.parameter_values, nothing)
+        gradients = endpoint_gradients(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
     def cost_of_end_times(self, s: PhaseSamples) -> float:

@@ -15,17 +15,17 @@ from gnc_opt.model.expressions import ROOTS, find_operations, list_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
-    end_arguments,
+    endpoint_arguments,
     endpoint_symbols,
     find_table_exits,
-    stack_terms,
-    table_calls,
+    list_table_calls,
+    stack_phase_expressions,
 )
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import draw_values
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
-from gnc_opt.planning.problem.typical_magnitudes import phase_magnitudes
+from gnc_opt.planning.problem.typical_magnitudes import typical_phase_magnitudes
 
 _IN_PHASES = "let a phase end there and link() the next one to it"
 _KINKS: dict[int, tuple[str, str]] = {
@@ -63,7 +63,7 @@ _CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 def warn_of_kinks(problem: Statement, leg: Phase) -> None:
     """Issue a `ProblemWarning` for each kind of nonsmooth operation along a phase, and for linear tables."""
-    uses = table_calls(problem, leg)
+    uses = list_table_calls(problem, leg)
     for table in dict.fromkeys(use.table for use in uses):
         if table.method == "linear":
             warn_user(
@@ -71,7 +71,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not find_operations(stack_terms(leg)) & _KINKS.keys():
+    if not find_operations(stack_phase_expressions(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
     for operation, (kind, where) in _find_first_kink_of_each_kind(problem, leg, looked_up):
@@ -83,7 +83,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
 
 def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:
     """Raise `ProblemError` if the guess leaves a table with outside="error"; optionally warn for other tables."""
-    if not table_calls(problem, leg):
+    if not list_table_calls(problem, leg):
         return
     start = build_phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
@@ -307,7 +307,7 @@ class _Guessed:
     def from_phase(cls, leg: Phase) -> _Guessed:
         # The end points are included, since messages there name the user's functions.
         start = build_phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
-        scales, control_scales = phase_magnitudes(leg)
+        scales, control_scales = typical_phase_magnitudes(leg)
         states = _move_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
         controls = _move_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
@@ -406,7 +406,9 @@ def _build_end_functions(problem: Statement) -> list[tuple[str, tuple[str, ...],
         for what, rows, expression in kinds:
             if rows:
                 bound = bind_parameters(problem, expression)
-                function = _function_with_jacobian(bound, ca.vertcat(*variables, q), end_arguments(problem))
+                function = _function_with_jacobian(
+                    bound, ca.vertcat(*variables, q), endpoint_arguments(problem)
+                )
                 built.append((what, rows, tuple(columns), function))
         return built
 

@@ -45,7 +45,7 @@ class OutsideTable:
         )
 
 
-def stack_terms(leg: Phase) -> Any:
+def stack_phase_expressions(leg: Phase) -> Any:
     """Return all expressions along a phase, stacked, in the symbols of its model."""
     return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
 
@@ -57,14 +57,14 @@ def build_phase_function(problem: Statement, leg: Phase, name: str, column: Any)
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
 
-def table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
+def list_table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
     """Return the table calls in the expressions along a phase."""
 
     def find() -> tuple[TableUse, ...]:
         known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
         if not known:
             return ()
-        present = {node.element_hash() for node in list_nodes(stack_terms(leg))}
+        present = {node.element_hash() for node in list_nodes(stack_phase_expressions(leg))}
         return tuple({id(use): use for use in known if use.hashes & present}.values())
 
     return problem.cache(("tables", leg.name), find)
@@ -74,7 +74,7 @@ def find_table_exits(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
 ) -> list[OutsideTable]:
     """Return where a trajectory is outside of tables: times (N,), states and controls by columns, parameters."""
-    uses = table_calls(problem, leg)
+    uses = list_table_calls(problem, leg)
     if not uses:
         return []
     arguments = evaluate_function(_build_table_arguments(problem, leg, uses), times, states, controls, p, q)
@@ -100,7 +100,7 @@ def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse,
     )
 
 
-def end_arguments(problem: Statement) -> list[Any]:
+def endpoint_arguments(problem: Statement) -> list[Any]:
     """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
     legs = problem.phases.values()
     own = zip(map(endpoint_symbols, legs), model_parameter_arguments(legs), strict=True)

@@ -28,7 +28,7 @@ from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
     build_phase_function,
-    end_arguments,
+    endpoint_arguments,
     endpoint_symbols,
 )
 from gnc_opt.planning.problem.phase import Phase
@@ -285,7 +285,7 @@ class EndGradients:
     constraints: Array
 
 
-def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
+def endpoint_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
     """Return cost, boundary constraints and their gradients.
 
     Parameters
@@ -312,7 +312,7 @@ def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Ar
 
 
 def endpoint_function(problem: Problem) -> Any:
-    """Return the CasADi Function of `end_gradients`.
+    """Return the CasADi Function of `endpoint_gradients`.
 
     Its inputs are the six of ``ends`` per phase, q and nu. Its outputs are the cost as stated, the boundary
     constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
@@ -326,7 +326,9 @@ def _build_endpoint_function(problem: Problem) -> Any:
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
     ends = [symbol for leg in problem.phases.values() for symbol in endpoint_symbols(leg)]
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*ends, problem.parameter_symbols())]
-    return ca.Function("ends", [*end_arguments(problem), nu], [cost, ca.densify(constraints), *gradients])
+    return ca.Function(
+        "ends", [*endpoint_arguments(problem), nu], [cost, ca.densify(constraints), *gradients]
+    )
 
 
 def build_endpoint_values(problem: Problem) -> Any:

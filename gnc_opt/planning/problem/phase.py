@@ -170,7 +170,7 @@ class Phase(Strict):
         duration : tuple (lower, upper), optional
             Range of ``final - initial``; the default lower end is 0.
         """
-        self._set_numbers(
+        self._replace_numbers(
             initial_time=read_interval(initial, 1, f"the initial time of {self.label}"),
             final_time=read_interval(final, 1, f"the final time of {self.label}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.label),
@@ -179,11 +179,11 @@ class Phase(Strict):
 
     def initial(self, **values: Any) -> None:
         """Set initial values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._set_numbers(initial=self._replace_end_values(self.numbers.initial, values, "initial value"))
+        self._replace_numbers(initial=self._replace_end_values(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
         """Set final values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._set_numbers(final=self._replace_end_values(self.numbers.final, values, "final value"))
+        self._replace_numbers(final=self._replace_end_values(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
         """Set bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
@@ -193,10 +193,10 @@ class Phase(Strict):
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
         ranges = split_time_bounds(self, ranges)
-        states, controls = self._split_variables(
+        states, controls = self._split_states_and_controls(
             split_control_ranges(self.model, ranges, self.label), "bounds"
         )
-        self._set_numbers(
+        self._replace_numbers(
             states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.label),
             controls=with_ranges(self.numbers.controls, self.model.controls, controls, "bounds", self.label),
         )
@@ -291,7 +291,7 @@ class Phase(Strict):
             name: (known.get(name) or self._find_layout_of_variable(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._set_numbers(guess=guess.join_guess_values(time, values, sizes, self.label))
+        self._replace_numbers(guess=guess.join_guess_values(time, values, sizes, self.label))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling by typical magnitudes > 0 of states or controls by name.
@@ -302,7 +302,7 @@ class Phase(Strict):
         for name, magnitude in magnitudes.items():
             size = self._find_layout_of_variable(name, "scale")[name].size
             scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
-        self._set_numbers(scales=scales)
+        self._replace_numbers(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
         """Set ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
@@ -346,7 +346,7 @@ class Phase(Strict):
         self._owner.refuse_if_frozen()
         model = old.with_states(rates, controls)
         bounds = {**ranges_by_name(box.states, old.states), **ranges_by_name(box.controls, old.controls)}
-        self._set_numbers(
+        self._replace_numbers(
             states=stack_ranges(bounds, model.states),
             controls=stack_ranges(bounds, model.controls),
             initial=stack_ranges(ranges_by_name(box.initial, old.states), model.states),
@@ -362,13 +362,13 @@ class Phase(Strict):
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
         final, none = self.numbers.final, unbounded(self.model.states.size)
-        self._set_numbers(final=none)
+        self._replace_numbers(final=none)
         found = [self.clone() for _ in names]
         for name, twin in zip(names, found, strict=True):
             twin.name = name
-            twin._set_numbers(initial=none)
+            twin._replace_numbers(initial=none)
             twin._create_boundary_symbols()
-        found[-1]._set_numbers(final=final)
+        found[-1]._replace_numbers(final=final)
         return found
 
     def hold(
@@ -397,7 +397,7 @@ class Phase(Strict):
             Controls that are one polynomial over several segments; mesh breaks at which a state reaches its bound.
         """
         if arcs is None:
-            self._set_numbers(arcs=None)
+            self._replace_numbers(arcs=None)
             return
         model, box = self.model, self.numbers
         rows = {
@@ -410,7 +410,7 @@ class Phase(Strict):
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
-        self._set_numbers(arcs=Held(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
+        self._replace_numbers(arcs=Held(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -527,7 +527,7 @@ class Phase(Strict):
         twin._owner = owner or self._owner
         return twin
 
-    def _set_numbers(self, **numbers: Any) -> None:
+    def _replace_numbers(self, **numbers: Any) -> None:
         self._owner.refuse_if_frozen()
         self.numbers = replace(self.numbers, **numbers)
 
@@ -546,7 +546,9 @@ class Phase(Strict):
             raise unknown_name("state", key, self.label, self._ends[end])
         return self._ends[end][key]
 
-    def _split_variables(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _split_states_and_controls(
+        self, values: Mapping[str, Any], what: str
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():

@@ -25,7 +25,7 @@ from gnc_opt.planning.problem.expressions import (
     check_boundary_symbols,
     check_parameter_size,
     check_phase_symbols,
-    end_arguments,
+    endpoint_arguments,
 )
 from gnc_opt.planning.problem.guess.initial_guess import record_known_states
 from gnc_opt.planning.problem.guess.profiles import GuessValue
@@ -47,7 +47,7 @@ def compute_fingerprint(problem: Statement) -> str:
         model = leg.model
         layouts = [_variable_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
-        digest.update(_serialise_phase(problem, leg))
+        digest.update(_serialise_phase_expressions(problem, leg))
         for vector in (
             _fixed_parameter_values(problem, leg),
             *_list_bound_arrays(leg.numbers),
@@ -55,7 +55,7 @@ def compute_fingerprint(problem: Statement) -> str:
         ):
             digest.update(vector.tobytes())
     digest.update(
-        _serialise_expressions(end_arguments(problem), [problem.cost, problem.constraint_expression()])
+        _serialise_expressions(endpoint_arguments(problem), [problem.cost, problem.constraint_expression()])
     )
     for vector in (
         *_list_bound_arrays(problem.constraint_interval()),
@@ -87,7 +87,7 @@ def _list_bound_arrays(box: Any) -> Iterable[Array]:
             yield value
 
 
-def _serialise_phase(problem: Statement, leg: Phase) -> bytes:
+def _serialise_phase_expressions(problem: Statement, leg: Phase) -> bytes:
     expressions = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
     return _serialise_expressions([*leg.model.arguments(), problem.parameter_symbols()], expressions)
 
@@ -363,7 +363,9 @@ class Problem(Statement):
         for leg, span in zip(chain, spans, strict=True):
             end = Interval(begin.lower + span.lower, begin.upper + span.upper)
             leg.time(
-                initial=_time_range(begin), final=_time_range(end), duration=(span.lower[0], span.upper[0])
+                initial=_stated_time_range(begin),
+                final=_stated_time_range(end),
+                duration=(span.lower[0], span.upper[0]),
             )
             begin = end
         for first, second in pairwise(chain):
@@ -567,7 +569,7 @@ class Problem(Statement):
         self.forget_builds()
 
 
-def _time_range(interval: Interval) -> Any:
+def _stated_time_range(interval: Interval) -> Any:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower

@@ -19,8 +19,8 @@ from gnc_opt.planning.problem.differentiability_checks import (
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
     build_phase_function,
-    end_arguments,
-    stack_terms,
+    endpoint_arguments,
+    stack_phase_expressions,
 )
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
@@ -191,7 +191,7 @@ def _check_constraints(problem: Statement) -> None:
 
     def build() -> Any:
         rows = bind_parameters(problem, problem.constraint_expression())
-        return ca.Function("constraints", end_arguments(problem), [ca.densify(rows)])
+        return ca.Function("constraints", endpoint_arguments(problem), [ca.densify(rows)])
 
     function = problem.cache("constraints", build)
     reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
@@ -245,7 +245,7 @@ def _check_unused_parameters(problem: Statement) -> None:
         [
             ends,
             *(problem.bind(leg, ends) for leg in legs),
-            *(problem.bind(leg, stack_terms(leg)) for leg in legs),
+            *(problem.bind(leg, stack_phase_expressions(leg)) for leg in legs),
         ]
     )
     models = {id(leg.model): leg.model for leg in legs}.values()

@@ -28,7 +28,7 @@ GUESS_OFFSET_SHARE = 0.01
 """Displacement from the guess, as a share of the magnitude of each state."""
 
 
-def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
+def typical_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
     The first available of: the user's scale, the nominal value, finite bounds, the guess. States may be larger by the
@@ -36,7 +36,9 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     """
     start = build_phase_guess(leg, SAMPLES, perturbed=False)
     numbers = leg.numbers
-    controls = typical_magnitudes(numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0))
+    controls = choose_typical_magnitudes(
+        numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0)
+    )
     if overridden:
         _apply_given_scales(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
@@ -48,7 +50,7 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     reach = np.where(
         reach > ROUNDING * beside, np.clip(drift, reach, UNBOUNDED_STATE_MAX_RATIO * reach), drift
     )
-    states = typical_magnitudes(numbers.states, reach)
+    states = choose_typical_magnitudes(numbers.states, reach)
     if overridden:
         _apply_given_scales(states, leg.model.states, numbers.scales)
     return states, controls
@@ -85,7 +87,7 @@ def _rate_change_by_control(leg: Phase, start: PhaseStart, times: Array, magnitu
     return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
 
 
-def typical_magnitudes(interval: Interval, reach: Array) -> Array:
+def choose_typical_magnitudes(interval: Interval, reach: Array) -> Array:
     """Return typical magnitudes: the larger of two finite bounds, else ``reach``, else 1."""
     bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
     limits = np.maximum(

@@ -21,7 +21,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidate_solutions import Candidate, final_solution
+from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.switching.warm_start import truncate_solution
@@ -90,8 +90,10 @@ class KnownArcs:
         if not candidate.history.converged:
             return None
         if checked == "changed" and self._has_known_structure(candidate):
-            return final_solution([candidate], None, tol, begin, check=False)
-        return final_solution([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
+            return build_final_solution([candidate], None, tol, begin, check=False)
+        return (
+            build_final_solution([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
+        )
 
     def _solve_with_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
         left = {

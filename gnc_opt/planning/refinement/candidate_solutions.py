@@ -168,7 +168,7 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     return best
 
 
-def final_solution(
+def build_final_solution(
     candidates: Sequence[Candidate], ended: RefinementStatus | None, tol: float, begin: float, check: bool
 ) -> Solution:
     """Return the solution of the best candidate with the history of all candidates, its verdict and its status.

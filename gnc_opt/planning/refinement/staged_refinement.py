@@ -47,7 +47,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     Segments,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidate_solutions import Candidate, final_solution
+from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
@@ -141,7 +141,7 @@ class StagedRefinement:
     def answer_interruption(self, first: Solution) -> Solution:
         """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
         candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
-        return final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
+        return build_final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
 
     # --- sequence of solves -------------------------------------------------------------------------------------
 
@@ -158,7 +158,9 @@ class StagedRefinement:
         settled = ended is RefinementStatus.CONVERGED
         if not settled and not any(c.is_solved and c.solution is first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
-        return final_solution(self.candidates, None if settled else ended, self.tol, self.begin, self.check)
+        return build_final_solution(
+            self.candidates, None if settled else ended, self.tol, self.begin, self.check
+        )
 
     def _add_candidate(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)

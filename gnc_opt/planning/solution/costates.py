@@ -53,7 +53,9 @@ SIDES: tuple[Side, Side] = ("right", "left")
 """Side from which the start and the end of a segment are evaluated."""
 
 
-def path_arc_costates(leg: PhaseSolution, held: Held | None, functions: PhaseFunctions) -> PhaseSolution:
+def correct_path_arc_costates(
+    leg: PhaseSolution, held: Held | None, functions: PhaseFunctions
+) -> PhaseSolution:
     """Return a phase solution with costates and multipliers corrected along active segments."""
     if held is None or not held.paths or leg.scheme != GAUSS:
         return leg
@@ -69,7 +71,9 @@ def path_arc_costates(leg: PhaseSolution, held: Held | None, functions: PhaseFun
         for ends, column in ((start, 0), (end, 1)):
             time, side = leg.breaks[k + column], SIDES[column]
             gradients = functions.path_state_jacobian(time, leg.x(time, side), leg.u(time, side))[rows].T
-            ends[:, k] += gradients @ _fit_coefficients(gradients, continued[:, column] - ends[:, k])
+            ends[:, k] += gradients @ _fit_direction_coefficients(
+                gradients, continued[:, column] - ends[:, k]
+            )
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
     multipliers = _compute_path_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
@@ -88,11 +92,11 @@ def _compute_path_densities(
     gradients = functions.path_state_jacobian(times, x, u)
     for j, point in enumerate(here):
         rows = np.flatnonzero(at_limit[:, point])
-        mu[rows, point] = _fit_coefficients(gradients[rows, :, j].T, left[:, j])
+        mu[rows, point] = _fit_direction_coefficients(gradients[rows, :, j].T, left[:, j])
     return mu
 
 
-def _fit_coefficients(directions: Array, vector: Array) -> Array:
+def _fit_direction_coefficients(directions: Array, vector: Array) -> Array:
     """Return the least-squares coefficients of a vector (n,) in directions (n, n_rows)."""
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
@@ -139,7 +143,7 @@ def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
     return np.hstack(pieces)
 
 
-def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
+def dynamics_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
     """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.rules):

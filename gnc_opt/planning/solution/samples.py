@@ -15,11 +15,11 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
-    control_spans,
+    compute_control_spans,
+    compute_state_spans,
     equalise_components,
     estimate_required_controls,
     find_inactive_controls,
-    state_spans,
 )
 from gnc_opt.planning.transcription.point_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, collocation_points, quadrature_weights
@@ -210,22 +210,22 @@ class PhaseSamples:
     @cached_property
     def state_scale(self) -> Array:
         """Variation scale of each state along the phase (n,); see module `variation_scales`."""
-        return state_spans(self.leg, self.functions, self.control_span, lasting=self.has_duration)
+        return compute_state_spans(self.leg, self.functions, self.control_span, lasting=self.has_duration)
 
     @cached_property
     def control_span(self) -> Array:
         """Variation scale of each control, from its own variation or the costates (m,); module `variation_scales`."""
-        terms = np.abs(self.switching - self.cost_gradient)
+        terms = np.abs(self.switching_functions - self.cost_gradient)
         most = float(np.nanmax(self._costate_terms, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
-        spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
+        spans = compute_control_spans(self.leg, self.u, terms, curvature, most, asked)
         still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
         rounding = still[[not self._keeps_curvature(int(i), spans[i], curvature[i]) for i in still]]
         if not rounding.size:
             return spans
         curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
-        return control_spans(self.leg, self.u, terms, curvature, most, asked)
+        return compute_control_spans(self.leg, self.u, terms, curvature, most, asked)
 
     def _keeps_curvature(self, i: int, span: float, curvature: Array) -> bool:
         """Return whether H changes over the control's scale about as its largest curvature predicts."""
@@ -246,7 +246,7 @@ class PhaseSamples:
         )
 
     @cached_property
-    def switching(self) -> Array:
+    def switching_functions(self) -> Array:
         """dH/du without path multipliers along the applied control (m, n_samples)."""
         return self.functions.switching(self.times, self.x, self.u, self.lam)
 
@@ -258,7 +258,7 @@ class PhaseSamples:
     @cached_property
     def _hamiltonian_changes(self) -> Array:
         amplitude = 0.5 * self.control_span[:, None]
-        slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching - self.cost_gradient))
+        slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching_functions - self.cost_gradient))
         by_slope = _find_largest_finite(slopes * amplitude)
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
         flown = np.fmax(by_slope, _find_largest_finite(bends))

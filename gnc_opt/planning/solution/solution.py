@@ -22,7 +22,7 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, table_calls
+from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, list_table_calls
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -253,7 +253,7 @@ class Solution(Printed):
         problem = self.need_problem("look for the tables of")
         found: list[OutsideTable] = []
         for name, leg in problem.phases.items():
-            if table_calls(problem, leg):
+            if list_table_calls(problem, leg):
                 s = self._samples[name]
                 found += find_table_exits(
                     problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values

@@ -10,7 +10,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.hamiltonian_functions import (
     EndGradients,
     PhaseFunctions,
-    end_gradients,
+    endpoint_gradients,
     phase_functions,
 )
 from gnc_opt.planning.problem.phase import Phase
@@ -18,8 +18,8 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.costates import (
     Iterate,
+    correct_path_arc_costates,
     map_costates,
-    path_arc_costates,
     point_costates,
     split_duplicate_path_multipliers,
 )
@@ -86,7 +86,7 @@ def extract_phases(
         times = extended[part.times[[0, -1]]]
         p = model_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], times[0], times[1], integrals[name], p]
-    gradients = end_gradients(problem, ends, q, nu)
+    gradients = endpoint_gradients(problem, ends, q, nu)
     phases = {
         name: _extract_phase(transcription, problem, part, iterate, integrals[name], gradients)
         for name, part in transcription.parts.items()
@@ -197,7 +197,7 @@ def _extract_phase(
         turns=leg.numbers.turns,
         **copy_problem_data(problem, leg, q),
     )
-    return path_arc_costates(found, leg.numbers.arcs, functions)
+    return correct_path_arc_costates(found, leg.numbers.arcs, functions)
 
 
 def state_polynomial(

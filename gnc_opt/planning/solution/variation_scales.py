@@ -77,7 +77,9 @@ SPAN_MIN_SHARE = 1e-7
 """Smallest scale, as a share of the magnitude: with the tolerance 1e-5 it gives 1e-12, the rounding level."""
 
 
-def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool) -> Array:
+def compute_state_spans(
+    leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool
+) -> Array:
     """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
@@ -93,7 +95,7 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     )
 
 
-def control_spans(
+def compute_control_spans(
     leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.

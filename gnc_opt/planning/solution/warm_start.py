@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.costates import point_multipliers
+from gnc_opt.planning.solution.costates import dynamics_multipliers
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
@@ -44,7 +44,9 @@ class ProgramStart:
     lam_g: Array | None = None
 
 
-def program_start(transcription: Transcription, problem: Problem, guess: Solution | None) -> ProgramStart:
+def choose_program_start(
+    transcription: Transcription, problem: Problem, guess: Solution | None
+) -> ProgramStart:
     """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess.
 
     Raises
@@ -179,7 +181,7 @@ def _fill_phase_variables(
     same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
     costates, ends = old.point_costates if same else sample(old.lam), old.lam(breaks[1:], "left")
     for rows, values in zip(
-        collocation.dynamics_rows, point_multipliers(collocation, costates, ends), strict=True
+        collocation.dynamics_rows, dynamics_multipliers(collocation, costates, ends), strict=True
     ):
         lam_g[rows] = values
 

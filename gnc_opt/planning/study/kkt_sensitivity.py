@@ -33,13 +33,13 @@ from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
-from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, saddle_matrix
+from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, build_saddle_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
-from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
+from gnc_opt.planning.solution.warm_start import ProgramStart, choose_program_start
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import ACTIVE
@@ -76,7 +76,7 @@ def predict_solution(
     transcription, start = _transcribe_solution(problem, last)
     change = _predict_change(problem, last)
     if change is None and before is not None:
-        earlier = program_start(transcription, problem, before).x
+        earlier = choose_program_start(transcription, problem, before).x
         change = ratio * (start.x - earlier)
     x = start.x if change is None or change.shape != start.x.shape else start.x + change
     box = transcription.variable_interval(problem)
@@ -91,7 +91,7 @@ def predict_solution(
 def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}
     transcription = transcribe(problem, meshes, solution.scheme)
-    return transcription, program_start(transcription, problem, solution)
+    return transcription, choose_program_start(transcription, problem, solution)
 
 
 def _predict_change(problem: Problem, last: Solution) -> Array | None:
@@ -208,7 +208,9 @@ class KktPoint:
     def _factorise_kkt_system(self) -> None:
         point = self.program
         free, held = np.flatnonzero(~self.program.variables.active), np.flatnonzero(self.program.rows.active)
-        matrix = saddle_matrix(point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free])
+        matrix = build_saddle_matrix(
+            point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free]
+        )
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePoint(matrix, free.size, labels, self.program.problem.name)
 

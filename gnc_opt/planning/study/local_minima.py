@@ -95,11 +95,13 @@ def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
         hits=len(starts),
         starts=tuple(starts),
         trajectories=_count_trajectories(group),
-        coarse_objectives=_distinct_values(value for minimum in group for value in minimum.coarse_objectives),
+        coarse_objectives=_distinct_objectives(
+            value for minimum in group for value in minimum.coarse_objectives
+        ),
     )
 
 
-def _distinct_values(objectives: Iterable[float]) -> tuple[float, ...]:
+def _distinct_objectives(objectives: Iterable[float]) -> tuple[float, ...]:
     """Return distinct values in ascending order."""
     kept: list[float] = []
     for value in sorted(objectives):

@@ -285,7 +285,7 @@ def _find_quantity_changes(
     return f"{kind} value of '{name}' in phase '{leg.name}'", _state_data_changes(program, leg, kind, name)
 
 
-def _zero_data_change(program: ProgramPoint) -> Change:
+def _unchanged_data(program: ProgramPoint) -> Change:
     transcription = program.transcription
     return Change(
         np.zeros(transcription.problem_data(program.problem).size),
@@ -313,7 +313,7 @@ def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None)
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _zero_data_change(program)
+        change = _unchanged_data(program)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
@@ -330,7 +330,7 @@ def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, nam
                 f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not fixed and "
                 "not at a limit, so that there is no derivative: choose another state."
             )
-        change = _zero_data_change(program)
+        change = _unchanged_data(program)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
@@ -339,7 +339,7 @@ def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, nam
 def _time_data_change(program: ProgramPoint, phase: str, end: str) -> Change:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _zero_data_change(program)
+    change = _unchanged_data(program)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
@@ -364,7 +364,7 @@ def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: st
             raise ProblemError(
                 f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit has no effect."
             )
-        change = _zero_data_change(program)
+        change = _unchanged_data(program)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes

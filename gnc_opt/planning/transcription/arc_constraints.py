@@ -30,18 +30,18 @@ def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
             )
 
 
-def fix_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_controls_on_arcs(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Apply the limits of controls at the points of their arcs to ``box``."""
     _apply_arc_bounds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
 
 
-def fix_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_paths_on_arcs(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Apply the limits of path constraint rows at the points of their arcs to ``box``."""
     if held.paths:
         _apply_arc_bounds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
 
 
-def fix_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
+def fix_states_on_arcs(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
     """Apply the limits of states at the start and the points of their arcs to ``box``.
 
     The collocation rows imply them at the ends of the segments. A start linked from an arc on the same bound gets no
@@ -155,7 +155,7 @@ def count_junction_rows(junction: Junction, n_paths: int) -> int:
     return len(junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
-def junction_row_values(junction: Junction, paths: Interval, order: int | None) -> Array:
+def junction_right_sides(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):

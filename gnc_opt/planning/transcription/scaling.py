@@ -13,7 +13,11 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.typical_magnitudes import SAMPLES, phase_magnitudes, typical_magnitudes
+from gnc_opt.planning.problem.typical_magnitudes import (
+    SAMPLES,
+    choose_typical_magnitudes,
+    typical_phase_magnitudes,
+)
 from gnc_opt.planning.transcription.transcription import Transcription
 
 NEARBY = 0.1
@@ -40,7 +44,7 @@ def choose_variable_scales(
     """Return the typical magnitudes of the variables, shape (n_variables,), optionally overridden by the user."""
     scales = np.ones(transcription.n_variables)
     for name, part in transcription.parts.items():
-        states, controls = phase_magnitudes(problem.phases[name], overridden=overridden)
+        states, controls = typical_phase_magnitudes(problem.phases[name], overridden=overridden)
         collocation = part.collocation
         scales[collocation.boundary_states] = states[:, None]
         scales[collocation.point_states] = states[:, None]
@@ -49,7 +53,7 @@ def choose_variable_scales(
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     for places, interval in ((transcription.parameter_places, problem.parameter_interval()),):
-        scales[places] = typical_magnitudes(interval, np.abs(start[places]))
+        scales[places] = choose_typical_magnitudes(interval, np.abs(start[places]))
     return scales
 
 

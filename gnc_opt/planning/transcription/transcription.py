@@ -26,12 +26,12 @@ from gnc_opt.planning.transcription.arc_constraints import (
     controls_at_junction,
     drop_implied_state_bounds,
     find_junctions,
-    fix_controls,
+    fix_controls_on_arcs,
     fix_junction_states,
-    fix_paths,
-    fix_states,
+    fix_paths_on_arcs,
+    fix_states_on_arcs,
     junction_derivative_orders,
-    junction_row_values,
+    junction_right_sides,
     list_smooth_controls,
     loosen_monotone_bounds,
     smoothness_entries,
@@ -357,7 +357,7 @@ class Transcription(Numbering):
         drop_implied_state_bounds(box, problem, leg, collocation)
         check_arc_segments(leg, collocation)
         if numbers.arcs is not None:
-            fix_controls(box, numbers.arcs, numbers.controls, collocation)
+            fix_controls_on_arcs(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value beyond a bound by rounding must not cross it.
@@ -367,7 +367,7 @@ class Transcription(Numbering):
                 np.clip(values.upper, lower, upper),
             )
         if numbers.arcs is not None:
-            fix_states(box, leg, numbers.arcs, collocation)
+            fix_states_on_arcs(box, leg, numbers.arcs, collocation)
             fix_junction_states(box, numbers.arcs, numbers.states, collocation)
         for place, time in zip(part.times[[0, -1]], leg.time_ranges(), strict=True):
             if place < self.n_variables:
@@ -382,7 +382,7 @@ class Transcription(Numbering):
             box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
             held = problem.phases[name].numbers.arcs
             if held is not None:
-                fix_paths(box, held, paths, part.collocation)
+                fix_paths_on_arcs(box, held, paths, part.collocation)
         for i, name in enumerate(self._durations):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
@@ -390,7 +390,7 @@ class Transcription(Numbering):
         for name, junction, rows in self.junctions:
             leg = problem.phases[name]
             order = constraint_order(self.problem, leg, junction.constraint).order
-            values = junction_row_values(junction, leg.path_interval(), order)
+            values = junction_right_sides(junction, leg.path_interval(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))

@@ -236,7 +236,7 @@ def check_complementarity(
             ),
         ):
             if labels:
-                violation = _slack_violation(multipliers, values, box, scale) * shares / scales.cost
+                violation = _complementarity_violation(multipliers, values, box, scale) * shares / scales.cost
                 i, j = find_worst_index(violation)
                 where = s.describe_time(times[j], f"multiplier of {labels[i]}")
                 worst = worst.select_worse(Worst(float(violation[i, j]), where))
@@ -250,7 +250,9 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
         return NOTHING
     box = solution.need_problem("verify").constraint_interval()
     reach = scales.constraints[0] + 0.5 * scales.constraints[1]
-    violation = _slack_violation(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
+    violation = (
+        _complementarity_violation(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
+    )
     i = int(np.argmax(violation))
     return Worst(float(violation[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
 
@@ -264,13 +266,14 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[leg.name].along.radius[:, None]
     violation = (
-        _slack_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius) / scales.cost
+        _complementarity_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
+        / scales.cost
     )
     i, k = find_worst_index(violation)
     return Worst(float(violation[i, k]), s.describe_time(breaks[k], f"impulse on {leg.states.labels[i]}"))
 
 
-def _slack_violation(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _complementarity_violation(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Return |multiplier| times the distance to its limit (at most the scale)."""
     room_up = np.minimum(np.abs(box.upper[:, None] - values), scale)
     room_down = np.minimum(np.abs(values - box.lower[:, None]), scale)

@@ -329,7 +329,7 @@ class _Search:
         physical = moves * self._control_box[1]
         length = np.max(np.abs(physical) / scale, axis=0)
         direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
-        slopes = s.switching[np.ix_(group, self.chosen)]
+        slopes = s.switching_functions[np.ix_(group, self.chosen)]
         bends = s.control_hessian[np.ix_(group, group, self.chosen)]
         with np.errstate(invalid="ignore"):  # roots have infinite slope at zero
             curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)

@@ -11,7 +11,7 @@ from gnc_opt.planning.optimality.active_set import with_free_touch_times
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.sampling_grid import find_feature_edges
-from gnc_opt.planning.problem.expressions import table_calls
+from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.kinks import find_kinks
 from gnc_opt.planning.problem.problem import Problem
@@ -144,7 +144,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_worse(costate_inconsistency(samples) if with_costates else NOTHING)
     limits = [feasibility.check_limits(solution, samples, scales, tol)]
-    if any(table_calls(problem, leg) for leg in problem.phases.values()):
+    if any(list_table_calls(problem, leg) for leg in problem.phases.values()):
         limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),

@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, end_gradients
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
@@ -72,7 +72,7 @@ def boundary_gradients(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
     problem = solution.need_problem("verify")
     ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
-    return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
+    return endpoint_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
 def find_nonfinite_entry(stored: Solution, with_costates: bool) -> Worst:

@@ -172,7 +172,7 @@ def verify_trajectory(
     q = _read_parameters(problem, p)
     check_unused_controls(problem)
     samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)
-    verdict, twin = _check_samples(problem, samples, q, tol), reformulate(problem)
+    verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate(problem)
     if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
         return verdict
     other = _check_reformulated(problem, twin, samples, q, tol)
@@ -180,7 +180,9 @@ def verify_trajectory(
     return verdict if prefers_stated else other
 
 
-def _check_samples(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float) -> Verdict:
+def _check_sampled_trajectory(
+    problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
     verdict = verify(_build_solution(problem, samples, q), tol=tol)
     for near in NEARER if verdict["active set"].result is ConditionResult.FAIL else ():
         other = verify(_build_solution(problem, samples, q, near=near), tol=tol)
@@ -235,7 +237,7 @@ def _check_reformulated(
     (`gnc_opt.planning.problem.reformulation`)."""
     samples = reformulate_samples(problem, twin, stated, q)
     q = _add_kink_parameters(twin, samples, q)
-    return _check_samples(twin, _unwrap_angles(twin, samples, q), q, tol)
+    return _check_sampled_trajectory(twin, _unwrap_angles(twin, samples, q), q, tol)
 
 
 def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
@@ -414,7 +416,7 @@ def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
     for control in leg.model.composed_controls.values():
         if control.name in found:
             shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.label}"
-            parts = control.decompose(_read_array(found.pop(control.name), shape, what))
+            parts = control.decompose(_read_finite_array(found.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
                 parts = parts[0], _fill_undefined_directions(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)
@@ -431,14 +433,14 @@ def _read_component_rows(leg: Phase, layout: Layout, given: Values, n_times: int
         if missing:
             raise ProblemError(f"{kind} '{missing[0]}' of {leg.label} is missing: give its samples.")
         rows = [
-            _read_array(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.label}")
+            _read_finite_array(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.label}")
             for name in layout.names
         ]
         return np.vstack(rows) if rows else np.zeros((0, n_times))
-    return _read_array(given, (layout.size, n_times), what)
+    return _read_finite_array(given, (layout.size, n_times), what)
 
 
-def _read_array(value: Values, shape: tuple[int, int], what: str) -> Array:
+def _read_finite_array(value: Values, shape: tuple[int, int], what: str) -> Array:
     array = read_numbers(value, what, ProblemError)
     if shape[0] == 0 and array.size == 0:
         return np.zeros(shape)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testing.internals import check_remaining_problem, remaining_problem
+from testing.internals import build_remaining_problem, check_remaining_problem
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -64,7 +64,11 @@ def test_the_end_of_a_given_duration_stays_where_it_is() -> None:
 
 def test_limits_of_the_duration_move_with_the_clock() -> None:
     p = stated(initial=2.0, duration=(1.0, 4.0))
-    rest = remaining_problem(p, 2.0, 3.5, {"q": np.array([-0.5]), "v": np.array([1.0])}).phases["leg"].numbers
+    rest = (
+        build_remaining_problem(p, 2.0, 3.5, {"q": np.array([-0.5]), "v": np.array([1.0])})
+        .phases["leg"]
+        .numbers
+    )
     assert (rest.duration.lower[0], rest.duration.upper[0]) == (0.0, 2.5)
     assert rest.initial.lower == pytest.approx([-0.5, 1.0])
 
@@ -77,7 +81,7 @@ def test_a_start_a_little_beyond_a_limit_begins_on_it() -> None:
         ([1.03, 1.9], [1.0, 1.9]),
         ([-1.05, 2.05], [-1.05, 2.05]),
     ):
-        rest = remaining_problem(p, 0.0, 0.5, {"q": np.array(given[:1]), "v": np.array(given[1:])})
+        rest = build_remaining_problem(p, 0.0, 0.5, {"q": np.array(given[:1]), "v": np.array(given[1:])})
         assert rest.phases["leg"].numbers.initial.lower == pytest.approx(used, abs=1e-15)
 
 

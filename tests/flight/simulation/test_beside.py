@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import Places, integration_errors
+from testing.internals import Places, estimate_integration_errors
 from testing.models import dynamics
 
 import gnc_opt as go
@@ -116,12 +116,14 @@ def test_distances_are_relative_and_infinite_where_the_companion_is_lost() -> No
     two = np.array([[10.0, 0.3, 0, 9.0], [12.0, 0.2, 1, 1.5], [np.nan, 1.0, 0, 0], [1.0, 1.0, 0, 0]])
     rates = np.array([[0.0, 0.0], [4.0, 0.1], [0.0, 0.0], [0.0, 0.0]])
     columns = [np.hstack([values, rates]).T for values in (one, two)]
-    errors, at_one_time = integration_errors(places, *columns, 4.0)
+    errors, at_one_time = estimate_integration_errors(places, *columns, 4.0)
     assert 0.75 * errors == pytest.approx([0.2, 0.5, np.inf, np.nan], nan_ok=True)
     assert 0.75 * at_one_time == pytest.approx([0.2, 0.05, np.inf, np.nan], nan_ok=True)
     # an event that only one of both has met ends it so much earlier
     met = np.array([[10.0, 0.1, 1.0, 3.9, 0.0, 0.0]]).T
-    assert 0.75 * integration_errors(places, met, columns[0][:, :1], 4.0)[0] == pytest.approx([0.1 / 3.9])
+    assert 0.75 * estimate_integration_errors(places, met, columns[0][:, :1], 4.0)[0] == pytest.approx(
+        [0.1 / 3.9]
+    )
 
 
 def test_what_rounding_has_grown_to_is_held_against_the_integration() -> None:

@@ -60,7 +60,9 @@ def cart() -> go.Solution:
 def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
     cart: go.Solution, way: Callable[..., Any], allowed: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(switching, "optimise_times", lambda *_: None)  # a start that is not the end already
+    monkeypatch.setattr(
+        switching, "find_optimal_times", lambda *_: None
+    )  # a start that is not the end already
     _, history = way(cart, tol=1e-10, limits=IterationLimits(work=allowed), options=CRAWLING)
     tried = [p for p in history.passes if not p.solved]
     assert tried and not history.converged

@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.switching import newton as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
 from gnc_opt.planning.refinement.switching import warm_start as v
 from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton import optimise_flow, optimise_times
+from gnc_opt.planning.refinement.switching.newton import find_optimal_flow, find_optimal_times
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
     are_rows_independent,
@@ -88,7 +88,7 @@ def structure(times: list[float], *kinds: ArcKind, others: int = 2) -> PhaseStru
 
 @pytest.mark.parametrize("times", [[0.0, 1.5, 4.5], [0.0, 2.6, 3.4]])
 def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) -> None:
-    found, flight = optimise_times(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
+    found, flight = find_optimal_times(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
     guess = flight.build_solution(cart)
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
     assert [row[0] for row in found.kinds] == [LOWER, UPPER]
@@ -103,7 +103,7 @@ def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) 
 
 def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
     found, _ = (
-        optimise_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER))
+        find_optimal_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER))
         or pytest.fail()
     )
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
@@ -112,7 +112,7 @@ def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
 
 def test_oscillator_switches_every_half_period() -> None:
     solution = go.solve(oscillator(), mesh="20x3", tol=None)
-    found, _ = optimise_times(solution, detect_phase_structure(solution.samples()["leg"])) or pytest.fail(
+    found, _ = find_optimal_times(solution, detect_phase_structure(solution.samples()["leg"])) or pytest.fail(
         "does not settle"
     )
     inner = found.times[1:-1]
@@ -122,7 +122,7 @@ def test_oscillator_switches_every_half_period() -> None:
 def test_switches_of_several_controls_pass_each_other() -> None:
     """Found on 10 segments, the order of the 19 switches is wrong, and an arc is missing."""
     solution = go.solve(build(case=1), mesh="10x3", tol=None)
-    found, _ = optimise_times(
+    found, _ = find_optimal_times(
         solution, detect_phase_structure(solution.samples()["approach"])
     ) or pytest.fail("does not settle")
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
@@ -160,7 +160,7 @@ def test_a_few_bangs_stand_for_a_singular_arc_that_is_met_by_chattering() -> Non
 
 def test_a_shift_of_the_clock_changes_nothing(cart: go.Solution) -> None:
     later = go.solve(carts(4.0, initial=1000.0), mesh="8x3", tol=None)
-    found, _ = optimise_times(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
+    found, _ = find_optimal_times(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
     assert found.times == pytest.approx([1000.0, 1002.0, 1004.0], abs=1e-6)
 
 
@@ -170,7 +170,7 @@ def test_active_limits_of_the_end_are_left_to_others() -> None:
     leg = problem.phases["leg"]
     leg.final(q=0.0, v=(-0.5, 0.0))
     solution = go.solve(problem, mesh="8x3", tol=None)
-    assert optimise_times(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
+    assert find_optimal_times(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
 
 
 def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
@@ -183,18 +183,18 @@ def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
     problem.minimize(leg.final_time)
     solution = go.solve(problem, mesh="8x3", tol=None)
     half = np.sqrt(np.pi / 2)
-    assert optimise_times(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
+    assert find_optimal_times(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
 
 
 @pytest.mark.parametrize("kind", [INTERIOR, ArcKind.SINGULAR])
 def test_controls_between_their_bounds_are_left_to_others(cart: go.Solution, kind: ArcKind) -> None:
-    assert optimise_times(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
+    assert find_optimal_times(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
 
 
 def test_states_on_their_bounds_are_left_to_others(cart: go.Solution) -> None:
     held = structure([0.0, 2.0, 4.0], LOWER, UPPER)
     kinds = ((LOWER, INTERIOR, LOWER), held.kinds[1])
-    assert optimise_times(cart, replace(held, kinds=kinds)) is None
+    assert find_optimal_times(cart, replace(held, kinds=kinds)) is None
 
 
 def test_a_structure_that_cannot_be_collocated_is_given_up(
@@ -238,7 +238,7 @@ def measured() -> go.Problem:
 
 def test_a_guess_has_the_integrals_costates_and_multipliers_of_the_flow() -> None:
     solution = go.solve(measured(), mesh="8x3", tol=None)
-    _, flight = optimise_times(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail(
+    _, flight = find_optimal_times(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail(
         "does not settle"
     )
     guess = flight.build_solution(solution)
@@ -270,7 +270,7 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
     problem.minimize(leg.integral(a**2) / 8 - leg.final_state("q"))
     solution = go.solve(problem, mesh="9x3", tol=None)
     start = structure([0.0, 2.0, 6.0], UPPER, LOWER)
-    found, flight = optimise_times(solution, start) or pytest.fail("does not settle")
+    found, flight = find_optimal_times(solution, start) or pytest.fail("does not settle")
     guess = flight.build_solution(solution)
     assert found.times == pytest.approx([0.0, 3.0, 6.0], abs=1e-6)
     assert guess.constraint_multipliers == pytest.approx([3.0], abs=1e-5)
@@ -297,7 +297,7 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     switch, end = r * np.arctanh(w / r), r * np.arctanh(w / r) + r * np.arctan(w / r)
     solution = go.solve(problem, mesh="5x3", tol=None)
     found, flight = (
-        optimise_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+        find_optimal_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
     )
     guess = flight.build_solution(solution)
     assert found.times[2] == pytest.approx(end, rel=2 * accuracy)
@@ -305,7 +305,7 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     assert guess.phase().x(guess.phase().breaks[-1], "left") == pytest.approx(
         [1.0, 0.0], abs=10 * np.sqrt(accuracy)
     )
-    assert optimise_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
+    assert find_optimal_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
 
 
 def test_a_step_with_its_own_matrices_is_newtons() -> None:
@@ -514,7 +514,7 @@ def test_when_a_flow_is_accurate(
     ):  # fmt: skip
         monkeypatch.setattr(n, name, answer)
     problem = constructed_cart()
-    found = n.optimise_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
+    found = n.find_optimal_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
     assert (found is not None) is (grids is not None)
     if grids:
         assert found is not None and found[0] == "structure" and seen == grids
@@ -593,7 +593,9 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution(slowest: float, kept
     """The speed reaches -4.04 m/s."""
     solution = go.solve(pulled(), mesh="10x3", tol=None)
     (s,) = solution.samples().values()
-    structure, flight = optimise_times(solution, detect_phase_structure(s)) or pytest.fail("does not settle")
+    structure, flight = find_optimal_times(solution, detect_phase_structure(s)) or pytest.fail(
+        "does not settle"
+    )
     least = float(np.min(flight.x[1]))
     assert least == pytest.approx(-4.04, abs=1e-3)
     box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
@@ -634,7 +636,7 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
         flight = SimpleNamespace(step=step or Step(v.FLOW_INITIAL_STEPS))
         return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None
 
-    monkeypatch.setattr(v, "optimise_flow", settle)
+    monkeypatch.setattr(v, "find_optimal_flow", settle)
     found = v.KnownSwitches(KNOWN, "known", np.ones(2)).with_newton_step()  # type: ignore[arg-type]
     tries = [
         (v.EQUAL, None),

@@ -17,9 +17,9 @@ from gnc_opt.planning.solution.costates import (
     Iterate,
     _boundary_costates,
     _CostatePieces,
-    path_arc_costates,
+    correct_path_arc_costates,
+    dynamics_multipliers,
     point_costates,
-    point_multipliers,
     split_duplicate_path_multipliers,
 )
 from gnc_opt.planning.solution.warm_start import start_from_solution
@@ -51,14 +51,14 @@ def test_costates_of_multipliers_of_costates(scheme: Scheme) -> None:
     part = collocation(scheme)
     values = np.random.default_rng(1).normal(size=(2, 7))
     ends = np.array([[1.0, 2.0], [3.0, 4.0]])
-    pieces = point_multipliers(part, values, ends)
+    pieces = dynamics_multipliers(part, values, ends)
     again = point_costates(part, rows_of(part, pieces))
     if scheme != "LGL":
         assert again == pytest.approx(values, abs=1e-12)
         if scheme == "LG":
             assert [p[:, -1].tolist() for p in pieces] == [[-1.0, -3.0], [-2.0, -4.0]]
         return
-    once_more = point_costates(part, rows_of(part, point_multipliers(part, again, ends)))
+    once_more = point_costates(part, rows_of(part, dynamics_multipliers(part, again, ends)))
     assert once_more == pytest.approx(again, abs=1e-11)
 
 
@@ -512,7 +512,7 @@ def held(*rows: tuple[ArcKind, ...]) -> Held:
 def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> None:
     """q v is held along the second segment: its gradient is (v, q), from within the segment."""
     before = leg()
-    after = path_arc_costates(before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS)
+    after = correct_path_arc_costates(before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS)
     for ends, old, at, off in (
         ("lam_start", before.lam_start, 0.25, 1),
         ("lam_end", before.lam_end, 0.5, -1),
@@ -532,7 +532,7 @@ def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> No
 def test_the_density_is_what_the_adjoint_equation_leaves() -> None:
     """lam_q' = -(mu_q + v mu_qv): with lam_q = t^2 and mu_qv = 4 then mu_q = -2 t - 4 (2 - t), where q is held."""
     before = leg(lam_end=leg().lam_end + np.array([[5.0], [7.0]]))  # ends that are right
-    after = path_arc_costates(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
+    after = correct_path_arc_costates(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
     t = before.point_times
     expected = np.where((t > 0.25) & (t < 0.5), 5.0, -2 * t - 4 * (2 - t))
     assert after.path_multipliers[2] == pytest.approx(expected, abs=1e-9)

@@ -21,9 +21,9 @@ from testing.internals import (
     check_arc_segments,
     choose_row_scales,
     choose_variable_scales,
-    fix_controls,
-    fix_paths,
-    fix_states,
+    fix_controls_on_arcs,
+    fix_paths_on_arcs,
+    fix_states_on_arcs,
     get_family,
 )
 
@@ -168,22 +168,24 @@ def box(size: int) -> Interval:
 def test_a_phase_without_controls_has_none_to_hold() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 1.0), (2, 1)), n=1, m=0)
     found = box(part.n_variables)
-    fix_controls(found, Held(()), interval([], []), part)
+    fix_controls_on_arcs(found, Held(()), interval([], []), part)
     assert np.all(found.lower == -7) and np.all(found.upper == 7)
 
 
 def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 0.6, 1.0), (2, 1, 1)), n=1, m=2, paths=1)
     found = box(part.n_variables)
-    fix_controls(found, Held(((LOW, FREE, UP), (RELEASED, UP, FREE))), interval([-1, -2], [3, 4]), part)
+    fix_controls_on_arcs(
+        found, Held(((LOW, FREE, UP), (RELEASED, UP, FREE))), interval([-1, -2], [3, 4]), part
+    )
     assert found.lower[part.point_controls].tolist() == [[-1, -1, -7, 3], [-np.inf, -np.inf, 4, -7]]
     assert found.upper[part.point_controls].tolist() == [[-1, -1, 7, 3], [np.inf, np.inf, 4, 7]]
     rows = box(part.n_rows)
-    fix_paths(rows, Held(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part)
+    fix_paths_on_arcs(rows, Held(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part)
     assert rows.lower[part.path_rows].tolist() == [[6, 6, -np.inf, -5]]
     assert rows.upper[part.path_rows].tolist() == [[6, 6, np.inf, -5]]
     untouched = box(part.n_rows)
-    fix_paths(untouched, Held(((FREE,) * 3,) * 2), interval([-5], [6]), part)
+    fix_paths_on_arcs(untouched, Held(((FREE,) * 3,) * 2), interval([-5], [6]), part)
     assert np.all(untouched.lower == -7)
 
 
@@ -191,7 +193,7 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     """The ends of held segments follow; the start of an arc is held once, where another limit begins again."""
     part = collocation("LG", Mesh((0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (1, 1, 1, 1, 1)), n=1)
     found, (leg, _) = box(part.n_variables), stated()[1]
-    fix_states(found, leg, Held(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
+    fix_states_on_arcs(found, leg, Held(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
     assert (
         found.lower[part.point_states].tolist() == [[-7, 3, 3, -1, -7]]
         and found.upper[part.point_states][0, 3] == -1
@@ -199,7 +201,7 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     assert found.lower[part.boundary_states].tolist() == [[-7, 3, -np.inf, -1, -np.inf, -7]]
     assert found.upper[part.boundary_states].tolist() == [[7, 3, np.inf, -1, np.inf, 7]]
     first = box(part.n_variables)
-    fix_states(first, leg, Held(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
+    fix_states_on_arcs(first, leg, Held(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
     assert first.lower[part.boundary_states].tolist() == [[-1, -np.inf, -7, -7, -7, -7]]
 
 
@@ -217,7 +219,7 @@ def test_an_arc_that_goes_on_from_the_phase_before_has_begun_there(
         first.hold([[FREE, FREE]], states=[[FREE, before]])
     part = collocation("LG", Mesh.uniform(2, 1), n=1)
     found = box(part.n_variables)
-    fix_states(found, second, Held(((FREE,) * 2,), states=((LOW, LOW),)), part)
+    fix_states_on_arcs(found, second, Held(((FREE,) * 2,), states=((LOW, LOW),)), part)
     assert found.lower[part.boundary_states].tolist() == [[start, -np.inf, -np.inf]]
 
 

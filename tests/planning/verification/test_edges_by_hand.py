@@ -55,7 +55,7 @@ from gnc_opt.planning.verification.recomputed_solution import (
     recompute_from_problem,
 )
 from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
-from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_array
+from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_finite_array
 from gnc_opt.tolerances import NEGLIGIBLE
 
 Array = NDArray[np.float64]
@@ -434,12 +434,12 @@ def test_integrals_without_integrands_have_no_span() -> None:
 
 
 def test_a_trajectory_without_controls_needs_none() -> None:
-    assert _read_array([], (0, 5), "controls").shape == (0, 5)
+    assert _read_finite_array([], (0, 5), "controls").shape == (0, 5)
     with pytest.raises(go.ProblemError, match=r"has shape \(1,\) where \(0, 5\)"):
-        _read_array([3.0], (0, 5), "controls")
-    np.testing.assert_array_equal(_read_array([1.0, 2.0], (1, 2), "x"), [[1.0, 2.0]])
+        _read_finite_array([3.0], (0, 5), "controls")
+    np.testing.assert_array_equal(_read_finite_array([1.0, 2.0], (1, 2), "x"), [[1.0, 2.0]])
     with pytest.raises(go.ProblemError, match="not every number is finite"):
-        _read_array([1.0, np.inf], (1, 2), "x")
+        _read_finite_array([1.0, np.inf], (1, 2), "x")
 
 
 @pytest.mark.parametrize("maximised", [False, True])

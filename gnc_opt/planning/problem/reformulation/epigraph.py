@@ -18,11 +18,15 @@ from gnc_opt.model.expressions import find_operations, list_nodes, replace_nodes
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import table_calls
+from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
-from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, guess_column, unused_name
+from gnc_opt.planning.problem.reformulation.reformulated_phase import (
+    PhaseForm,
+    guess_expression,
+    unused_variable_name,
+)
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
@@ -98,7 +102,9 @@ def find_integral_signs(problem: Statement, leg: Phase) -> dict[str, int]:
 
 
 def _table_node_hashes(problem: Statement, leg: Phase) -> frozenset[int]:
-    return frozenset[int]().union(*(use.hashes for use in table_calls(problem, problem.phases[leg.name])))
+    return frozenset[int]().union(
+        *(use.hashes for use in list_table_calls(problem, problem.phases[leg.name]))
+    )
 
 
 KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
@@ -247,7 +253,7 @@ def split_column(column: Any) -> Iterator[Any]:
     yield from ca.vertsplit(column) if column.numel() else ()
 
 
-def has_end_kinks(problem: Statement) -> bool:
+def has_endpoint_kinks(problem: Statement) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
     return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operations(ends)))
@@ -380,7 +386,9 @@ class EpigraphForm(PhaseForm):
                 if place in symbols:
                     continue
                 s = symbols[place] = Symbol(
-                    Variable(unused_name(old, f"epigraph_{len(symbols) + 1}".removesuffix("_1")), 1, "")
+                    Variable(
+                        unused_variable_name(old, f"epigraph_{len(symbols) + 1}".removesuffix("_1")), 1, ""
+                    )
                 )
                 label = s.variable.name
                 kinks[label] = kink
@@ -409,7 +417,8 @@ class EpigraphForm(PhaseForm):
         box = leg.numbers.controls
         guess = leg.numbers.guess
         values = {
-            name: guess_column(problem, stated, kink.sense * kink.node) for name, kink in self.kinks.items()
+            name: guess_expression(problem, stated, kink.sense * kink.node)
+            for name, kink in self.kinks.items()
         }
         controls = Interval(
             np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])

@@ -13,7 +13,7 @@ from gnc_opt.model.expressions import ROOTS, find_operations
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.expressions import build_phase_function, stack_terms
+from gnc_opt.planning.problem.expressions import build_phase_function, stack_phase_expressions
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
@@ -29,7 +29,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     EndForm,
     EpigraphForm,
     Kinked,
-    has_end_kinks,
+    has_endpoint_kinks,
 )
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
 from gnc_opt.planning.problem.statement import Statement
@@ -104,7 +104,9 @@ def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> 
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
-    if not _TURNING & problem.cache(("operations", leg.name), lambda: find_operations(stack_terms(leg))):
+    if not _TURNING & problem.cache(
+        ("operations", leg.name), lambda: find_operations(stack_phase_expressions(leg))
+    ):
         return turns
     probe = build_angle_probe(problem, leg)
     if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
@@ -123,7 +125,7 @@ def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
     function = problem.cache(
-        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_terms(leg))
+        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_phase_expressions(leg))
     )
     values = leg.model.parameter_values
     if of_states:
@@ -143,7 +145,7 @@ def reformulate(problem: P) -> P:
 
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
-    kinked_ends = has_end_kinks(problem)
+    kinked_ends = has_endpoint_kinks(problem)
     if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []
@@ -173,7 +175,9 @@ def _reformulate_boundary(problem: Statement, twin: Statement) -> tuple[Any, ...
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.cache(("operations", leg.name), lambda: find_operations(stack_terms(leg)))
+    operations = problem.cache(
+        ("operations", leg.name), lambda: find_operations(stack_phase_expressions(leg))
+    )
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
@@ -220,4 +224,6 @@ def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> 
 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
-    return bool({*KINKED} & problem.cache(("operations", *key), lambda: find_operations(stack_terms(leg))))
+    return bool(
+        {*KINKED} & problem.cache(("operations", *key), lambda: find_operations(stack_phase_expressions(leg)))
+    )

@@ -23,7 +23,7 @@ def used_variable_names(model: Model) -> frozenset[str]:
     return frozenset(name for layout in layouts for name in layout.names)
 
 
-def unused_name(model: Model, wanted: str) -> str:
+def unused_variable_name(model: Model, wanted: str) -> str:
     """Return a name that the model does not contain."""
     taken = used_variable_names(model)
     while wanted in taken:
@@ -55,7 +55,7 @@ class PhaseForm:
         leg.restatement = self.restatement.compose_after(leg.restatement)
 
 
-def guess_column(problem: Statement, stated: Phase, column: Any) -> GuessValue:
+def guess_expression(problem: Statement, stated: Phase, column: Any) -> GuessValue:
     """Return the values of a column along the guess of a phase as a function of time."""
     function = build_phase_function(problem, stated, "guessed", column)
     q = problem.guessed_parameters()

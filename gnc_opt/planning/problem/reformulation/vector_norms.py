@@ -20,14 +20,14 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import stack_terms
+from gnc_opt.planning.problem.expressions import stack_phase_expressions
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
-    guess_column,
-    unused_name,
+    guess_expression,
+    unused_variable_name,
     used_variable_names,
 )
 from gnc_opt.planning.problem.statement import Statement
@@ -57,7 +57,7 @@ def index_control_symbols(leg: Phase) -> dict[int, int]:
 def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
     """Yield vectors (whole controls) whose norm is a square root, not differentiable at zero."""
     stated, controls = index_control_symbols(leg), leg.model.controls
-    for node in list_nodes(stack_terms(leg)):
+    for node in list_nodes(stack_phase_expressions(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
             names = tuple(
@@ -186,7 +186,7 @@ class NormForm(PhaseForm):
         """Return the form of a phase in the norm of some controls."""
         old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
-        norms = NormNodes.from_expression(ca.vertcat(stack_terms(leg), *outputs), vector)
+        norms = NormNodes.from_expression(ca.vertcat(stack_phase_expressions(leg), *outputs), vector)
         found = _NormLimits.from_constraints(leg, names, norms)
         name, magnitude, direction = _create_vector_symbols(old, names)
         if found.control is not None:
@@ -238,7 +238,9 @@ class NormForm(PhaseForm):
         if len(self.names) > 1 and guess.values.keys() & set(self.names):
             kept = {name: value for name, value in guess.values.items() if name not in self.names}
             vector = ca.vertcat(*map(stated.model.symbol, self.names))
-            guess = PhaseGuess(guess.time, {**kept, self.control.name: guess_column(problem, stated, vector)})
+            guess = PhaseGuess(
+                guess.time, {**kept, self.control.name: guess_expression(problem, stated, vector)}
+            )
         controls = stack_ranges(boxes, self.model.controls)
         self.apply_form(leg, replace(old, controls=controls, scales=scales, guess=guess))
         leg.paths |= rows
@@ -277,8 +279,8 @@ def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Sym
     name = common if usable else "_".join(names)
     known = [max(v.nominal) for v in variables if v.nominal is not None]
     nominal, size = (max(known),) if known else None, sum(v.size for v in variables)
-    magnitude = Variable(unused_name(model, f"{name}_magnitude"), 1, variables[0].unit, nominal)
-    direction = Variable(unused_name(model, f"{name}_direction"), size, "", (1.0,) * size)
+    magnitude = Variable(unused_variable_name(model, f"{name}_magnitude"), 1, variables[0].unit, nominal)
+    direction = Variable(unused_variable_name(model, f"{name}_direction"), size, "", (1.0,) * size)
     return name, Symbol(magnitude), Symbol(direction)
 
 

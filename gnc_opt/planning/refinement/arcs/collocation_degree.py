@@ -27,7 +27,7 @@ RESOLUTION_TOLERANCE_SHARE = 0.1
 """Largest sum of the omitted terms, relative to the tolerance."""
 
 
-def set_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
+def choose_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
     """Return the plan with the numbers of collocation points that an integrated trajectory requires.
 
     Parameters

@@ -38,7 +38,7 @@ CONTACT_MOVE_TOLERANCE = 1e-10
 """Smallest move of the ends of arcs on state constraints, whose multipliers contain derivatives of the errors."""
 
 
-def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | None:
+def move_control_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | None:
     """Return the structure with kinks moved to the times that the solution indicates, or None if they are converged.
 
     Lengths of pieces may become zero or negative.
@@ -48,7 +48,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     for boundary in range(1, structure.n_pieces):
         if structure.has_only_kinks(boundary):
             wanted = [
-                junction_time(constraints, structure, boundary, i)
+                find_junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
                 else _find_kink_time(samples, plan, boundary, i)
                 for i in structure.rows_changing_at(boundary)
@@ -70,7 +70,9 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     return structure.with_times(tuple(times))
 
 
-def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
+def find_junction_time(
+    constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int
+) -> float:
     """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
     leg, first = constraints.samples.leg, len(structure.control_kinds)
     entered = structure.kinds[boundary][row].at_limit

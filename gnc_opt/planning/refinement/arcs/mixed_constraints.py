@@ -88,7 +88,7 @@ class LinearLimits:
         """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
         s, bounds = self.samples, self.samples.leg.control_bounds
         above, below = self._compute_control_ranges(control)
-        upward = s.switching[control] < 0
+        upward = s.switching_functions[control] < 0
         most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
         least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
         off = np.where(upward, most - s.u[control], s.u[control] - least)

@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
-from gnc_opt.planning.solution.warm_start import program_start
+from gnc_opt.planning.solution.warm_start import choose_program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe
 
@@ -68,7 +68,7 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, P
     for name, plan in plans.items():
         held = plan.hold_arcs(held, name)
     transcription = transcribe(held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme)
-    own, others = (program_start(transcription, held, s) for s in (solution, other))
+    own, others = (choose_program_start(transcription, held, s) for s in (solution, other))
     assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
     iterate = Iterate(own.x, others.lam_x, others.lam_g)
     phases, _ = extract_phases(transcription, held, iterate)

@@ -139,11 +139,13 @@ def _apply_path_limits(
     """
     samples = limits.samples
     inside = ~limits.find_samples_near_bound(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
-    segments = _find_singular_segments(samples, i, _compute_hamiltonian_gain(samples, samples.switching, i))
+    segments = _find_singular_segments(
+        samples, i, _compute_hamiltonian_gain(samples, samples.switching_functions, i)
+    )
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
     singular |= _mask_times_in_intervals(samples, determined)
-    own, held = limits.label_control(i, samples.switching[i] < 0)
+    own, held = limits.label_control(i, samples.switching_functions[i] < 0)
     labels[:] = select_kind(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
         paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)

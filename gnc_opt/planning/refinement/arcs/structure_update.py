@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.arcs.control_curvature import (
     linear_path_limits,
     nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.junctions import move_kinks
+from gnc_opt.planning.refinement.arcs.junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, arc_limit_signs, select_kind
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -72,7 +72,10 @@ def correct_plans(
 
 def _move_kinks_and_refine(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
     """Move kinks to where the solution has them and refine pieces with large errors."""
-    moved, raised = (move_kinks(constraints, plan), refine_inaccurate_pieces(constraints.samples, plan, tol))
+    moved, raised = (
+        move_control_kinks(constraints, plan),
+        refine_inaccurate_pieces(constraints.samples, plan, tol),
+    )
     if moved is not None:
         emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:

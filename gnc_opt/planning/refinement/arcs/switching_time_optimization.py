@@ -19,7 +19,7 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, count_uniform_points
-from gnc_opt.planning.refinement.arcs.collocation_degree import set_resolutions
+from gnc_opt.planning.refinement.arcs.collocation_degree import choose_resolutions
 from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
@@ -33,7 +33,7 @@ from gnc_opt.planning.refinement.arcs.structure_update import (
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits, record_iteration, show_progress
 from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton import optimise_times
+from gnc_opt.planning.refinement.switching.newton import find_optimal_times
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -172,12 +172,12 @@ def _start_from_newton(
     if len(plans) > 1:
         return solution, plans, None  # the switching times of one phase depend on the others
     ((name, plan),) = plans.items()
-    found = optimise_times(solution, plan.structure)
+    found = find_optimal_times(solution, plan.structure)
     if found is None:
         return solution, plans, None
     structure, flight = found
     guess = flight.build_solution(solution)
-    plan = set_resolutions(
+    plan = choose_resolutions(
         Plan.from_structure(structure, plan.points), solution.samples()[name], guess, mesh_tolerance
     )
     return guess, {name: plan}, collocate_trajectory(solution, flight, plan)

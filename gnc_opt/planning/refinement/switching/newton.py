@@ -64,7 +64,7 @@ STEP_MIN_SHARE = 0.2
 """Least fraction of a step after the limit `ARC_MAX_SHRINK_SHARE`; below it, the limiting arc is removed."""
 
 
-def optimise_times(
+def find_optimal_times(
     solution: Solution, structure: PhaseStructure
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
@@ -96,7 +96,7 @@ def optimise_times(
     return _build_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
 
 
-def optimise_flow(
+def find_optimal_flow(
     solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Return the minimum of the cost to a given accuracy, without a collocated problem.

@@ -12,7 +12,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.switching.collocated_trajectory import complete_multipliers, satisfies_limits
-from gnc_opt.planning.refinement.switching.newton import GRID_SHARE_OF_ACCURACY, optimise_flow
+from gnc_opt.planning.refinement.switching.newton import GRID_SHARE_OF_ACCURACY, find_optimal_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.remaining_trajectory import truncate_solution_before
@@ -40,12 +40,12 @@ class KnownSwitches:
 
     def with_newton_step(self) -> KnownSwitches | None:
         """Return the same data with the Newton step; None if Newton's method does not apply."""
-        found = optimise_flow(self.solution, self.structure, EQUAL)
+        found = find_optimal_flow(self.solution, self.structure, EQUAL)
         if found is None:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
         structure, flight = (
-            optimise_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
+            find_optimal_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
         )
         return replace(self, structure=structure, step=flight.step)
 
@@ -56,7 +56,7 @@ class KnownSwitches:
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
         begun = _shift_start(recompute_from_problem(replace(start, problem=problem.frozen())))
-        found = None if begun is None else optimise_flow(begun, left, EQUAL, step)
+        found = None if begun is None else find_optimal_flow(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
         structure, flight = found
