@@ -179,7 +179,7 @@ def test_bad_input_is_reported(tmp_path, monkeypatch):
         export_fmu(follower(), tmp_path / "law.zip", dt=DT)
     with pytest.raises(go.ArgumentError, match="C function"):
         export_fmu(follower(), tmp_path / "my law.fmu", dt=DT)
-    with pytest.raises(go.ArgumentError, match="name of a source"):
+    with pytest.raises(go.ArgumentError, match="a source file of every unit"):
         export_fmu(follower(), tmp_path / "fmu_law.fmu", dt=DT)
     with pytest.raises(go.ArgumentError, match="give dt"):
         export_fmu(follower(), tmp_path / "law.fmu")
