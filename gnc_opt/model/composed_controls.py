@@ -101,3 +101,17 @@ class AssembledControl(ComposedControl):
     def decompose(self, u: Array) -> tuple[Array, ...]:
         """Return NaN: the parts depend on other controls too."""
         return tuple(np.full(u.shape[1:], np.nan) for _ in self.parts)
+
+
+@dataclass(frozen=True)
+class UnitVectorControl(ComposedControl):
+    """A vector of length 1 with the direction of another one, not that length."""
+
+    def compose(self, *parts: Any) -> Any:
+        """Return the vector divided by its length."""
+        norm = np.linalg.norm(parts[0], axis=0)
+        return parts[0] / np.where(norm > 0, norm, 1.0)
+
+    def decompose(self, u: Array) -> tuple[Array, ...]:
+        """Return the vector as it is."""
+        return (u,)

@@ -15,7 +15,12 @@ from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
-from gnc_opt.model.composed_controls import AssembledControl, SplitControl, VectorControl
+from gnc_opt.model.composed_controls import (
+    AssembledControl,
+    SplitControl,
+    UnitVectorControl,
+    VectorControl,
+)
 from gnc_opt.model.trajectory import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
@@ -478,7 +483,7 @@ SOLUTION_FILES = FileFormat(
     Packing(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
-            *(SplitControl, VectorControl, AssembledControl, Turns),
+            *(SplitControl, VectorControl, AssembledControl, UnitVectorControl, Turns),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
             *(History, RefinementIteration, Actions, RefinementStatus),
         ),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.model.composed_controls import UnitVectorControl
 from gnc_opt.planning.problem.hamiltonian_functions import (
     EndGradients,
     PhaseFunctions,
@@ -29,7 +30,7 @@ from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import ROUNDING, SHORTEST
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING, SHORTEST
 
 
 def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
@@ -180,7 +181,9 @@ def _extract_phase(
         initial_time=float(anchors[0]),
         final_time=float(anchors[-1]),
         x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
-        u=interpolate_points(breaks, collocation.rules, u),
+        u=interpolate_points(
+            breaks, collocation.rules, _point_idle_directions(leg, functions, times, x, u, lam)
+        ),
         lam=costates.polynomial,
         lam_start=costates.start,
         lam_end=costates.end,
@@ -198,6 +201,27 @@ def _extract_phase(
         **copy_problem_data(problem, leg, q),
     )
     return correct_path_arc_costates(found, leg.numbers.arcs, functions)
+
+
+def _point_idle_directions(
+    leg: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
+) -> Array:
+    """Return controls with the directions that minimise H where the magnitude of a unit vector is zero.
+
+    They are proportional to the primer, hence smooth where it passes through zero, and at most of length 0.5: within
+    the limit between the nodes, too.
+    """
+    layout, found = leg.model.controls, u.copy()
+    stated = {c.parts for c in leg.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
+    for vector in (v for v in leg.vector_controls if v.parts[1:] in stated):
+        size, direction = layout.slice(vector.magnitude), layout.slice(vector.direction)
+        at = np.flatnonzero(u[size][0] <= AT_LIMIT * np.max(u[size]))
+        pushing = u[:, at].copy()
+        pushing[size] = 1.0
+        primer = functions.switching(times[at], x[:, at], pushing, lam[:, at])[direction]
+        most = np.max(np.linalg.norm(primer, axis=0), initial=0.0)
+        found[direction, at] = -0.5 * primer / most if most > 0 else u[direction, at]
+    return found
 
 
 def state_polynomial(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -31,9 +30,9 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Kinked,
     has_endpoint_kinks,
 )
+from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_bounds_beyond_length
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
 from gnc_opt.planning.problem.statement import Statement
-from gnc_opt.tolerances import ROUNDING
 
 FULL_TURN_BOUND_TOLERANCE = 1e-6
 """Largest share of a turn missing in bounds of a full turn; pi is often written with six digits."""
@@ -56,45 +55,13 @@ def _without_redundant_phase_bounds(problem: Statement, leg: Phase) -> PhaseNumb
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if leg.numbers.arcs is not None:
         return leg.numbers
-    old, box = leg.numbers.controls, _find_bounds_beyond_length(problem, leg)
+    old, box = leg.numbers.controls, find_bounds_beyond_length(problem, leg)
     turns = _find_unrestricted_angles(problem, leg, box)
     free = turns.free_controls
     lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
     if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
         return leg.numbers
     return replace(leg.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
-
-
-def _find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
-    """Return the bounds of controls without those implied by a vector of constant length.
-
-    If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
-    """
-    lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
-    for name, constraint in leg.paths.items():
-        square = constraint.interval.upper
-        if square.size > 1 or not 0.0 < square[0] == constraint.interval.lower[0]:
-            continue
-        squared = partial(_find_squared_controls, leg, constraint.expression)
-        places = problem.cache(("vector of length", leg.name, name), squared)
-        length = np.sqrt(square[0]) * (1.0 - ROUNDING)
-        lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
-        upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
-    return Interval(lower, upper)
-
-
-def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
-    """Return the controls whose sum of squares an expression is; empty if it is not such a sum."""
-    t, x, u, p = leg.model.arguments()
-    if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
-        return []
-    matrix, linear, constant = ca.quadratic_coeff(expression, u)
-    if not all(part.is_constant() for part in (matrix, linear, constant)):
-        return []
-    weights, rest = np.asarray(ca.DM(matrix)), np.append(np.asarray(ca.DM(linear)), float(ca.DM(constant)))
-    places = np.flatnonzero(np.diag(weights))
-    only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(rest)
-    return [int(i) for i in places] if only_squares else []
 
 
 def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> Turns:
@@ -152,7 +119,9 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
     for leg in twin.phases.values():
         rootless = problem.cache(("rootless", leg.name), lambda leg=leg: remove_norm_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
-        key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes(), *rootless)
+        box = find_bounds_beyond_length(problem, leg)
+        signs, free = np.sign(leg.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
+        key: tuple[Any, ...] = (leg.name, np.concatenate([signs, free]).tobytes(), *rootless)
         while (form := _find_next_norm_form(problem, leg, key)) is not None:
             key = (*key, *form.names, *form.apply_to_phase(problem, leg))
         keys.append((*key, *_reformulate_kinks(problem, leg, key)))
@@ -181,11 +150,13 @@ def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
-def _find_next_norm_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> NormForm | None:
+def _find_next_norm_form(
+    problem: Statement, leg: Phase, key: tuple[Any, ...]
+) -> NormForm | UnitVectorForm | None:
 
-    def build() -> NormForm | None:
+    def build() -> NormForm | UnitVectorForm | None:
         names = find_norm_vector(leg)
-        return None if names is None else NormForm.from_phase(leg, names)
+        return UnitVectorForm.find(leg) if names is None else NormForm.from_phase(leg, names)
 
     return problem.cache(("form", *key), build)
 

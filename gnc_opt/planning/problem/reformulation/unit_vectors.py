@@ -1,0 +1,165 @@
+r"""Vectors of constant length: bounds that the length implies, and thrust as magnitude times unit vector.
+
+With :math:`d \ge 0` and :math:`|n| = 1`, the direction n of a thrust :math:`d n` is free along coasts, d = 0. If all
+functions of a phase are affine in n and d, and n occurs times d alone, n is solved for within the ball
+:math:`|n| \le 1`, as the direction of ``Model.vector_control``. At an optimum it is on the sphere where d > 0 (H is
+linear in n), and n is reported with length 1: along coasts it has the direction against the primer, which the
+minimum condition asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.model.composed_controls import UnitVectorControl, VectorControl
+from gnc_opt.model.expressions import replace_nodes
+from gnc_opt.model.variables import Symbol, Variable
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
+from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_name
+from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
+from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.tolerances import EQUAL, ROUNDING
+
+
+def find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
+    """Return the bounds of controls without those that a vector of given length implies.
+
+    Where a component is the length, the gradients of both limits are one, and their multipliers are not unique.
+    """
+    lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
+    for name, constraint in leg.paths.items():
+        length = _read_length(constraint.interval)
+        if not length:
+            continue
+        squared = partial(_find_squared_controls, leg, constraint.expression)
+        places = problem.cache(("vector of length", leg.name, name), squared)
+        lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
+        upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
+    return Interval(lower, upper)
+
+
+def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
+    """Return the controls whose sum of squares an expression is; empty if it is no such sum."""
+    t, x, u, p = leg.model.arguments()
+    if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
+        return []
+    matrix, linear, constant = ca.quadratic_coeff(expression, u)
+    if not all(part.is_constant() for part in (matrix, linear, constant)):
+        return []
+    weights, rest = np.asarray(ca.DM(matrix)), np.append(np.asarray(ca.DM(linear)), float(ca.DM(constant)))
+    places = np.flatnonzero(np.diag(weights))
+    only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(rest)
+    return [int(i) for i in places] if only_squares else []
+
+
+def _read_length(square: Interval) -> float:
+    """Return the length of which an equality has the square, without its rounding; zero if it is none."""
+    if square.upper.size > 1 or not 0.0 < square.upper[0] == square.lower[0]:
+        return 0.0
+    return float(np.sqrt(square.upper[0]) * (1.0 - ROUNDING))
+
+
+@dataclass(frozen=True, eq=False)
+class UnitVectorForm(PhaseForm):
+    """A phase with the direction of a vector control in place of a unit vector, the first of the controls ``names``."""
+
+    names: tuple[str, str]
+    control: VectorControl
+
+    @classmethod
+    def find(cls, leg: Phase) -> UnitVectorForm | None:
+        """Return the form of the first control that is a unit vector and has a magnitude, or None."""
+        return next((cls.from_unit_vector(leg, *found) for found in _find_unit_vectors(leg)), None)
+
+    @classmethod
+    def from_unit_vector(cls, leg: Phase, name: str, magnitude: str, label: str) -> UnitVectorForm:
+        """Restate a phase in the direction of magnitude times unit vector, of which a path constraint is the length."""
+        old, vector = leg.model, ca.SX(leg.model.symbol(name))
+        size, v = old.symbol(magnitude), old.controls[name]
+        label_of_direction = unused_name(old, f"{name}_direction")
+        direction = Symbol(Variable(label_of_direction, v.size, "", (1.0,) * v.size))
+        parts = (magnitude, label_of_direction)
+        control = VectorControl(
+            Variable(unused_name(old, f"{magnitude}_{name}"), v.size, size.variable.unit), parts
+        )
+        unit = direction / ca.norm_2(direction)
+        pairs = zip(ca.vertsplit(vector), ca.vertsplit(direction), strict=True)
+        instead = {symbol.element_hash(): value for symbol, value in pairs}
+
+        def express(expression: Any) -> Any:
+            return replace_nodes(expression, instead)
+
+        return cls(
+            old.in_controls(
+                [direction if other == name else old.symbol(other) for other in old.controls.names],
+                [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)],
+                express,
+            ),
+            {
+                other: c
+                if other in {own.length for own in leg.vector_controls}
+                else replace(c, expression=express(c.expression))
+                for other, c in leg.paths.items()
+                if other != label
+            },
+            {other: (symbol, express(e)) for other, (symbol, e) in leg.integrands.items()},
+            Restatement(
+                old,
+                vector,
+                unit,
+                old.symbols("control"),
+                (f"{magnitude} * {name} is solved for as {' * '.join(parts)}",),
+            ),
+            (name, magnitude),
+            control,
+        )
+
+    def apply_to_phase(self, problem: Statement, leg: Phase) -> tuple[str, ...]:
+        """Give a phase this form with its own numbers, without the bounds that the length implies."""
+        old, place = leg.numbers, leg.model.controls.slice(self.names[0])
+        lower, upper = old.controls.lower.copy(), old.controls.upper.copy()
+        lower[place], upper[place] = -np.inf, np.inf
+        scales = {name: scale for name, scale in old.scales.items() if name != self.names[0]}
+        self.apply_form(leg, replace(old, controls=Interval(lower, upper), scales=scales))
+        leg.record_vector_control(self.control, on_sphere=False)
+        return ()
+
+
+def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
+    """Yield controls of length 1 without other bounds, their magnitudes and the path constraint of the length."""
+    layout, box = leg.model.controls, leg.numbers.controls
+    stated = set(index_control_symbols(leg).values())
+    for label, constraint in leg.paths.items():
+        length = _read_length(constraint.interval)
+        places = _find_squared_controls(leg, constraint.expression) if length and length >= 1 - EQUAL else []
+        for v in layout.variables if len(places) > 1 and stated.issuperset(places) else ():
+            whole = places == [*range(*layout.slice(v.name).indices(layout.size))]
+            if whole and np.all(np.stack([-box.lower[places], box.upper[places]]) >= length):
+                yield from ((v.name, magnitude, label) for magnitude in _find_magnitudes(leg, v.name, label))
+
+
+def _find_magnitudes(leg: Phase, name: str, label: str) -> Iterator[str]:
+    """Yield controls >= 0 that a unit vector occurs times alone, and that occur without it, too."""
+    layout, vector = leg.model.controls, ca.SX(leg.model.symbol(name))
+    others = [c.expression for other, c in leg.paths.items() if other != label]
+    terms = ca.vertcat(leg.model.derivative(), leg.integrand_expression(), *others)
+    slope, rest = ca.vec(ca.jacobian(terms, vector)), ca.substitute(terms, vector, ca.DM.zeros(vector.shape))
+    if ca.depends_on(slope, vector):
+        return
+    for place in index_control_symbols(leg).values():
+        symbol = leg.model.symbols("control")[place]
+        own = next(v for v in layout.variables if place in range(*layout.slice(v.name).indices(layout.size)))
+        if own.size > 1 or leg.numbers.controls.lower[place] != 0 or not ca.depends_on(rest, symbol):
+            continue
+        affine = is_affine(ca.vertcat(rest, slope), symbol)
+        if affine and not np.any(draw_values(ca.substitute(slope, symbol, 0.0))):
+            yield own.name
