@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
-from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_name
+from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_variable_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL, ROUNDING
@@ -85,11 +85,11 @@ class UnitVectorForm(PhaseForm):
         """Restate a phase in the direction of magnitude times unit vector, of which a path constraint is the length."""
         old, vector = leg.model, ca.SX(leg.model.symbol(name))
         size, v = old.symbol(magnitude), old.controls[name]
-        label_of_direction = unused_name(old, f"{name}_direction")
+        label_of_direction = unused_variable_name(old, f"{name}_direction")
         direction = Symbol(Variable(label_of_direction, v.size, "", (1.0,) * v.size))
         parts = (magnitude, label_of_direction)
         control = VectorControl(
-            Variable(unused_name(old, f"{magnitude}_{name}"), v.size, size.variable.unit), parts
+            Variable(unused_variable_name(old, f"{magnitude}_{name}"), v.size, size.variable.unit), parts
         )
         unit = direction / ca.norm_2(direction)
         pairs = zip(ca.vertsplit(vector), ca.vertsplit(direction), strict=True)
