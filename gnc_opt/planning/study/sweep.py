@@ -94,32 +94,6 @@ class Sweep(Printed):
         values = [np.nan if s is None else own[name](s) for s in self.solutions.flat]
         return np.array(values, dtype=float).reshape(self.solutions.shape)
 
-    def pareto(self, **senses: Literal["min", "max"]) -> list[dict[str, float]]:
-        """Return parameters and quantities of the Pareto-optimal points for the named quantities, sorted.
-
-        Parameters
-        ----------
-        **senses : "min" or "max"
-            Sense of each quantity, see `array`: ``sweep.pareto(final_time="min", fuel="min")``; two or more.
-        """
-        if len(senses) < 2 or any(sense not in ("min", "max") for sense in senses.values()):
-            raise ArgumentError(
-                f"the arguments of pareto() are {quote(senses)}: name two quantities or more, each with 'min' or 'max'."
-            )
-        worth = np.stack([self.array(n).ravel() * (1 if s == "min" else -1) for n, s in senses.items()])
-        front = []
-        for i in np.flatnonzero(np.all(np.isfinite(worth), axis=0)):
-            better = np.all(worth <= worth[:, [i]], axis=0) & np.any(worth < worth[:, [i]], axis=0)
-            if not np.any(better):
-                front.append(int(i))
-        front.sort(key=lambda i: float(worth[0, i]))
-        points = list(itertools.product(*self.grid.values()))
-        return [
-            dict(zip(self.grid, map(float, points[i]), strict=True))
-            | {name: float(self.array(name).flat[i]) for name in senses}
-            for i in front
-        ]
-
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset of objective, final time, iterations, ending and outputs on the grid."""
         try:

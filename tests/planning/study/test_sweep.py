@@ -114,22 +114,6 @@ def test_refined_sweeps() -> None:
     assert all(len(solution.structure) == 3 for solution in found.solutions)
 
 
-def test_fronts() -> None:
-    """Longer is cheaper, 12 / T^3: every point is on the front; the dearest-and-longest one beats nobody."""
-    found = go.sweep(rest_to_rest, {"duration": [3.0, 4.0, 5.0]}, mesh="5x4", executor="serial")
-    front = found.pareto(final_time="min", objective="min")
-    assert [point["duration"] for point in front] == [3.0, 4.0, 5.0]
-    assert front[0]["objective"] == pytest.approx(12 / 27, rel=1e-6)
-    assert found.pareto(duration="min", objective="min") == [
-        {"duration": point["duration"], "objective": point["objective"]} for point in front
-    ]
-    assert [point["duration"] for point in found.pareto(final_time="max", objective="min")] == [5.0]
-    with pytest.raises(go.ArgumentError, match="two quantities or more"):
-        found.pareto(objective="min")
-    with pytest.raises(go.ArgumentError, match="'min' or 'max'"):
-        found.pareto(objective="min", final_time="low")  # type: ignore[arg-type]
-
-
 def test_xarray(swept: go.Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(go.GncOptError, match="xarray is not installed"):
