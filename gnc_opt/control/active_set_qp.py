@@ -64,7 +64,8 @@ class ProgrammeCode:
         """Return the C code, to be placed after a table ``schedule[N_ROWS][.]``."""
         rows, m, n = self.rows, self.rows.lower.size, self.matrices[0].shape[1]
         slack = [
-            rows.soft_limited.index(i) if i in rows.soft_limited else -1 for i in range(len(rows.states))
+            rows.soft_limited_states.index(i) if i in rows.soft_limited_states else -1
+            for i in range(len(rows.states))
         ]
         sizes = {
             "HORIZON": self.count, "N_E": n, "N_U": m, "N_X": self.n_states, "N_L": len(rows.states),

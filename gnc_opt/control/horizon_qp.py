@@ -36,21 +36,21 @@ class Rows:
     def n_rows(self) -> int:
         return (
             self.lower.size * (1 if self.change is None else 2)
-            + len(self.lower_limited)
-            + len(self.upper_limited)
+            + len(self.lower_limited_states)
+            + len(self.upper_limited_states)
         )
 
     @property
-    def soft_limited(self) -> list[int]:
+    def soft_limited_states(self) -> list[int]:
         """Indices of the limited states with a slack."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.price))]
 
     @property
-    def lower_limited(self) -> list[int]:
+    def lower_limited_states(self) -> list[int]:
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_lower))]
 
     @property
-    def upper_limited(self) -> list[int]:
+    def upper_limited_states(self) -> list[int]:
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_upper))]
 
     @property
@@ -63,7 +63,7 @@ class Rows:
     @property
     def price_square_roots(self) -> Array:
         """Square roots of the penalties; scaled by them, squared slacks have weight one."""
-        price = self.price[self.soft_limited] * self.state_scale[self.soft_limited] ** 2
+        price = self.price[self.soft_limited_states] * self.state_scale[self.soft_limited_states] ** 2
         return np.sqrt(np.maximum(price, _LEAST_PRICE))
 
 
@@ -114,7 +114,7 @@ class Horizon:
 
     @property
     def n_unknowns(self) -> int:
-        return self.n_free_commands + self.n_steps * len(self.rows.soft_limited)
+        return self.n_free_commands + self.n_steps * len(self.rows.soft_limited_states)
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
         """Return the QP for initial errors, feedforward, limited states and previous command (m,)."""
@@ -144,8 +144,8 @@ class Horizon:
                 previous = u
             e = a @ e
             x = [x_ref[limited * j + i] + e[place] for i, place in enumerate(rows.errors)]
-            room += [x[i] - rows.state_lower[i] for i in rows.lower_limited]
-            room += [rows.state_upper[i] - x[i] for i in rows.upper_limited]
+            room += [x[i] - rows.state_lower[i] for i in rows.lower_limited_states]
+            room += [rows.state_upper[i] - x[i] for i in rows.upper_limited_states]
         return ca.mmin(ca.vertcat(*room)) >= 0
 
     # --- internals ----------------------------------------------------------------------------------------
@@ -171,16 +171,16 @@ class Horizon:
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
         found = []
         for side, which, limit in (
-            (-1, rows.lower_limited, rows.state_lower),
-            (1, rows.upper_limited, rows.state_upper),
+            (-1, rows.lower_limited_states, rows.state_lower),
+            (1, rows.upper_limited_states, rows.state_upper),
         ):
             for j in range(self.n_steps):
                 for i in which:
                     row, rest = (part[rows.errors[i], :] for part in errors[j + 1])
                     row = row / scale[i]
-                    if i in rows.soft_limited:
-                        slack = rows.soft_limited.index(i)
-                        place = self.n_free_commands + j * len(rows.soft_limited) + slack
+                    if i in rows.soft_limited_states:
+                        slack = rows.soft_limited_states.index(i)
+                        place = self.n_free_commands + j * len(rows.soft_limited_states) + slack
                         row = row + self._sparse_rows(place, ca.DM(-side / rows.price_square_roots[slack]))
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
                     found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))

@@ -155,7 +155,7 @@ def design_mpc(
     beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _Windows(gains, count)
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
-    signals = build_reference_layout(reference, *schedule.extra_variables())
+    signals = build_reference_layout(reference, *schedule.preview_variables())
     law_ = _Law(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
@@ -191,7 +191,7 @@ class _Windows:
     count: int
 
     @property
-    def constant(self) -> bool:
+    def is_constant(self) -> bool:
         """Whether all steps of the reference have the same matrices."""
         last = self.gains.steps[-1]
         return all(are_equal(s.a, last.a) and are_equal(s.b, last.b) for s in self.gains.steps)
@@ -218,12 +218,12 @@ class _Schedule:
     windows: _Windows
     limited: tuple[int, ...]
 
-    def extra_variables(self) -> list[Variable]:
+    def preview_variables(self) -> list[Variable]:
         """Return the additional variables after those of the reference."""
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
         sizes = {"horizon_ff": m * (count - 1), "horizon_ref": len(self.limited) * count}
-        if not self.windows.constant:
+        if not self.windows.is_constant:
             sizes |= {"horizon_A": count * n * n, "horizon_F": count * n * m, "horizon_K": count * m * n}
             sizes |= {"horizon_G": count * m * m}
         return [Variable(name, size) for name, size in sizes.items() if size]
@@ -238,7 +238,7 @@ class _Schedule:
         x = reference.x(here)[:, back.reshape(grid.shape)]
         rows = [x[:, :, 0], *(u[:, :, j] for j in range(count))]
         rows += [x[list(self.limited), :, j] for j in range(1, count + 1) if self.limited]
-        if not self.windows.constant:
+        if not self.windows.is_constant:
             numbers = [self.windows.gains.index(float(t)) for t in times]
             columns = [np.concatenate([m.ravel() for m in self.windows(k)]) for k in numbers]
             rows.append(np.stack(columns, axis=1))
@@ -299,7 +299,7 @@ class _Law:
     def _horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
         """Return the function of the horizon and the symbolic arguments of its QP."""
         count, (n, m) = self.schedule.windows.count, self.schedule.windows.gains.steps[-1].b.shape
-        rest = 0 if self.schedule.windows.constant else count * (n + m) ** 2
+        rest = 0 if self.schedule.windows.is_constant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
         e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
         horizon = Horizon(self.rows, _compute_step_matrices(self.schedule, matrices))
@@ -321,7 +321,7 @@ class _Law:
 def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
     """Return the QP for C export, with the matrices of every step of the reference."""
     last = len(windows.gains.steps) - 1
-    firsts = [last + windows.count] if windows.constant else range(last + 1)
+    firsts = [last + windows.count] if windows.is_constant else range(last + 1)
     found = [windows(k) for k in firsts]
     parts = [np.concatenate([w[i][:1] for w in found]) for i in range(4)]
     return ProgrammeCode(rows, rows.price_square_roots, tuple(parts), windows.count, model.states.size)
@@ -330,7 +330,7 @@ def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
 def _compute_step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
     """Return A - B K, B L^-T, K, L^-T of each step, constant or from the end of the schedule row."""
     windows, place = schedule.windows, 0
-    if windows.constant:
+    if windows.is_constant:
         last = len(windows.gains.steps) - 1 + windows.count
         return [[ca.DM(matrix) for matrix in matrices] for matrices in windows(last)]
     n, m = windows.gains.steps[-1].b.shape
@@ -416,13 +416,13 @@ def _read_state_limits(
 
 def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
-    size, limits = (m + len(rows.soft_limited)) * count, rows.n_rows * count
+    size, limits = (m + len(rows.soft_limited_states)) * count, rows.n_rows * count
     remark = f"{size} unknowns, {limits} rows"
     first = windows(0)
     facts = [
         ReportEntry("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
         *_report_limits(rows, states),
-        ReportEntry("dynamics along the horizon", "constant" if windows.constant else "from the schedule"),
+        ReportEntry("dynamics along the horizon", "constant" if windows.is_constant else "from the schedule"),
         ReportEntry("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
     ]
     if gains.steady is not None:
@@ -433,8 +433,8 @@ def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layo
 
 
 def _report_limits(rows: Rows, states: Layout) -> list[ReportEntry]:
-    soft = [states.labels[rows.states[i]] for i in rows.soft_limited]
-    hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited]
+    soft = [states.labels[rows.states[i]] for i in rows.soft_limited_states]
+    hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited_states]
     rates = ["rates of controls"] if rows.change is not None else []
     facts = [ReportEntry("hard limits", ", ".join(["controls", *rates, *hard]), remark="satisfied, or alarm")]
     return facts + (

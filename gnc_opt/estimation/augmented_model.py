@@ -108,13 +108,13 @@ class AugmentedModel:
         own, end = x[:n], after[:n]
         middle = 0.5 * (own + end)
         A = self._jacobian(t + h / 2, middle, u)
-        last, vehicle = self.vehicle.error_slope(end), self.vehicle
+        last, vehicle = self.vehicle.error_jacobian(end), self.vehicle
         rest = ca.SX.eye(self.errors.size - vehicle.errors)
         one, square = ca.SX.eye(n), A @ A
         change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
-        whole = ca.diagcat(last @ change @ vehicle.retraction_slope(own), rest)
+        whole = ca.diagcat(last @ change @ vehicle.retraction_jacobian(own), rest)
         change = one + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
-        half = ca.diagcat(last @ change @ vehicle.retraction_slope(middle), rest)
+        half = ca.diagcat(last @ change @ vehicle.retraction_jacobian(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def direct_slope(self, channel: Channel) -> Any:

@@ -36,13 +36,13 @@ class Space:
     difference: Callable[[Any, Any], Any]
     retraction: Callable[[Any, Any], Any]
 
-    def error_slope(self, x: Any) -> Any:
+    def error_jacobian(self, x: Any) -> Any:
         """Return D (errors, size) at an SX column x."""
         own, reference = ca.SX.sym("x", self.size), ca.SX.sym("x_ref", self.size)
         slope = ca.jacobian(self.difference(own, reference), own)
         return ca.substitute(slope, ca.vertcat(own, reference), ca.vertcat(x, x))
 
-    def retraction_slope(self, x: Any) -> Any:
+    def retraction_jacobian(self, x: Any) -> Any:
         """Return R (size, errors) at an SX column x."""
         own, error = ca.SX.sym("x", self.size), ca.SX.sym("e", self.errors)
         slope = ca.jacobian(self.retraction(own, error), error)

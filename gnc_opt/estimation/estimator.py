@@ -174,8 +174,8 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
     _require_distinct_names(controller, estimator)
-    step, start = _combined_law(controller, controller.step, estimator, fed, sent)
-    easy = controller.easy and _combined_law(controller, controller.easy, estimator, fed, sent)[0]
+    step, start = _combine_laws(controller, controller.step, estimator, fed, sent)
+    easy = controller.easy and _combine_laws(controller, controller.easy, estimator, fed, sent)[0]
     told, flight = controller.explanation, controller.flight
     return replace(
         controller,
@@ -202,7 +202,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
 
 
-def _combined_law(
+def _combine_laws(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
     """Return law and initial memory of controller and estimator, for the controller's full or easy law."""

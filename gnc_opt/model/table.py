@@ -106,7 +106,7 @@ class Table(Strict):
                 f"table '{self.name}' has {len(self.grids)} axes but {len(arguments)} arguments: give one per axis."
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
-            return self._expression([self._read_expression(a) for a in arguments])
+            return self._build_expression([self._read_expression(a) for a in arguments])
         numbers = [
             read_numbers(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
         ]
@@ -119,7 +119,7 @@ class Table(Strict):
             raise ArgumentError(
                 f"the arguments of table '{self.name}' have the shapes {shapes}: give equal ones."
             ) from None
-        found = self._function(*(p.reshape(1, -1) for p in points)).full().reshape(points[0].shape)
+        found = self._compile_function(*(p.reshape(1, -1) for p in points)).full().reshape(points[0].shape)
         return found if found.ndim else float(found)
 
     def _read_expression(self, argument: Any) -> Any:
@@ -139,7 +139,7 @@ class Table(Strict):
                     f"{grid[0]:g} to {grid[-1]:g}: use values in this range, or set outside= of the table."
                 )
 
-    def _expression(self, columns: list[Any]) -> Any:
+    def _build_expression(self, columns: list[Any]) -> Any:
         rows = max(column.shape[0] for column in columns)
         if any(column.shape[0] not in (1, rows) for column in columns):
             sizes = ", ".join(str(column.shape[0]) for column in columns)
@@ -157,7 +157,7 @@ class Table(Strict):
         return ca.vertcat(*values)
 
     @cached_property
-    def _function(self) -> Any:
+    def _compile_function(self) -> Any:
         point = ca.SX.sym("point", len(self.grids))
         return ca.Function("table", ca.vertsplit(point), [self._interpolate(point)[0]])
 

@@ -215,7 +215,7 @@ def split_batch(batch: Batch) -> tuple[Batch, ...]:
     return range(batch.start, middle), range(middle, batch.stop)
 
 
-def batch_results(done: Done[Batch, list[Flown]]) -> list[Flown]:
+def collect_batch_results(done: Done[Batch, list[Flown]]) -> list[Flown]:
     """Return the results of a finished batch, or of one that could not be simulated."""
     if done.answer is not None:
         return done.answer

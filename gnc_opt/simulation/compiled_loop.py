@@ -173,7 +173,7 @@ class CompiledLoop:
                 refused[i] = culprit
                 continue
             course = self._active_reference()
-            for last, X, _ in self._propagate_legs(P[:, i], seed, known, course, again=again):
+            for last, X, _ in self._propagate_event_legs(P[:, i], seed, known, course, again=again):
                 self._sample_recorded_quantities(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
@@ -211,7 +211,7 @@ class CompiledLoop:
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
         course, last = self._active_reference(), self.n_steps
-        for end, X, logged in self._propagate_legs(P, seed, known, course, logged=True):
+        for end, X, logged in self._propagate_event_legs(P, seed, known, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
             parts, told = self.kernel.state.split(logged[0]), self.kernel.log.split(logged[1])
@@ -343,7 +343,7 @@ class CompiledLoop:
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
             folded.execute_steps(x, rows, c, end)
 
-    def _propagate_legs(
+    def _propagate_event_legs(
         self,
         P: Array,
         seed: Any,

@@ -14,7 +14,13 @@ from gnc_opt.simulation.event_location import Watch, event_note_layout, event_re
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import Wiring
 from gnc_opt.simulation.recorded_quantities import Extremes
-from gnc_opt.simulation.signals import Link, Places, replace_signals, replace_waves, stack_signals
+from gnc_opt.simulation.signals import (
+    Link,
+    Places,
+    replace_linked_signals,
+    replace_linked_waves,
+    stack_signals,
+)
 from gnc_opt.tolerances import SAME_TIME
 
 
@@ -88,11 +94,11 @@ class ControlStep:
         length = self.h if kind == "actuator" else self.wiring.dt
         tick = Tick(0.0, length, self.wiring.dt, self.split_state(x))
         return [
-            link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick).shape[0]
+            link.block.start(ca.SX.zeros(link.size), self.split_parameters(link), tick).shape[0]
             for link in links
         ]
 
-    def parameters_of(self, link: Link) -> dict[str, Any]:
+    def split_parameters(self, link: Link) -> dict[str, Any]:
         prefix = f"{link.block.name}."
         return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
 
@@ -111,10 +117,10 @@ class ControlStep:
         tick = Tick(t, self.wiring.dt, self.wiring.dt, by_name)
         after = {}
         for i, link in enumerate(self.wiring.sensors):
-            key, p, signal = f"sensor {i}", self.parameters_of(link), stack_signals(signals, link.on)
+            key, p, signal = f"sensor {i}", self.split_parameters(link), stack_signals(signals, link.on)
             before = link.block.start(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
-            signals = replace_signals(signals, link, step.signal)
+            signals = replace_linked_signals(signals, link, step.signal)
             after[key] = before if memory is None else step.state
         return stack_signals(signals, self.measured.names), after
 
@@ -137,10 +143,10 @@ class ControlStep:
             key, count = f"actuator {i}", link.block.noise(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
             wave = concatenate_waves([waves[n] for n in link.on])
-            wave, step = link.block.flow(tick, wave, memory[key], self.parameters_of(link), noise)
+            wave, step = link.block.flow(tick, wave, memory[key], self.split_parameters(link), noise)
             memory[key] = step.state
             _detect_saturation(saturated, step, link, origin)
-            waves = replace_waves(waves, link, wave)
+            waves = replace_linked_waves(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
         nothing = {n: Wave(ca.SX.zeros(controls[n].size)) for n in controls.names}
@@ -151,13 +157,13 @@ class ControlStep:
         wiring, memory = self.wiring, {}
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
-            block, p = link.block, self.parameters_of(link)
+            block, p = link.block, self.split_parameters(link)
             signal = stack_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
             begin = signal if block.starts_at_trim else ca.SX.zeros(link.size)
             memory[f"actuator {i}"] = first = block.start(begin, p, tick)
             if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise(link.size))
-                signals = replace_signals(
+                signals = replace_linked_signals(
                     signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal
                 )
         return memory
@@ -177,7 +183,7 @@ class ControlStep:
             by_name = self.split_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):
-                value = link.block.value(t, by_name, pushes[f"push {i}"], self.parameters_of(link))  # type: ignore[attr-defined]
+                value = link.block.value(t, by_name, pushes[f"push {i}"], self.split_parameters(link))  # type: ignore[attr-defined]
                 if link.on[0] in plant.controls:
                     extra_u[plant.controls.slice(link.on[0])] += value
                 else:
@@ -224,7 +230,7 @@ class ControlStep:
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
             tick = Tick(w["t"], self.wiring.dt, self.wiring.dt, self.split_state(state["plant"]))
-            new[key] = link.block.update(tick, state[key], self.parameters_of(link), w[key])  # type: ignore[attr-defined]
+            new[key] = link.block.update(tick, state[key], self.split_parameters(link), w[key])  # type: ignore[attr-defined]
         return new
 
     def accumulate_totals(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
@@ -262,7 +268,7 @@ class ControlStep:
         panels = 1 if all(wave.at is None for wave in waves) else 2
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 
-    def event_watch(self, state: dict[str, Any], begin: Any) -> Watch:
+    def build_event_watch(self, state: dict[str, Any], begin: Any) -> Watch:
         return Watch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
 
     def _record_first_faults(

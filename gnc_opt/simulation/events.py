@@ -107,7 +107,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class EventOccurrence:
-    """Occurrence of an event in a run.
+    """Event that occurred in a run.
 
     Attributes
     ----------

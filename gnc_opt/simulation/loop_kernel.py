@@ -84,7 +84,10 @@ class _EventfulStep:
         waves, saturated = self.base.apply_actuators(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
-        watch, extremes = self.base.event_watch({"armed": armed}, begin), self.base.quantity_extremes(waves)
+        watch, extremes = (
+            self.base.build_event_watch({"armed": armed}, begin),
+            self.base.quantity_extremes(waves),
+        )
         flown = self.base.integrate_plant(tick.t, x, waves, new, (begin, end), (watch, extremes))
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
         seen += [watch.lost, watch.lost_inside, extremes.record]
@@ -198,7 +201,7 @@ class _Builder(ControlStep):
         if wiring.events:
             parts |= self.initial_event_record(w["t"], x)
         for i, link in enumerate(wiring.disturbances):
-            parts[f"push {i}"] = link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick)
+            parts[f"push {i}"] = link.block.start(ca.SX.zeros(link.size), self.split_parameters(link), tick)
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
         kind = _symbol_type(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
@@ -257,7 +260,7 @@ class _Builder(ControlStep):
             waves, saturated = self.apply_actuators(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch, extremes = (
-                self.event_watch(new, ca.SX(0)) if wiring.events else None,
+                self.build_event_watch(new, ca.SX(0)) if wiring.events else None,
                 self.quantity_extremes(waves),
             )
             watches = (extremes,) if watch is None else (watch, extremes)

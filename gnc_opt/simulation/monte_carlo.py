@@ -21,7 +21,7 @@ from gnc_opt.simulation.campaign_batch import (
     Batch,
     CampaignTask,
     Flown,
-    batch_results,
+    collect_batch_results,
     find_remaining_batches,
     load_stored_runs,
     merge_batches,
@@ -197,19 +197,19 @@ def monte_carlo(
     ):
 
         def store_batch(batch: Done[Batch, list[Flown]]) -> None:
-            for part in batch_results(batch):
+            for part in collect_batch_results(batch):
                 if folder is not None and part.ending is not None:
                     store_runs(
                         folder, merge_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target)
                     )
-            show(*_count_failures(batch_results(batch)))
+            show(*_count_failures(collect_batch_results(batch)))
 
         if before:
             show(*_count_failures(before))
         todo = find_remaining_batches(n, [part.batch for part in before])
         done = pool.run(CampaignTask.simulate_runs, todo, store_batch, split_batch)
     flown = sorted(
-        [*before, *(part for batch in done for part in batch_results(batch))],
+        [*before, *(part for batch in done for part in collect_batch_results(batch))],
         key=lambda part: part.batch.start,
     )
     _require_one_completed_run(flown)

@@ -98,7 +98,7 @@ def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
     return ca.vertcat(*[signals[n] for n in names])
 
 
-def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
+def replace_linked_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
     """Return the signals with a link's inputs replaced by its outputs."""
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
@@ -110,7 +110,7 @@ def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict
     return rest
 
 
-def replace_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
+def replace_linked_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
     """Return the waves with a link's inputs replaced by its outputs."""
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0

@@ -190,7 +190,7 @@ class Domain:
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
 
-    def sign(self, expression: Any) -> int:
+    def sign_of(self, expression: Any) -> int:
         """Return 1 for a nonnegative scalar, -1 for a nonpositive one, else 0."""
         found = self.evaluate_ranges(expression)
         if found.lower[0] >= 0 or found.upper[0] <= 0:
@@ -201,7 +201,7 @@ class Domain:
             if is_affine(expression, symbol) and not np.any(
                 draw_values(ca.substitute(expression, symbol, 0.0))
             ):
-                return self.sign(symbol) * self.sign(ca.jacobian(expression, symbol))
+                return self.sign_of(symbol) * self.sign_of(ca.jacobian(expression, symbol))
         return 0
 
 

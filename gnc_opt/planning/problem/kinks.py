@@ -39,7 +39,7 @@ class Kinks:
     arguments: Any
 
     @property
-    def state_dependent(self) -> Mask:
+    def is_state_dependent(self) -> Mask:
         """Whether each operation depends on states, (n_operations,); the others depend on controls only."""
         found = np.zeros(len(self.words), dtype=bool)
         found[self.arguments.jac_sparsity(0, 1).row()] = True

@@ -66,7 +66,7 @@ class SaturatedControl:
         pieces += [self._segment_cells[k] for k in np.flatnonzero(self.is_piecewise_constant.any(axis=0))]
         return np.unique(np.concatenate(pieces))
 
-    def evaluate_clipped(self, t: ArrayLike, side: Side = "right") -> Array:
+    def evaluate_clipped_polynomial(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the polynomial clipped to the bounds; for guesses, not for propagation."""
         values = self.polynomial(t, side)
         lower, upper = (b if np.ndim(t) == 0 else b[:, None] for b in (self.bounds.lower, self.bounds.upper))
@@ -75,7 +75,7 @@ class SaturatedControl:
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the values at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
         times = np.atleast_1d(read_numbers(t, "the time"))
-        values = self.evaluate_clipped(times, side)
+        values = self.evaluate_clipped_polynomial(times, side)
         breaks = self.polynomial.breaks
         segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
         for k in np.unique(segment[np.any(self.is_piecewise_constant, axis=0)[segment]]):

@@ -165,7 +165,7 @@ def _fill_phase_variables(
     shared = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
     x[collocation.point_states[~shared]] = states[~shared]
-    x[collocation.point_controls] = sample(old.applied.evaluate_clipped)
+    x[collocation.point_controls] = sample(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
     times = _stretch_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
     x[part.times[free_times]] = times[free_times]

@@ -170,8 +170,8 @@ def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Rough
     long = lengths > SMEARED
     if not np.any(long):
         return None
-    of_states = bool(np.any(long & kinks.state_dependent))  # kinks in states have priority
-    i = int(np.argmax(np.where(kinks.state_dependent == of_states, lengths, 0.0)))
+    of_states = bool(np.any(long & kinks.is_state_dependent))  # kinks in states have priority
+    i = int(np.argmax(np.where(kinks.is_state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
     where = f"from {s.describe_sample(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
     return Roughness(float(lengths[i]), where, False, of_states)

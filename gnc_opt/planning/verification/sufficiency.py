@@ -231,14 +231,14 @@ def attains_lower_bound(
 def _excess_over_lower_bounds(solution: Solution) -> Array:
     """Return the excess of each cost term over its minimum, relative to its scale."""
     problem = solution.need_problem("verify").clone()
-    terms = list(_split_sum(problem.sense * problem.cost))
+    terms = list(_split_sum_terms(problem.sense * problem.cost))
     for leg in problem.phases.values():
         for symbol, integrand in list(leg.integrands.values()):
-            shares = [leg.integral(part) for part in _split_sum(integrand)]
+            shares = [leg.integral(part) for part in _split_sum_terms(integrand)]
             terms = [
                 part
                 for term in terms
-                for part in _split_sum(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+                for part in _split_sum_terms(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
             ]
     problem.constraints = {
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
@@ -263,20 +263,22 @@ def _excess_over_lower_bounds(solution: Solution) -> Array:
     )
 
 
-def _split_sum(expression: Any, factor: float = 1.0) -> Iterator[Any]:
+def _split_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
     """Yield the terms of a sum, multiplied out by constant factors."""
     if expression.op() in (ca.OP_ADD, ca.OP_SUB):
         first, second = (expression.dep(k) for k in range(2))
-        yield from _split_sum(first, factor)
-        yield from _split_sum(second, -factor if expression.op() == ca.OP_SUB else factor)
+        yield from _split_sum_terms(first, factor)
+        yield from _split_sum_terms(second, -factor if expression.op() == ca.OP_SUB else factor)
     elif expression.op() in (ca.OP_NEG, ca.OP_TWICE):
-        yield from _split_sum(expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor)
+        yield from _split_sum_terms(
+            expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor
+        )
     elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():
-        yield from _split_sum(expression.dep(1), factor * float(expression.dep(0)))
+        yield from _split_sum_terms(expression.dep(1), factor * float(expression.dep(0)))
     elif expression.op() == ca.OP_MUL and expression.dep(1).is_constant():
-        yield from _split_sum(expression.dep(0), factor * float(expression.dep(1)))
+        yield from _split_sum_terms(expression.dep(0), factor * float(expression.dep(1)))
     elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
-        yield from _split_sum(expression.dep(0), factor / float(expression.dep(1)))
+        yield from _split_sum_terms(expression.dep(0), factor / float(expression.dep(1)))
     else:
         yield factor * expression
 

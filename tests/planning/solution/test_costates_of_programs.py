@@ -258,7 +258,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
 
         weights = there.quadrature_weights * leg.duration * np.diff(arc_ends(part))[there.point_arcs]
         assert start.x[there.point_states] == pytest.approx(leg.x(t), abs=1e-12)
-        assert start.x[there.point_controls] == pytest.approx(at(leg.applied.evaluate_clipped))
+        assert start.x[there.point_controls] == pytest.approx(at(leg.applied.evaluate_clipped_polynomial))
         assert start.x[part.times[-1]] == pytest.approx(leg.final_time)
         assert start.lam_x[there.point_controls] == pytest.approx(at(leg.control_multiplier) * weights)
         assert start.lam_g[there.path_rows] == pytest.approx(at(leg.path_multiplier) * weights)
@@ -449,7 +449,7 @@ def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
         assert np.ravel(value(leg.final_time + 1.0)) == pytest.approx(leg.state("q")(leg.final_time))
         control = problem.phases[name].numbers.guess.values["a"]
         assert np.ravel(control(leg.initial_time - 1.0)) == pytest.approx(
-            leg.applied.evaluate_clipped(leg.initial_time)[:1]
+            leg.applied.evaluate_clipped_polynomial(leg.initial_time)[:1]
         )
 
 

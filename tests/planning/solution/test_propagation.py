@@ -187,9 +187,9 @@ def test_each_channel_is_held_by_itself() -> None:
 
 def test_at_a_jump_the_right_hand_value_is_meant() -> None:
     signal = flown([[0.25] * 3, [0.75] * 3], 0.0, 0.5)
-    assert signal(1.0).tolist() == [0.5] == signal.evaluate_clipped(1.0).tolist()
+    assert signal(1.0).tolist() == [0.5] == signal.evaluate_clipped_polynomial(1.0).tolist()
     before = pytest.approx([0.25], rel=1e-15)
-    assert signal(1.0, "left") == before == signal.evaluate_clipped(1.0, "left")
+    assert signal(1.0, "left") == before == signal.evaluate_clipped_polynomial(1.0, "left")
 
 
 # Small parts of a solution: what tries cost together, named integrals.

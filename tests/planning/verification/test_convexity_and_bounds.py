@@ -19,7 +19,7 @@ from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, fin
 from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
 from gnc_opt.planning.verification.sufficiency import (
-    _split_sum,
+    _split_sum_terms,
     cost_lower_bound,
     has_unique_solution,
     is_convex,
@@ -610,7 +610,7 @@ def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(w
 
 def test_sums_are_taken_apart() -> None:
     x = ca.SX.sym("x", 3)
-    parts = ca.vertcat(*_split_sum(2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0)))
+    parts = ca.vertcat(*_split_sum_terms(2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0)))
     assert ca.DM(ca.substitute(parts, x, ca.DM([3.0, 4.0, 8.0]))).full().ravel().tolist() == [
         6,
         -6,

@@ -54,7 +54,10 @@ class Bend:
         for place, u in controls.items():
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
-                corners, sign = draw_values(solve_affine_equation(gap, u))[0], kink.sense * domain.sign(slope)
+                corners, sign = (
+                    draw_values(solve_affine_equation(gap, u))[0],
+                    kink.sense * domain.sign_of(slope),
+                )
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
                     base, factor = (first, slope) if sign > 0 else (second, -slope)

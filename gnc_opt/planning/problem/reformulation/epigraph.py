@@ -96,7 +96,7 @@ def find_integral_signs(problem: Statement, leg: Phase) -> dict[str, int]:
     for name, (symbol, _) in leg.integrands.items():
         slopes = ca.jacobian(ends, symbol)
         rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
-        own = {domain.sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        own = {domain.sign_of(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
         senses[name] = own.pop() if len(own) == 1 else 0
     return senses
 
@@ -153,7 +153,7 @@ def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
         own, operands = extremum
         if own != sense:
             return None
-        if node.op() == ca.OP_FABS and domain.sign(operands[0]) > 0:
+        if node.op() == ca.OP_FABS and domain.sign_of(operands[0]) > 0:
             operands = operands[:1]
         return _merge_smooth_pieces([_find_smooth_pieces(operand, sense, domain) for operand in operands])
     operation = node.op()
@@ -180,7 +180,7 @@ def _find_product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None
     kink, factor = node.dep(0), node.dep(1)
     if node.op() == ca.OP_MUL and not is_smooth(factor):
         kink, factor = factor, kink
-    sign = domain.sign(factor) if is_smooth(factor) else 0
+    sign = domain.sign_of(factor) if is_smooth(factor) else 0
     if sign == 0:
         return None
     return _scale_smooth_pieces(
@@ -229,7 +229,7 @@ def _find_choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
         left = draw_values(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
-        sense = domain.sign(across) * domain.sign(up)
+        sense = domain.sign_of(across) * domain.sign_of(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
     return None

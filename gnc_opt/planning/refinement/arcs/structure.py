@@ -316,7 +316,7 @@ class PhaseStructure:
             times = [self.times[0], *self.times[2:]]
         elif piece == self.n_pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
-        return self._merge_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+        return self._join_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
     def collapse_piece(self, piece: int) -> PhaseStructure:
         """Return the structure without a piece; an arc on a limit becomes a touch.
@@ -371,7 +371,7 @@ class PhaseStructure:
         for piece, middle in zip(kinds, middles, strict=True):
             if start < middle < end:
                 piece[row] = kind
-        return self._merge_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
+        return self._join_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
 
     def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
@@ -380,7 +380,7 @@ class PhaseStructure:
         touches[times.index(time)] += ((row, kind),)
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
-        return self._merge_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
+        return self._join_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
 
     def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
         """Return the touches at given times, which include those of the structure."""
@@ -415,9 +415,9 @@ class PhaseStructure:
 
     def merge_pieces(self) -> PhaseStructure:
         """Return the structure with equal adjacent pieces joined."""
-        return self._merge_pieces(list(self.times), self.kinds, list(self.touches))
+        return self._join_pieces(list(self.times), self.kinds, list(self.touches))
 
-    def _merge_pieces(
+    def _join_pieces(
         self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]
     ) -> PhaseStructure:
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]

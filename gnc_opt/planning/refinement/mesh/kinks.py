@@ -75,7 +75,7 @@ def _find_switches(error: PhaseError, k: int) -> list[Kink]:
 def _control_gradient(error: PhaseError, i: int, level: float, times: Array) -> Array:
     """Return d(H + mu.c)/du_i at times with control i at a level."""
     leg, functions = error.samples.leg, error.samples.functions
-    u = leg.applied.evaluate_clipped(times)
+    u = leg.applied.evaluate_clipped_polynomial(times)
     u[i] = level
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
     return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
