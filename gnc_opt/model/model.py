@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import Strict, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ModelError, suggest_symbol
+from gnc_opt.errors import ModelError, quote, suggest_symbol
 from gnc_opt.model.casadi_import import read_derivative, read_parameter_values, read_variables
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.function_evaluation import check_arguments, evaluate_function
@@ -321,6 +321,8 @@ class Model(Strict):
         """
         symbol = self.control(name, size, unit=unit, nominal=nominal)
         what = f"the equation of algebraic variable '{name}' of model '{self.name}'"
+        if not callable(residual):
+            raise ModelError(f"{what} is {quote(residual)}: give a function of the variable, lambda z: ...")
         value = self._own_expression(residual(symbol), what, symbol.variable.size)
         if ca.sprank(ca.jacobian(value, symbol)) < symbol.variable.size:
             raise ModelError(

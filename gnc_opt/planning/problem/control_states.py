@@ -105,9 +105,13 @@ def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
 def _get_control_symbol(leg: StatedPhase, name: str, what: str) -> Symbol:
     layout, composed = leg.model.controls, leg.model.composed_controls
     if name in leg.model.states:
-        raise ProblemError(
-            f"{what}() of {leg.label} got '{name}', which is a state: give the names of controls."
+        again = f"{name}_rate" in leg.model.controls or f"{name}_coefficients" in leg.own_states
+        why = (
+            "has rates or a degree already: state them once"
+            if again
+            else "is a state: give the names of controls"
         )
+        raise ProblemError(f"{what}() of {leg.label} got '{name}', which {why}.")
     owner = next((c.name for c in composed.values() if name == c.name or name in c.parts), None)
     if owner is not None:
         raise ProblemError(
@@ -169,5 +173,6 @@ def _add_time_bound(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
         bounded = model.symbol(name) if composed is None else model.output_expression(name)
     value = as_expression(limit(model.time) if callable(limit) else limit, what, None, ProblemError)
     if value.shape[0] not in (1, bounded.shape[0]):
-        raise ProblemError(f"{what} has {value.shape[0]} components: give 1 or {bounded.shape[0]}.")
+        sizes = "1" if bounded.shape[0] == 1 else f"1 or {bounded.shape[0]}"
+        raise ProblemError(f"{what} has {value.shape[0]} components: give {sizes}.")
     leg.path(f"{end} bound of {name}", bounded - value, **{end: 0.0})

@@ -98,6 +98,8 @@ def test_variable_without_a_regular_guess_stays_a_control() -> None:
 def test_wrong_uses_are_named() -> None:
     model = go.Model("wrong")
     x = model.state("x", 2)
+    with pytest.raises(go.ModelError, match=r"is 3\.0: give a function of the variable"):
+        go.Model("no function").algebraic("z", 3.0)  # type: ignore[arg-type]
     with pytest.raises(go.ModelError, match="index higher than 1"):
         model.algebraic("z", lambda z: x[0])
     with pytest.raises(go.ModelError, match=r"equation of algebraic variable 'y' .* 2 components: give 1"):

@@ -79,3 +79,11 @@ def test_wrong_uses_are_named() -> None:
         leg.bounds(a=(-1.0, leg.duration))
     with pytest.raises(go.UnknownNameError, match="'b'"):
         leg.bounds(b=(-1.0, lambda t: t))
+
+
+def test_a_bound_of_another_size_names_the_size_that_is_needed() -> None:
+    model = go.Model("point")
+    model.ode({model.state("q"): model.control("a")})
+    leg = go.Problem("p").phase("leg", model)
+    with pytest.raises(go.ProblemError, match=r"upper bound of 'a' .* has 2 components: give 1\.$"):
+        leg.bounds(a=(0.0, lambda t: [1.0, 2.0]))

@@ -111,7 +111,7 @@ def test_wrong_uses_are_named() -> None:
     with pytest.raises(go.ProblemError, match="degree of control 'a'"):
         leg.polynomials(a=-1)
     leg.rates(a=(-1.0, 1.0))
-    with pytest.raises(go.ProblemError, match="'a', which is a state"):
+    with pytest.raises(go.ProblemError, match="'a', which has rates or a degree already: state them once"):
         leg.polynomials(a=1)
 
 
