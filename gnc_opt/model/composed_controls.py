@@ -105,7 +105,7 @@ class AssembledControl(ComposedControl):
 
 @dataclass(frozen=True)
 class UnitVectorControl(ComposedControl):
-    """A vector of length 1 with the direction of another one, not that length."""
+    """Unit vector in the direction of a control vector of any length."""
 
     def compose(self, *parts: Any) -> Any:
         """Return the vector divided by its length."""
@@ -113,5 +113,5 @@ class UnitVectorControl(ComposedControl):
         return parts[0] / np.where(norm > 0, norm, 1.0)
 
     def decompose(self, u: Array) -> tuple[Array, ...]:
-        """Return the vector as it is."""
+        """Return the vector unchanged."""
         return (u,)

@@ -206,10 +206,10 @@ def _extract_phase(
 def _point_idle_directions(
     leg: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
-    """Return controls with the directions that minimise H where the magnitude of a unit vector is zero.
+    """Return controls with directions that minimise H where the magnitude of a unit vector is zero.
 
-    They are proportional to the primer, hence smooth where it passes through zero, and at most of length 0.5: within
-    the limit between the nodes, too.
+    The directions are proportional to the primer vector, so that they are smooth at its zeros. Their largest length is
+    0.5, so that they satisfy the limit between the nodes, too.
     """
     layout, found = leg.model.controls, u.copy()
     stated = {c.parts for c in leg.model.composed_controls.values() if isinstance(c, UnitVectorControl)}

@@ -281,7 +281,7 @@ def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
     assert solution.objective == pytest.approx(FUEL, rel=1e-9)
     at = np.array([0.25 * FUEL, 1.5, DURATION - 0.25 * FUEL])
     np.testing.assert_allclose(solution.saturated_control("u")(at), [1.0, 0.0, -1.0], atol=1e-7)
-    assert "u is solved for as u_plus - u_minus" in str(solution)
+    assert "u is replaced by u_plus - u_minus" in str(solution)
 
 
 # --- roots of states ------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ def test_fuel_meets_its_closed_form_and_is_ok() -> None:
     solution = coasted()
     assert go.verify(solution).ok
     assert solution.objective == pytest.approx(FUEL, rel=1e-9)
-    assert "d * n is solved for as d * n_direction" in str(solution)
+    assert "d * n is replaced by d * n_direction" in str(solution)
 
 
 def test_the_unit_vector_has_its_length_and_points_against_the_primer() -> None:

@@ -89,7 +89,7 @@ class AlgebraicForm:
         own, start = ca.vertcat(t, x, self.symbol), self.ends["initial"][self.symbol.variable.name]
         initial = [leg.initial_state(n) for n in leg.model.states.names if n != self.symbol.variable.name]
         value = ca.substitute(self.residual, own, ca.vertcat(leg.initial_time, *initial, start))
-        text = f"{self.symbol.variable.name} is solved for as a state that follows from {self.constraint}"
+        text = f"{self.symbol.variable.name} is replaced by a state that follows from {self.constraint}"
         leg.restatement = Restatement.from_limits(leg.model, (text,)).compose_after(leg.restatement)
         problem.constraints[name] = Constraint(name, value, constraint.interval)
 

@@ -89,7 +89,7 @@ def apply_constraint_bounds(leg: Phase, found: BoundsByHand) -> None:
         box = intersect(box, own)
     leg.numbers = replace(leg.numbers, controls=box)
     leg.paths = {name: c for name, c in leg.paths.items() if name not in found}
-    texts = tuple(f"'{name}' is solved for as bounds of controls" for name in found)
+    texts = tuple(f"'{name}' is replaced by bounds of controls" for name in found)
     leg.restatement = Restatement.from_limits(leg.model, texts).compose_after(leg.restatement)
 
 
@@ -225,4 +225,4 @@ def _find_corners(bends: Bends, places: range) -> tuple[float, ...]:
 def _split_text(control: SplitControl) -> str:
     plus, minus = control.parts
     corner = f"{', '.join(f'{c:g}' for c in control.corners)} + " if control.corners else ""
-    return f"{control.name} is solved for as {corner}{plus} - {minus}, split at the kinks of its cost"
+    return f"{control.name} is replaced by {corner}{plus} - {minus}, split at the kinks of its cost"

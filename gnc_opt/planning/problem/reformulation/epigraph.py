@@ -287,10 +287,10 @@ class EndForm:
             instead[kink.node.element_hash()] = kink.sense * symbol
         texts = (
             *(
-                f"a kink of the cost is solved for as parameter {name}, bounded by its pieces"
+                f"a kink of the cost is replaced by parameter {name}, bounded by its pieces"
                 for name in parameters
             ),
-            *(f"'{name}' is solved for as {c.size} smooth limits" for name, c in changed.items()),
+            *(f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()),
         )
         return cls(replace_nodes(problem.cost, instead), constraints, parameters, texts)
 
@@ -393,11 +393,11 @@ class EpigraphForm(PhaseForm):
                 label = s.variable.name
                 kinks[label] = kink
                 paths[label], least[label] = build_epigraph_rows(s, kink)
-                texts.append(f"a kink of integral '{name}' is solved for as {label}, bounded by its pieces")
+                texts.append(f"a kink of integral '{name}' is replaced by {label}, bounded by its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
             integrands[name] = (symbol, replace_nodes(integrand, value))
-        texts += [f"'{n}' is solved for as {c.size} smooth limits" for n, c in kinked.limits.items()]
+        texts += [f"'{n}' is replaced by {c.size} smooth limits" for n, c in kinked.limits.items()]
         none = ca.SX(0, 1)
         values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]
         controls = [*(old.symbol(name) for name in old.controls.names), *symbols.values()]

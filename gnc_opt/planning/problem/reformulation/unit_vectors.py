@@ -1,10 +1,10 @@
-r"""Vectors of constant length: bounds that the length implies, and thrust as magnitude times unit vector.
+r"""Vectors of constant length: bounds implied by the length, and thrust as the product of magnitude and unit vector.
 
-With :math:`d \ge 0` and :math:`|n| = 1`, the direction n of a thrust :math:`d n` is free along coasts, d = 0. If all
-functions of a phase are affine in n and d, and n occurs times d alone, n is solved for within the ball
-:math:`|n| \le 1`, as the direction of ``Model.vector_control``. At an optimum it is on the sphere where d > 0 (H is
-linear in n), and n is reported with length 1: along coasts it has the direction against the primer, which the
-minimum condition asks for.
+With :math:`d \ge 0` and :math:`|n| = 1`, the direction n of a thrust :math:`d n` has no effect on coast arcs, d = 0. If
+all functions of a phase are affine in n and d, and contain n only in the product, the solver varies n in the ball
+:math:`|n| \le 1`, like the direction of ``Model.vector_control``. If d > 0, the optimal n is on the sphere, since H is
+linear in n. The solution contains n with length 1; on coast arcs it is opposite to the primer vector, as the minimum
+principle requires.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from gnc_opt.tolerances import EQUAL, ROUNDING
 
 
 def find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
-    """Return the bounds of controls without those that a vector of given length implies.
+    """Return the bounds of controls without those implied by a given vector length.
 
-    Where a component is the length, the gradients of both limits are one, and their multipliers are not unique.
+    If a component equals the length, the gradients of both limits are equal, and their multipliers are not unique.
     """
     lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
     for name, constraint in leg.paths.items():
@@ -48,7 +48,7 @@ def find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
 
 
 def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
-    """Return the controls whose sum of squares an expression is; empty if it is no such sum."""
+    """Return the controls of an expression that is a sum of squares of controls; an empty list for others."""
     t, x, u, p = leg.model.arguments()
     if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
         return []
@@ -62,7 +62,7 @@ def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
 
 
 def _read_length(square: Interval) -> float:
-    """Return the length of which an equality has the square, without its rounding; zero if it is none."""
+    """Return the length from an equality constraint on its square, reduced by rounding; zero without an equality."""
     if square.upper.size > 1 or not 0.0 < square.upper[0] == square.lower[0]:
         return 0.0
     return float(np.sqrt(square.upper[0]) * (1.0 - ROUNDING))
@@ -70,19 +70,19 @@ def _read_length(square: Interval) -> float:
 
 @dataclass(frozen=True, eq=False)
 class UnitVectorForm(PhaseForm):
-    """A phase with the direction of a vector control in place of a unit vector, the first of the controls ``names``."""
+    """Form of a phase with the direction of a vector control in place of a unit vector, the first of ``names``."""
 
     names: tuple[str, str]
     control: VectorControl
 
     @classmethod
     def find(cls, leg: Phase) -> UnitVectorForm | None:
-        """Return the form of the first control that is a unit vector and has a magnitude, or None."""
+        """Return the form for the first unit vector with a magnitude among the controls, or None."""
         return next((cls.from_unit_vector(leg, *found) for found in _find_unit_vectors(leg)), None)
 
     @classmethod
     def from_unit_vector(cls, leg: Phase, name: str, magnitude: str, label: str) -> UnitVectorForm:
-        """Restate a phase in the direction of magnitude times unit vector, of which a path constraint is the length."""
+        """Return the form of a phase for a unit vector, its magnitude, and the path constraint on its length."""
         old, vector = leg.model, ca.SX(leg.model.symbol(name))
         size, v = old.symbol(magnitude), old.controls[name]
         label_of_direction = unused_variable_name(old, f"{name}_direction")
@@ -117,14 +117,14 @@ class UnitVectorForm(PhaseForm):
                 vector,
                 unit,
                 old.symbols("control"),
-                (f"{magnitude} * {name} is solved for as {' * '.join(parts)}",),
+                (f"{magnitude} * {name} is replaced by {' * '.join(parts)}",),
             ),
             (name, magnitude),
             control,
         )
 
     def apply_to_phase(self, problem: Statement, leg: Phase) -> tuple[str, ...]:
-        """Give a phase this form with its own numbers, without the bounds that the length implies."""
+        """Apply the form to a phase with its own numbers, without the bounds implied by the length."""
         old, place = leg.numbers, leg.model.controls.slice(self.names[0])
         lower, upper = old.controls.lower.copy(), old.controls.upper.copy()
         lower[place], upper[place] = -np.inf, np.inf
@@ -135,7 +135,7 @@ class UnitVectorForm(PhaseForm):
 
 
 def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
-    """Yield controls of length 1 without other bounds, their magnitudes and the path constraint of the length."""
+    """Yield controls of length 1 without other bounds, with magnitude and path constraint on the length."""
     layout, box = leg.model.controls, leg.numbers.controls
     stated = set(index_control_symbols(leg).values())
     for label, constraint in leg.paths.items():
@@ -148,7 +148,7 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
 
 
 def _find_magnitudes(leg: Phase, name: str, label: str) -> Iterator[str]:
-    """Yield controls >= 0 that a unit vector occurs times alone, and that occur without it, too."""
+    """Yield the magnitudes of a unit vector: controls >= 0, its only factors, which also occur without it."""
     layout, vector = leg.model.controls, ca.SX(leg.model.symbol(name))
     others = [c.expression for other, c in leg.paths.items() if other != label]
     terms = ca.vertcat(leg.model.derivative(), leg.integrand_expression(), *others)

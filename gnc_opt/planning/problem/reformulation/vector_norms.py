@@ -211,7 +211,7 @@ class NormForm(PhaseForm):
                 controls.append(old.symbol(v.name))
                 values.append(old.symbol(v.name))
         shown = name if len(names) == 1 else f"[{', '.join(names)}]"
-        text = f"{shown} is solved for as {' * '.join(parts)}{_removed_limits_text(found.labels)}"
+        text = f"{shown} is replaced by {' * '.join(parts)}{_removed_limits_text(found.labels)}"
         return cls(
             old.in_controls(controls, list(_build_composed_controls(old, names, control, product)), express),
             {**paths, **{v.length: leg.paths[v.length] for v in leg.vector_controls}},
