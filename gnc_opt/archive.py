@@ -34,7 +34,6 @@ class Packing:
     left_out: Mapping[type, tuple[str, ...]] = field(default_factory=dict)
 
     def stored_fields(self, kind: Any) -> list[str]:
-        """Return the names of the stored fields of a dataclass."""
         return [f.name for f in fields(kind) if f.init and f.name not in self.left_out.get(kind, ())]
 
     def pack(self, value: Any, place: str, arrays: Arrays) -> Any:
@@ -70,7 +69,6 @@ class Packing:
         return _to_plain_value(value.item() if isinstance(value, np.generic) else value, place)
 
     def unpack(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
-        """Return the value of a tree from `pack`."""
         if isinstance(tree, list):
             return tuple(self.unpack(item, arrays) for item in tree)
         if not isinstance(tree, dict):

@@ -295,7 +295,6 @@ def _error_reason(error: Exception) -> str:
 
 
 def _find_failing_line(path: Path, error: BaseException) -> str:
-    """Return the last line of the file or package in the traceback of an error."""
     passed = [(f.filename, f.lineno) for f in traceback.extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError) and error.filename:
         passed.append((error.filename, error.lineno))

@@ -22,7 +22,6 @@ def count_text(number: int, noun: str) -> str:
 
 
 def html_heading(text: str) -> str:
-    """Return an emphasised paragraph."""
     return f"<p><strong>{escape(text)}</strong></p>"
 
 
@@ -35,7 +34,6 @@ def derivative_unit(unit: str, other: str) -> str:
 
 
 def html_preformatted(text: str) -> str:
-    """Return preformatted lines."""
     return f"<pre>{escape(text)}</pre>"
 
 

@@ -70,7 +70,6 @@ class SampledGains:
     steady: Steady | None
 
     def index(self, t: float) -> int:
-        """Return the index of the step that contains t."""
         return max(int(np.floor((t - self.initial_time) / self.dt + STEP_SLACK)), 0)
 
     def P(self, t: float) -> Array:

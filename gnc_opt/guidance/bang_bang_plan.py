@@ -106,7 +106,6 @@ class Prediction:
 
 
 def _share_of_step_after(begin: Any, length: float, since: Any) -> Any:
-    """Return the share of a step that is later than a given time."""
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
 

@@ -21,7 +21,6 @@ class ComposedControl:
 
     @property
     def name(self) -> str:
-        """Name of u."""
         return self.variable.name
 
     def compose(self, *parts: Any) -> Any:
@@ -63,12 +62,10 @@ class VectorControl(ComposedControl):
 
     @property
     def magnitude(self) -> str:
-        """Name of the control that is the magnitude."""
         return self.parts[0]
 
     @property
     def direction(self) -> str:
-        """Name of the control that is the direction."""
         return self.parts[1]
 
     @property

@@ -80,7 +80,6 @@ class Records:
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of the axis and of each component."""
         of = {label: variable.unit for variable, _ in self.quantities for label in variable.labels}
         return {self.axis.name: self.axis.unit, **of}
 
@@ -123,7 +122,6 @@ class Records:
 def name_variable_rows(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
-    """Yield the variables of a layout with their rows of stacked values."""
     missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)
     whole = np.hstack([values, missing])
     for variable in layout.variables:

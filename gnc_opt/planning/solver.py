@@ -303,7 +303,6 @@ def solve(
 
 
 def with_solve_method(solution: Solution, way: SolveMethod) -> Solution:
-    """Return a solution with the method recorded in its provenance."""
     return _with_provenance(solution, "way", way.value)
 
 
@@ -388,7 +387,6 @@ def _is_warm_better(warm: Solution, cold: Solution) -> bool:
 
 
 def reached_tolerance(known: Solution) -> float:
-    """Return the tolerance of a refined solution."""
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
 
 

@@ -29,7 +29,6 @@ MOST_ROWS = 3
 
 
 def component_legend_labels(signal: Any) -> list[str]:
-    """Return the legend label of each component of a signal."""
     return [variable_name_text(label) for label in signal.labels]
 
 

@@ -76,7 +76,6 @@ def status_label_html(word: str, tone: str) -> str:
 
 
 def command_html(command: str | None) -> str:
-    """Return the command that reproduces the page."""
     return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""
 
 

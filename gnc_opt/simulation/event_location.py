@@ -197,7 +197,6 @@ class _Passage:
         return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
     def _locate_and_apply_event(self) -> Any:
-        """Locate the first zero of the crossing rows and apply the events."""
         q, _, crossing, first, last, t, p, *context = given = self._passage_symbols(
             ("q", self.places.size),
             ("beyond", self.places.size),

@@ -237,7 +237,6 @@ def _share_campaign_task(
 
 
 def _count_failures(parts: Sequence[Flown]) -> tuple[int, int]:
-    """Return the numbers of runs and of failed runs."""
     runs = sum(len(part.batch) for part in parts)
     endings = [part.ending for part in parts if part.ending is not None]
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)

@@ -99,7 +99,6 @@ def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def replace_linked_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
-    """Return the signals with a link's inputs replaced by its outputs."""
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
         rest = {n: s for n, s in signals.items() if n not in link.on}
@@ -111,7 +110,6 @@ def replace_linked_signals(signals: Mapping[str, Any], link: Link, column: Any) 
 
 
 def replace_linked_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
-    """Return the waves with a link's inputs replaced by its outputs."""
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():

@@ -342,7 +342,6 @@ class FlightFiles:
     # --- internals ----------------------------------------------------------------------------------------
 
     def _fill_template(self, name: str) -> str:
-        """Return a C file of this directory with its ``@names@`` replaced."""
         double, controller = self.numbers is DOUBLE, self.form.controller
         values = {
             "prefix": self.prefix,

@@ -87,7 +87,6 @@ class NlpPoint:
         return replace(self, lam_x0=None, lam_g0=None)
 
     def nlpsol_arguments(self, problem: NlpProblem) -> dict[str, Array]:
-        """Return the arguments of `nlpsol` as vectors, by name."""
         sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
         given = {f.name: getattr(self, f.name) for f in fields(self)}
         return {

@@ -69,7 +69,6 @@ class Switches:
 
     @property
     def simultaneous_groups(self) -> list[list[int]]:
-        """Groups of simultaneous switches, in order."""
         found: list[list[int]] = []
         for k, t in enumerate(self.times):
             if found and self.times[found[-1][0]] == t:

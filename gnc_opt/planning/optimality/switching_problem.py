@@ -64,7 +64,6 @@ class Unknowns:
     def from_switches(
         cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]
     ) -> Unknowns:
-        """Return the unknowns of all phases."""
         labels: list[str] = []
         scale: list[float] = []
         worth: list[float] = []
@@ -128,7 +127,6 @@ class Conditions:
 
     @classmethod
     def concatenate_conditions(cls, parts: list[Conditions]) -> Conditions:
-        """Return stacked conditions."""
         return cls(
             np.concatenate([rows.values for rows in parts]),
             stack_intervals([rows.limits for rows in parts]),
@@ -229,7 +227,6 @@ def _choose_integration_grid(
 
 
 def _count_flow_states(s: PhaseSamples) -> int:
-    """Return the number of states, integrals and time."""
     return s.leg.states.size + s.leg.integrals.size + 1
 
 
@@ -242,7 +239,6 @@ def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -
 def _boundary_state_derivatives(
     samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]
 ) -> Array:
-    """Return the derivatives of all starts and ends, and of the free parameters, in the unknowns."""
     rows = []
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]

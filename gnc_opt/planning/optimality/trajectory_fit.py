@@ -188,7 +188,6 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
 
 
 def _intersection_time(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
-    """Return the intersection time of two interpolants between two samples, if there is one."""
 
     def interpolant_difference(time: float) -> float:
         return float(left(time) - right(time))

@@ -374,7 +374,6 @@ def _build_phase_functions(problem: Statement, leg: Phase) -> list[tuple[str, tu
 
 
 def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
-    """Return kind, names and expressions of all functions along a phase."""
     return (
         ("the rate of state", leg.model.states.labels, leg.model.derivative()),
         ("path constraint", leg.path_labels, leg.path_expression()),

@@ -123,7 +123,6 @@ class Restatement:
         return ca.substitute(expression, self.stated, self.solved)
 
     def compose_after(self, earlier: Restatement | None) -> Restatement:
-        """Return the composition with an earlier restatement."""
         if earlier is None:
             return self
         return Restatement(

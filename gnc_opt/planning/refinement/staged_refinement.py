@@ -318,7 +318,6 @@ class StagedRefinement:
     def _refine_mesh(
         self, start: Solution, share: float, stage: str = HP, tol: float | None = None
     ) -> Generator[Candidate, None, Candidate]:
-        """Yield and return the candidate of hp refinement."""
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,

@@ -91,7 +91,6 @@ class ObjectiveError:
 
 
 def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
-    """Return the estimated error of an objective from a trajectory and its multipliers."""
     scale = max([abs(objective), *(NEGLIGIBLE * s.cost_scale for s in samples.values())])
     return ObjectiveError({name: _estimate_phase_error(s) for name, s in samples.items()}, scale)
 

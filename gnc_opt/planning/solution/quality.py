@@ -129,7 +129,6 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
 
 
 def _find_highest_peaks(groups: Indices, values: Array) -> Indices:
-    """Return the indices of the `PEAKS_PER_LIMIT` highest values of each group."""
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
     return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])

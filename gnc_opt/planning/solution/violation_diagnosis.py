@@ -69,7 +69,6 @@ def find_violations(
 def _find_violated_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
-    """Return the violated rows and bounds; NaN is treated as largest."""
     rows, box = transcription.row_interval(problem), transcription.variable_interval(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
@@ -84,7 +83,6 @@ def _compute_excess(values: Array, interval: Interval) -> Array:
 
 
 def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:
-    """Return the diverging variables, each at its largest value."""
     largest: dict[str, Violation] = {}
     for i in np.argsort(-np.abs(scaled), kind="stable"):
         if not abs(scaled[i]) > _RUNNING_OFF:

@@ -102,7 +102,6 @@ def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
 
 
 def _distinct_objectives(objectives: Iterable[float]) -> tuple[float, ...]:
-    """Return distinct values in ascending order."""
     kept: list[float] = []
     for value in sorted(objectives):
         if not (kept and is_same_objective(kept[-1], value)):
@@ -121,7 +120,6 @@ def _count_trajectories(group: Sequence[Minimum]) -> int:
 
 
 def _sample_states(solution: Solution) -> Array:
-    """Return all states at 21 times of each phase, relative to their magnitudes."""
     rows: list[Array] = []
     for leg in solution.phases.values():
         times = np.linspace(leg.initial_time, leg.final_time, 21)

@@ -88,7 +88,6 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
 
 
 def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:
-    """Return the bound of the cost from a relaxation; None if it is not solved or not a bound."""
     problem = _with_solution_guess(relaxation, solution)
     relaxed = solve(problem, tol=tol, throw=False)
     if not relaxed.converged:

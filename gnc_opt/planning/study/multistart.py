@@ -357,7 +357,6 @@ def _build_problem(builder: Builder) -> Problem:
 
 
 def _task_result(done: Done[Item, Answer]) -> Answer:
-    """Return the answer of a task, or raise its exception."""
     from gnc_opt.workers import WorkerDied
 
     error = done.error

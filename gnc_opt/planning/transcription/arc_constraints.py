@@ -151,7 +151,6 @@ def junction_derivative_orders(junction: Junction, n_paths: int) -> range:
 
 
 def count_junction_rows(junction: Junction, n_paths: int) -> int:
-    """Return the number of rows of a junction."""
     return len(junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 

@@ -46,7 +46,6 @@ class Family(ABC):
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the points are symmetric about 0."""
         return self.starts_at_point == self.ends_at_point
 
     @property

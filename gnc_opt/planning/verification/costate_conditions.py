@@ -283,7 +283,6 @@ def _complementarity_violation(multipliers: Array, values: Array, box: Interval,
 def check_parameter_stationarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
-    """Return the residual of stationarity in the free parameters."""
     values, box = solution.parameter_values, solution.need_problem("verify").parameter_interval()
     if not values.size:
         return NOTHING

@@ -176,7 +176,6 @@ class CriticalCone:
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 
     def _largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
-        """Return the largest violation of active limits along a direction, relative to its largest entry."""
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)

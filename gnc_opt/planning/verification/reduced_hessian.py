@@ -217,7 +217,6 @@ def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
 
 
 def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:
-    """Return a mesh that is fine enough for variations."""
     least = -(-PHASE_MIN_POINTS // mesh.segments)
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 

@@ -201,7 +201,6 @@ class SplitForm(PhaseForm):
         )
 
     def apply_to_phase(self, leg: Phase) -> None:
-        """Apply the form to a phase, with the numbers of that phase."""
         old, scales = leg.numbers, dict(leg.numbers.scales)
         boxes = ranges_by_name(old.controls, leg.model.controls)
         for control in self.controls:

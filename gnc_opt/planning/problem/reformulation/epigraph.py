@@ -411,7 +411,6 @@ class EpigraphForm(PhaseForm):
         )
 
     def apply_to_phase(self, problem: Statement, leg: Phase) -> None:
-        """Apply the form to a phase, with the numbers of that phase."""
         stated = leg.clone()
         least = np.array([self.least[name] for name in self.kinks])
         box = leg.numbers.controls

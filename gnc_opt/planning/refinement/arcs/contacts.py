@@ -124,7 +124,6 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
-    """Return nodes with multipliers of constraints that determine a control, except at contacts of the structure."""
     first, found = len(structure.control_kinds), []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         scaled_multipliers = np.where(

@@ -94,7 +94,6 @@ def find_junction_time(
 
 
 def _find_kink_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
-    """Return the time of a kink of one control or path constraint."""
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
@@ -137,7 +136,6 @@ def _path_excess(samples: PhaseSamples, i: int, direction: int, side: Side, t: A
 
 
 def _find_violation_end(times: Array, violation: Callable[[Array], Array]) -> float | None:
-    """Return the end of a violation that begins at the first time, or None if there is none."""
     over = violation(times) > 0
     if not over[0]:
         return None

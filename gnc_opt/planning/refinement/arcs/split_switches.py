@@ -111,7 +111,6 @@ class _SplitMesh:
         return cls(ends[-1], tuple(ends[k] for k in simultaneous_switches(plan.structure)))
 
     def map_boundary(self, old: int) -> int:
-        """Return the new index of a boundary."""
         return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)
 
     def first_segment(self, old: int) -> int:

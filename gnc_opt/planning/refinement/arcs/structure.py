@@ -383,7 +383,6 @@ class PhaseStructure:
         return self._join_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
 
     def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
-        """Return the touches at given times, which include those of the structure."""
         known = dict(zip(self.times, self.touches, strict=True))
         return [known.get(t, ()) for t in times]
 

@@ -37,7 +37,6 @@ HELD_STATE_TOLERANCE = 1e-4
 
 
 def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
-    """Return the structure of every phase, with its contacts."""
     problem = solution.need_problem("refine")
     return {
         name: add_contacts(detect_phase_structure(s, find_determined_controls(problem, s)), problem, s)

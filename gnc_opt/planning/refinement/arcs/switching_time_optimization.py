@@ -289,7 +289,6 @@ def _is_stalled(records: list[RefinementIteration]) -> bool:
 
 
 def _list_arc_orders(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
-    """Return the structures without times before and after each change."""
     return {
         (name, plan.structure.with_times(()), after[name].structure.with_times(()))
         for name, plan in before.items()

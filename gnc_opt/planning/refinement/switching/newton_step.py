@@ -198,7 +198,6 @@ class _EndConditions:
         return adjoint, slope, curvature
 
     def normalise_cost_change(self, gain: float) -> float:
-        """Return a change of the cost relative to its magnitude."""
         return abs(gain) / max(abs(self.cost), TINY)
 
     def expand_variables(self, change: Array) -> Array:
