@@ -14,13 +14,7 @@ from gnc_opt.simulation.event_location import Watch, event_note_layout, event_re
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import Wiring
 from gnc_opt.simulation.recorded_quantities import Extremes
-from gnc_opt.simulation.signals import (
-    Link,
-    Places,
-    replace_linked_signals,
-    replace_linked_waves,
-    stack_signals,
-)
+from gnc_opt.simulation.signals import Link, Places, replace_signals, replace_waves, stack_signals
 from gnc_opt.tolerances import SAME_TIME
 
 
@@ -120,7 +114,7 @@ class ControlStep:
             key, p, signal = f"sensor {i}", self.split_parameters(link), stack_signals(signals, link.on)
             before = link.block.start(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
-            signals = replace_linked_signals(signals, link, step.signal)
+            signals = replace_signals(signals, link, step.signal)
             after[key] = before if memory is None else step.state
         return stack_signals(signals, self.measured.names), after
 
@@ -146,7 +140,7 @@ class ControlStep:
             wave, step = link.block.flow(tick, wave, memory[key], self.split_parameters(link), noise)
             memory[key] = step.state
             _detect_saturation(saturated, step, link, origin)
-            waves = replace_linked_waves(waves, link, wave)
+            waves = replace_waves(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
         nothing = {n: Wave(ca.SX.zeros(controls[n].size)) for n in controls.names}
@@ -163,7 +157,7 @@ class ControlStep:
             memory[f"actuator {i}"] = first = block.start(begin, p, tick)
             if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise(link.size))
-                signals = replace_linked_signals(
+                signals = replace_signals(
                     signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal
                 )
         return memory

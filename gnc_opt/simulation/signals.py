@@ -98,7 +98,7 @@ def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
     return ca.vertcat(*[signals[n] for n in names])
 
 
-def replace_linked_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
+def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
         rest = {n: s for n, s in signals.items() if n not in link.on}
@@ -109,7 +109,7 @@ def replace_linked_signals(signals: Mapping[str, Any], link: Link, column: Any) 
     return rest
 
 
-def replace_linked_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
+def replace_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():

@@ -18,11 +18,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.optimality.nlp_point import (
-    ProgramPoint,
-    build_saddle_matrix,
-    compute_quadrature_weights,
-)
+from gnc_opt.planning.optimality.nlp_point import ProgramPoint, compute_quadrature_weights, saddle_matrix
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
@@ -245,7 +241,7 @@ class NullSpace:
     def factorise_hessian(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
         """Return the saddle-point matrix of a Hessian and the rows, and its solver."""
         n, m = self.dimension, self.jacobian.shape[0]
-        matrix = build_saddle_matrix(hessian, self.jacobian)
+        matrix = saddle_matrix(hessian, self.jacobian)
         # With unit gradients, dependent rows are harmless.
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, ROUNDING))
         return matrix, factorise_symmetric(matrix - slack)

@@ -221,7 +221,7 @@ class ProgramPoint:
         return -self.lagrangian_gradient / weights, self.lam / row_weights
 
 
-def build_saddle_matrix(hessian: Any, jacobian: Any) -> Any:
+def saddle_matrix(hessian: Any, jacobian: Any) -> Any:
     """Return the symmetric matrix of a quadratic program with equality constraints, sparse."""
     return scipy.sparse.block_array([[hessian, jacobian.T], [jacobian, None]], format="csc")
 

@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.expressions import (
     endpoint_symbols,
     find_table_exits,
     list_table_calls,
-    stack_phase_expressions,
+    stack_expressions,
 )
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import draw_values
@@ -71,7 +71,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not find_operations(stack_phase_expressions(leg)) & _KINKS.keys():
+    if not find_operations(stack_expressions(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
     for operation, (kind, where) in _find_first_kink_of_each_kind(problem, leg, looked_up):

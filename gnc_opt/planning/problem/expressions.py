@@ -45,7 +45,7 @@ class OutsideTable:
         )
 
 
-def stack_phase_expressions(leg: Phase) -> Any:
+def stack_expressions(leg: Phase) -> Any:
     """Return all expressions along a phase, stacked, in the symbols of its model."""
     return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
 
@@ -64,7 +64,7 @@ def list_table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
         known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
         if not known:
             return ()
-        present = {node.element_hash() for node in list_nodes(stack_phase_expressions(leg))}
+        present = {node.element_hash() for node in list_nodes(stack_expressions(leg))}
         return tuple({id(use): use for use in known if use.hashes & present}.values())
 
     return problem.cache(("tables", leg.name), find)

@@ -10,11 +10,7 @@ import numpy as np
 
 from gnc_opt.arrays import Mask
 from gnc_opt.model.expressions import find_operations, list_nodes
-from gnc_opt.planning.problem.expressions import (
-    build_phase_function,
-    list_table_calls,
-    stack_phase_expressions,
-)
+from gnc_opt.planning.problem.expressions import build_phase_function, list_table_calls, stack_expressions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
@@ -84,7 +80,7 @@ def find_feature_centres(problem: Statement, leg: Phase) -> Any:
     def find() -> Any:
         t, x, _, _ = leg.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in list_nodes(stack_phase_expressions(leg)):
+        for node in list_nodes(stack_expressions(leg)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]

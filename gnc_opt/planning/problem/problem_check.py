@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.expressions import (
     bind_parameters,
     build_phase_function,
     endpoint_arguments,
-    stack_phase_expressions,
+    stack_expressions,
 )
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
@@ -245,7 +245,7 @@ def _check_unused_parameters(problem: Statement) -> None:
         [
             ends,
             *(problem.bind(leg, ends) for leg in legs),
-            *(problem.bind(leg, stack_phase_expressions(leg)) for leg in legs),
+            *(problem.bind(leg, stack_expressions(leg)) for leg in legs),
         ]
     )
     models = {id(leg.model): leg.model for leg in legs}.values()

@@ -15,12 +15,7 @@ from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
-from gnc_opt.model.composed_controls import (
-    AssembledControl,
-    SplitControl,
-    UnitVectorControl,
-    VectorControl,
-)
+from gnc_opt.model.composed_controls import AssembledControl, SplitControl, UnitVectorControl, VectorControl
 from gnc_opt.model.trajectory import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status

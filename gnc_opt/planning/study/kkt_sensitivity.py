@@ -33,7 +33,7 @@ from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
-from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, build_saddle_matrix
+from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import Iterate
@@ -208,9 +208,7 @@ class KktPoint:
     def _factorise_kkt_system(self) -> None:
         point = self.program
         free, held = np.flatnonzero(~self.program.variables.active), np.flatnonzero(self.program.rows.active)
-        matrix = build_saddle_matrix(
-            point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free]
-        )
+        matrix = saddle_matrix(point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free])
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePoint(matrix, free.size, labels, self.program.problem.name)
 

@@ -20,8 +20,8 @@ from gnc_opt.planning.optimality.kkt import SaddlePoint
 from gnc_opt.planning.optimality.nlp_point import (
     ProgramLimits,
     ProgramPoint,
-    build_saddle_matrix,
     compute_quadrature_weights,
+    saddle_matrix,
 )
 from gnc_opt.planning.transcription.point_families import GAUSS
 from gnc_opt.tolerances import ACTIVE, SMALL
@@ -261,7 +261,7 @@ def test_a_step_of_newton_leads_back(point: ProgramPoint) -> None:
     free, held = ~point.variables.active, point.rows.active
     off = point.take_step(1e-5 * rng.standard_normal(point.kkt_residual.size))
     assert np.max(np.abs(off.kkt_residual)) > 1e-6
-    matrix = build_saddle_matrix(off.lagrangian_hessian[free][:, free], off.row_jacobian[held][:, free])
+    matrix = saddle_matrix(off.lagrangian_hessian[free][:, free], off.row_jacobian[held][:, free])
     assert abs(matrix - matrix.T).max() == 0
     back = off.take_step(-scipy.sparse.linalg.spsolve(matrix, off.kkt_residual))
     assert np.max(np.abs(back.kkt_residual)) < 1e-8

@@ -27,7 +27,7 @@ import numpy as np
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import stack_phase_expressions
+from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
@@ -59,7 +59,7 @@ class AlgebraicForm:
         return (
             bool(others)
             and bounded
-            and is_affine(stack_phase_expressions(leg), ca.vertcat(*(symbols[rows] for rows in others)))
+            and is_affine(stack_expressions(leg), ca.vertcat(*(symbols[rows] for rows in others)))
         )
 
     def is_regular(self, leg: Phase) -> bool:

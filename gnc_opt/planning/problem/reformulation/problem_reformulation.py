@@ -12,7 +12,7 @@ from gnc_opt.model.expressions import ROOTS, find_operations
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.expressions import build_phase_function, stack_phase_expressions
+from gnc_opt.planning.problem.expressions import build_phase_function, stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
@@ -72,7 +72,7 @@ def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> 
     if not np.any(bounded):
         return turns
     if not _TURNING & problem.cache(
-        ("operations", leg.name), lambda: find_operations(stack_phase_expressions(leg))
+        ("operations", leg.name), lambda: find_operations(stack_expressions(leg))
     ):
         return turns
     probe = build_angle_probe(problem, leg)
@@ -92,7 +92,7 @@ def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
     function = problem.cache(
-        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_phase_expressions(leg))
+        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_expressions(leg))
     )
     values = leg.model.parameter_values
     if of_states:
@@ -144,9 +144,7 @@ def _reformulate_boundary(problem: Statement, twin: Statement) -> tuple[Any, ...
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.cache(
-        ("operations", leg.name), lambda: find_operations(stack_phase_expressions(leg))
-    )
+    operations = problem.cache(("operations", leg.name), lambda: find_operations(stack_expressions(leg)))
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
@@ -196,5 +194,5 @@ def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> 
 
 def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
     return bool(
-        {*KINKED} & problem.cache(("operations", *key), lambda: find_operations(stack_phase_expressions(leg)))
+        {*KINKED} & problem.cache(("operations", *key), lambda: find_operations(stack_expressions(leg)))
     )

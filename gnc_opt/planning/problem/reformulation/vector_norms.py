@@ -20,7 +20,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import stack_phase_expressions
+from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
@@ -57,7 +57,7 @@ def index_control_symbols(leg: Phase) -> dict[int, int]:
 def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
     """Yield vectors (whole controls) whose norm is a square root, not differentiable at zero."""
     stated, controls = index_control_symbols(leg), leg.model.controls
-    for node in list_nodes(stack_phase_expressions(leg)):
+    for node in list_nodes(stack_expressions(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
             names = tuple(
@@ -186,7 +186,7 @@ class NormForm(PhaseForm):
         """Return the form of a phase in the norm of some controls."""
         old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
-        norms = NormNodes.from_expression(ca.vertcat(stack_phase_expressions(leg), *outputs), vector)
+        norms = NormNodes.from_expression(ca.vertcat(stack_expressions(leg), *outputs), vector)
         found = _NormLimits.from_constraints(leg, names, norms)
         name, magnitude, direction = _create_vector_symbols(old, names)
         if found.control is not None:

@@ -18,10 +18,7 @@ from gnc_opt.planning.refinement.arcs.arc_refinement import (
     compute_singular_gradients,
     refine_inaccurate_pieces,
 )
-from gnc_opt.planning.refinement.arcs.contacts import (
-    add_missing_contact,
-    replace_saturated_controls,
-)
+from gnc_opt.planning.refinement.arcs.contacts import add_missing_contact, replace_saturated_controls
 from gnc_opt.planning.refinement.arcs.control_curvature import (
     affine_controls,
     linear_path_limits,

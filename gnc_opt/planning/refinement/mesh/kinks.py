@@ -146,7 +146,7 @@ def _active_multipliers(
     return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], NEGLIGIBLE)), pull, 0.0)
 
 
-def mesh_boundaries_at_kinks(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
+def kink_boundaries(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
     """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends."""
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))

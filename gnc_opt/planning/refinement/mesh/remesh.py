@@ -17,12 +17,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.refinement.mesh.kinks import (
-    Kink,
-    active_limit_multipliers,
-    find_kinks,
-    mesh_boundaries_at_kinks,
-)
+from gnc_opt.planning.refinement.mesh.kinks import Kink, active_limit_multipliers, find_kinks, kink_boundaries
 from gnc_opt.planning.refinement.mesh.smoothness import error_density, error_quantiles, legendre_decay_rates
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -102,7 +97,7 @@ class Remesh:
             self._active = active_limit_multipliers(self.error)
         kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
         if kinks:
-            cuts = mesh_boundaries_at_kinks(self._leg, k, kinks)
+            cuts = kink_boundaries(self._leg, k, kinks)
             if len(cuts) > 2:
                 self.split += 1
                 return self._split_around_kinks(cuts, kinks, own.degree)
