@@ -258,15 +258,6 @@ class History(Printed):
         """Iteration whose solution was returned."""
         return self.passes[self.chosen]
 
-    def prepend_history(self, earlier: History) -> History:
-        """Return this history with the iterations of an earlier attempt prepended."""
-        return replace(
-            self,
-            passes=earlier.passes + self.passes,
-            chosen=len(earlier.passes) + self.chosen,
-            seconds=earlier.seconds + self.seconds,
-        )
-
     def __str__(self) -> str:
         head = f"{'iter':>4} {'segments':>8} {'points':>6} {'error':>8} {'objective':>18} {'NLP':>4} {'s':>6}"
         lines = [f"{head}  {'stage':<16} actions"]

@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_integer, read_numbers
 from gnc_opt.arrays import Array, Indices
@@ -119,13 +119,6 @@ class PiecewisePolynomial:
         parts = read_integer(per_segment, "per_segment", 1)
         times = np.linspace(self.breaks[:-1], self.breaks[1:], parts, endpoint=False, axis=1)
         return np.append(times.ravel(), self.breaks[-1])
-
-    def select_components(
-        self, index: int | slice | Sequence[int] | NDArray[np.integer]
-    ) -> "PiecewisePolynomial":
-        """Return selected components; an integer selects one, with shape (1,)."""
-        chosen = [index] if isinstance(index, (int, np.integer)) else index
-        return PiecewisePolynomial(self.breaks, self.nodes, tuple(v[chosen, :] for v in self.values))
 
     def _clamp_times(self, times: Array) -> Array:
         if times.ndim != 1:

@@ -160,16 +160,6 @@ def test_sample_times_cover_the_span_once() -> None:
         curve.sample_times(0)
 
 
-@pytest.mark.parametrize(
-    ("index", "kept"), [(1, [1]), (-1, [1]), (slice(0, 1), [0]), ([1, 0], [1, 0]), (np.array([0]), [0])]
-)
-def test_rows(index: Any, kept: list[int]) -> None:
-    t = np.linspace(1.0, 4.5, 9)
-    np.testing.assert_allclose(
-        two_segments().select_components(index)(t), two_segments()(t)[kept], rtol=1e-15
-    )
-
-
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60)
 def test_random_pieces_match_their_series(seed: int) -> None:

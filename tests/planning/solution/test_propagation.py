@@ -13,7 +13,6 @@ from testing.internals import (
     SCHEMES,
     Interval,
     PiecewisePolynomial,
-    RefinementIteration,
     Scheme,
     Statistics,
     collocation_rule,
@@ -23,7 +22,6 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.model import integration
-from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.solution.violation_diagnosis import _find_unbounded_variables
@@ -259,23 +257,6 @@ def test_costs_at_both_ends(scheme: Scheme) -> None:
     assert solution.phase().lam(0.0) == pytest.approx(
         [-6 / 7], rel=1e-5
     )  # dJ*/dx_0 of what follows: -2 (x_0 - 1)
-
-
-def test_a_record_after_an_earlier_one_has_the_passes_and_seconds_of_both() -> None:
-    def record(status: RefinementStatus, n: int, chosen: int, seconds: float) -> History:
-        passes = tuple(
-            RefinementIteration({}, {}, 0.5**i, status.value, 0.0, True, i, 0.0, "") for i in range(n)
-        )
-        return History(status, 1e-6, passes, chosen, status.value, seconds)
-
-    earlier, later = (
-        record(RefinementStatus.STALLED, 3, 2, 1.5),
-        record(RefinementStatus.CONVERGED, 2, 0, 4.0),
-    )
-    both = later.prepend_history(earlier)
-    assert both.passes == (*earlier.passes, *later.passes) and both.seconds == 5.5
-    assert both.final is later.passes[0] and both.chosen == 3
-    assert both.converged and both.message == "converged" and not earlier.converged
 
 
 def test_what_runs_off_is_named_once_where_it_is_largest_and_first() -> None:
