@@ -212,7 +212,6 @@ class _Pass:
         self.mean: list[Array] = []
 
     def propagate_covariance(self) -> LinearCovariance:
-        """Return the covariances."""
         X, g, h = self.linearization.linearize_initial_state()
         scatter = Scatter.first(self.sources, g, h)
         for k, step in enumerate(self.linearization.linearize_steps(X)):

@@ -159,7 +159,6 @@ class _Task:
     limits: SolveLimits
 
     def deduct_iterations(self, found: Solution) -> _Task:
-        """Return the task with the iterations remaining after a solution."""
         if self.limits.iterations is None:
             return self
         left = max(0, self.limits.iterations - found.statistics.iterations)
@@ -180,7 +179,6 @@ class _Task:
         return replace(found, problem=self.problem.frozen())
 
     def limit_iterations(self, iterations: int) -> _Task:
-        """Return the task with at most this number of iterations."""
         fewer = min(iterations, self.options.max_iterations)
         return replace(self, options=replace(self.options, max_iterations=fewer))
 

@@ -203,7 +203,6 @@ def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
 
 
 def _find_first_nonfinite(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
-    """Return the first number of a solution or phase that is not finite."""
     for field in fields(owner):
         value = getattr(owner, field.name)
         if field.name in _DUAL and not with_costates:

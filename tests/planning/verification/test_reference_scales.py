@@ -35,7 +35,7 @@ from gnc_opt.planning.verification.verify_trajectory import _build_solution
 
 
 Array = NDArray[np.float64]
-PHASES = (Phase.explicit, Phase.cached, Phase.generate)
+PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
 TIMES = np.linspace(0.0, 1.0, 41)
 
 

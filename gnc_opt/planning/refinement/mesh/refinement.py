@@ -207,7 +207,6 @@ class _Refinement:
         return max(mesh.size for mesh in meshes.values()) > self._limits.points
 
     def build_result(self, status: RefinementStatus) -> tuple[Solution, History]:
-        """Return the best solution and the history."""
         best = self._best.record
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
