@@ -23,8 +23,7 @@ have about this distance at any usual solver tolerance.
 """
 
 BRANCH_ENDED = 1e-6
-"""Magnitude below which a quantity is scaled by 1, so that violations are not relative to rounding errors.
-"""
+"""Magnitude below which a quantity is scaled by 1, so that violations are not relative to rounding."""
 
 EQUAL = 1e-9
 """Relative difference below which numbers are equal, for equivalent expressions."""
@@ -48,8 +47,7 @@ TINY = float(np.finfo(float).tiny)
 """Smallest normal number: avoids division by zero and log(0) without other effects."""
 
 CONSTANT = 1e-8
-"""Relative change of A and B along a reference below which they are constant; the accuracy of references from
-solutions."""
+"""Relative change of A and B along a reference below which they are constant; accuracy of references."""
 
 GONE = 1e-7
 """Share of its phase below which an arc or a segment counts as empty."""

@@ -189,8 +189,7 @@ def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
 
 
 def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
-    """Return the states (n_states, n + 1) of the recursion ``state = function(state, input)`` from ``start``
-    (n_states,)."""
+    """Return the states (n_states, n + 1) of the recursion ``state = function(state, input)``."""
     states, columns = np.empty((inputs.shape[1] + 1, start.size)), np.ascontiguousarray(inputs.T)
     state, following, given = np.array(start, dtype=float), np.empty(start.size), np.empty(inputs.shape[0])
     buffer, run = function.buffer()

@@ -44,8 +44,7 @@ class Pieces:
         return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))
 
     def localised(self, coefficients: Array) -> tuple[Pieces, Array]:
-        """Return the same polynomials with coefficients (n_coefficients,) of the powers of u, separate for each
-        interval."""
+        """Return the same polynomials with coefficients (n_coefficients,) of the powers of u per interval."""
         n, _, powers = self.matrices.shape
         own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.windows])
         return Pieces(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()

@@ -19,8 +19,7 @@ from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.tolerances import NOTABLE, nonzero_magnitude
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
-"""Share of a phase over which violations are averaged: the loss of cost is the size times the duration.
-"""
+"""Share of a phase over which violations are averaged: the loss of cost is size times duration."""
 
 SMEARED = 1e-4
 """Longest switch between bounds, relative to the phase; a control off its bounds for longer is on an arc."""

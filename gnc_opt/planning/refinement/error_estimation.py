@@ -79,7 +79,6 @@ class ErrorScales:
 
         Parameters
         ----------
-        samples : PhaseSamples
         adjoint : array (n_states, n_samples)
             Residual of the costate equation at the samples; see `costate_residual`.
         """
@@ -201,7 +200,6 @@ def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
 
     Parameters
     ----------
-    samples : PhaseSamples
     pure_paths : array (n_paths,)
         Magnitude of each path constraint that depends on the states only; 0 for the others.
     """

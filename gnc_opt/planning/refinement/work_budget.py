@@ -122,8 +122,7 @@ class WorkBudget:
         return seconds * WORK_PER_SECOND / count_variables_per_point(like.phases)
 
     def count_remaining_iterations(self, like: Solution, points: int) -> int | None:
-        """Return the remaining iterations, at least one, of a solve with ``points`` collocation points; None:
-        unlimited."""
+        """Return the remaining iterations, at least one, with ``points`` collocation points; None: unlimited."""
         left = self.allot_work(like)
         return None if math.isinf(left) else max(1, count_affordable_iterations(left, points))
 

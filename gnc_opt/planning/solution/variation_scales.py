@@ -24,8 +24,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, nonzero_magnitude
 
 CONTROL_STEP_SHARES = 0.37, -0.61
-"""Test steps of a control, as shares of its scale; a control is inactive if both have no effect. No angle has both as
-periods."""
+"""Test steps of a control, as shares of its scale; a control is inactive if both have no effect."""
 
 
 def find_inactive_controls(

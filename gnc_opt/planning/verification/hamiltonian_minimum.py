@@ -32,8 +32,7 @@ NEAREST = 1e-8
 """Smallest distance of trial controls from the applied control, as a share of the range."""
 
 RESOLVED_GAIN_SHARE = 3e-7
-"""Share of the mean cost scale below which decreases of H are multiplier errors, as for subsystems with slack time and
-zero costates."""
+"""Share of the mean cost scale below which decreases of H are errors of multipliers, as for zero costates."""
 
 _STARTS_REFINED = 8
 _HAMILTONIAN_NEWTON_STEPS = 12

@@ -36,8 +36,7 @@ DECADES_PER_POINT, ADDED_POINTS_MIN = 1.0, 3
 """Decades that the error falls per additional point in a smooth piece, and least number of points that are added."""
 
 DECADES_PER_HALVING = 3.0
-"""Decades that halving a segment with `ARC_MAX_DEGREE` points gains: the error falls with about the 12th power of the
-length if the trajectory is smooth."""
+"""Decades that halving a segment with `ARC_MAX_DEGREE` points gains: the error falls with about the 12th power."""
 
 MAX_DECADES_PER_ITERATION = 6.0
 """Largest number of decades that one pass aims at."""

@@ -49,7 +49,6 @@ def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: f
 
     Parameters
     ----------
-    r : Resolution
     errors : array (segments,)
         Errors of states and costates in every segment of the piece.
     gradient, tol : float

@@ -155,8 +155,6 @@ def replace_saturated_controls(
 
     Parameters
     ----------
-    samples : PhaseSamples
-    structure : PhaseStructure
     pieces : int array (n_samples,)
         Piece of every sample.
     """

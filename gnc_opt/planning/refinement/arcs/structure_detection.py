@@ -186,8 +186,7 @@ def _leaves_state_bound(samples: PhaseSamples, i: int, first: int, last: int) ->
 
 
 def _absorb_short_pieces(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
-    """Assign the adjacent arcs shorter than `SHORT_ARC_SEGMENTS` segments to arcs of a label, if all their samples are
-    candidates."""
+    """Assign the adjacent arcs shorter than `SHORT_ARC_SEGMENTS` segments to arcs of a label, if all are candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     grown = True
     while grown:

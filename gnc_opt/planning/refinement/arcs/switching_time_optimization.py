@@ -71,10 +71,8 @@ def optimise_switching_times(
         A converged collocation solution, with its problem.
     tol : float
         On the local errors; see `gnc_opt.planning.refinement.error_estimation`.
-    limits : IterationLimits, optional
     structures : mapping of PhaseStructure, optional
         Initial structures by phase; by default those detected in the solution.
-    options : SolverOptions, optional
     progress : bool
         Print one line per pass.
     segments : {"few", "kept"}

@@ -35,7 +35,6 @@ def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
 
     Parameters
     ----------
-    error : PhaseError
     k : int
     active : array (rows, N)
         Activity of the phase's constraints (`active_limit_multipliers`), the same for all segments.

@@ -48,8 +48,7 @@ NEAR_TOLERANCE_RATIO = 30.0
 """Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
 
 SOLVER_MAX_TOLERANCE, SOLVER_SHARE = 1e-9, 0.1
-"""Largest tolerance of the solver, and its ratio to the target error: more accuracy is useless on a mesh that is
-replaced."""
+"""Largest tolerance of the solver, and its ratio to the target error: meshes are replaced anyway."""
 
 NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 

@@ -37,8 +37,7 @@ MIN_DECADES_PER_POINT = 0.12
 """Least gain, decades per point, of a higher degree in a smooth segment."""
 
 SMOOTHNESS_MIN_DEGREE = 5
-"""Least number of coefficients for a test of smoothness; with fewer, the degree is increased first, unless the error is
-`NOTABLE`."""
+"""Least number of coefficients for a test of smoothness; with fewer, the degree is increased first."""
 
 Past = Mapping[tuple[float, float], tuple[int, float]]
 """Degree and error of the segments of previous meshes, by their ends as fractions of the phase."""

@@ -66,9 +66,6 @@ def newton_step(
 
     Parameters
     ----------
-    problem : Problem
-    s : PhaseSamples
-    switches : Switches
     steps : int
         Number of grid steps.
     """

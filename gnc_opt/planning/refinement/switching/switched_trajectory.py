@@ -42,8 +42,6 @@ class SwitchedFlow:
 
         Parameters
         ----------
-        problem : Problem
-        s : PhaseSamples
         switches : Switches
             Converged, or nearly so, on the coarser grid.
         known : SwitchStep
