@@ -152,3 +152,21 @@ def test_variations_with_other_bounds_have_their_own_form() -> None:
     twin = problem.with_bounds("leg", d=(0.1, 1.0))
     assert "unit" not in reformulate(problem).phases["leg"].paths
     assert "unit" in reformulate(twin).phases["leg"].paths
+
+
+def test_a_length_with_states_implies_bounds_of_its_control() -> None:
+    model = go.Model("circle")
+    x, z = model.state("x"), model.control("z")
+    model.ode({x: z})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0)
+    leg.bounds(z=(0.5, 1.0))
+    leg.path("unit", x**2 + z**2, equals=1.0)
+    leg.guess(z=1.0)
+    problem.minimize(-leg.final_state("x"))
+    solved = reformulate(problem).phases["leg"].numbers
+    upper = np.append(solved.states.upper, solved.controls.upper)
+    lower = np.append(solved.states.lower, solved.controls.lower)
+    assert not np.any(np.isfinite(upper)) and 0.5 in lower  # z <= 1 is implied, z >= 0.5 is not

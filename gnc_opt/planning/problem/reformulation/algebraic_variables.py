@@ -18,7 +18,7 @@ Ascher and L. R. Petzold, Computer Methods for Ordinary Differential Equations a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -32,6 +32,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, gues
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
+from gnc_opt.planning.problem.reformulation.unit_vectors import find_bounds_beyond_length
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 
@@ -83,6 +84,7 @@ class AlgebraicForm:
         """Make the variable a state of a phase."""
         t, x, _, _ = leg.model.arguments()
         constraint = leg.paths[self.constraint]
+        leg.numbers = replace(leg.numbers, controls=find_bounds_beyond_length(problem, leg))
         leg.add_states({self.symbol: self.rate}, ends=self.ends)
         leg.drop_path(self.constraint)
         name = f"{self.constraint} at the start of {leg.name}"

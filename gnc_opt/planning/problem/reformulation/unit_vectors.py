@@ -31,41 +31,45 @@ from gnc_opt.tolerances import EQUAL, ROUNDING
 
 
 def find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
-    """Return the bounds of controls without those implied by a given vector length.
+    """Return the bounds of controls without those that a vector of given length implies.
 
-    If a component equals the length, the gradients of both limits are equal, and their multipliers are not unique.
+    The other components may be states. If a component equals the length, both limits have the same gradient, and
+    the multipliers are not unique.
     """
     lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
     for name, constraint in leg.paths.items():
-        length = _read_length(constraint.interval)
-        if not length:
+        if not all(constraint.interval.fixed) or constraint.interval.upper.size > 1:
             continue
-        squared = partial(_find_squared_controls, leg, constraint.expression)
-        places = problem.cache(("vector of length", leg.name, name), squared)
+        squared = partial(_find_squared_terms, leg, constraint.expression)
+        key = ("vector of length", leg.name, name, *leg.model.controls.names)
+        found, constant = problem.cache(key, squared)
+        length, rows = _read_length(constraint.interval, constant), np.array(found, dtype=int)
+        places = rows[rows >= leg.model.states.size] - leg.model.states.size
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
     return Interval(lower, upper)
 
 
-def _find_squared_controls(leg: Phase, expression: Any) -> list[int]:
-    """Return the controls of an expression that is a sum of squares of controls; an empty list for others."""
+def _find_squared_terms(leg: Phase, expression: Any) -> tuple[list[int], float]:
+    """Return places among states and controls whose sum of squares and a constant an expression is; maybe none."""
     t, x, u, p = leg.model.arguments()
-    if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
-        return []
-    matrix, linear, constant = ca.quadratic_coeff(expression, u)
+    symbols = ca.vertcat(x, u)
+    if ca.depends_on(expression, ca.vertcat(t, p)) or not ca.is_quadratic(expression, symbols):
+        return [], 0.0
+    matrix, linear, constant = ca.quadratic_coeff(expression, symbols)
     if not all(part.is_constant() for part in (matrix, linear, constant)):
-        return []
-    weights, rest = np.asarray(ca.DM(matrix)), np.append(np.asarray(ca.DM(linear)), float(ca.DM(constant)))
+        return [], 0.0
+    weights = np.asarray(ca.DM(matrix))
     places = np.flatnonzero(np.diag(weights))
-    only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(rest)
-    return [int(i) for i in places] if only_squares else []
+    only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(
+        np.asarray(ca.DM(linear))
+    )
+    return [int(i) for i in places] if only_squares else [], float(ca.DM(constant))
 
 
-def _read_length(square: Interval) -> float:
-    """Return the length from an equality constraint on its square, reduced by rounding; zero without an equality."""
-    if square.upper.size > 1 or not 0.0 < square.upper[0] == square.lower[0]:
-        return 0.0
-    return float(np.sqrt(square.upper[0]) * (1.0 - ROUNDING))
+def _read_length(square: Interval, constant: float) -> float:
+    """Return the length of which an equality has the square and a constant, without its rounding."""
+    return float(np.sqrt(max(square.upper[0] - constant, 0.0)) * (1.0 - ROUNDING))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +143,13 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
     layout, box = leg.model.controls, leg.numbers.controls
     stated = set(index_control_symbols(leg).values())
     for label, constraint in leg.paths.items():
-        length = _read_length(constraint.interval)
-        places = _find_squared_controls(leg, constraint.expression) if length and length >= 1 - EQUAL else []
-        for v in layout.variables if len(places) > 1 and stated.issuperset(places) else ():
+        if constraint.interval.upper.size > 1 or not all(constraint.interval.fixed):
+            continue
+        rows, constant = _find_squared_terms(leg, constraint.expression)
+        length = _read_length(constraint.interval, constant)
+        places = [row - leg.model.states.size for row in rows]
+        unit = abs(length - 1.0) <= EQUAL and len(places) > 1 and stated.issuperset(places)
+        for v in layout.variables if unit else ():
             whole = places == [*range(*layout.slice(v.name).indices(layout.size))]
             if whole and np.all(np.stack([-box.lower[places], box.upper[places]]) >= length):
                 yield from ((v.name, magnitude, label) for magnitude in _find_magnitudes(leg, v.name, label))
