@@ -1,10 +1,8 @@
-r"""Vectors of constant length: bounds implied by the length, and thrust as the product of magnitude and unit vector.
+r"""Vectors of constant length: bounds that the length implies, and thrust as magnitude times unit vector.
 
-With :math:`d \ge 0` and :math:`|n| = 1`, the direction n of a thrust :math:`d n` has no effect on coast arcs, d = 0. If
-all functions of a phase are affine in n and d, and contain n only in the product, the solver varies n in the ball
-:math:`|n| \le 1`, like the direction of ``Model.vector_control``. If d > 0, the optimal n is on the sphere, since H is
-linear in n. The solution contains n with length 1; on coast arcs it is opposite to the primer vector, as the minimum
-principle requires.
+The direction n of a thrust :math:`d n` is free along coasts, d = 0. If all functions are affine in n and d, and n occurs
+only times d, n is solved for with :math:`|n| \le 1`, as in ``Model.vector_control``, and reported with length 1:
+along coasts against the primer, where it minimises H.
 """
 
 from __future__ import annotations
@@ -31,10 +29,9 @@ from gnc_opt.tolerances import EQUAL, ROUNDING
 
 
 def find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
-    """Return the bounds of controls without those that a vector of given length implies.
+    """Return the bounds of controls without those that a constant length, of states too, implies.
 
-    The other components may be states. If a component equals the length, both limits have the same gradient, and
-    the multipliers are not unique.
+    If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
     """
     lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
     for name, constraint in leg.paths.items():
