@@ -25,7 +25,6 @@ from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _remove_sliver_pieces
-from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.solution.remaining_trajectory import truncate_solution_before
 from gnc_opt.planning.solver import SolveMethod
 
@@ -320,7 +319,7 @@ def test_what_is_no_start_is_refused(fast: Resolver, limited: Resolver) -> None:
 def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
     """Samples show them a little off; on a mesh that has other ends they begin with few segments."""
     leg = limited.solution.phase()
-    (found,) = detect_structures(replace(limited.solution, structure=())).values()
+    (found,) = KnownArcs.from_solution(limited.solution).structures.values()
     first, *inner, last = found.times
     known = Plan.from_refined_mesh(
         found.with_times((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh
@@ -353,7 +352,7 @@ def test_ctrl_c_ends_a_solve_and_begins_no_other(
 def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -> None:
     """The control leaves its bound where the speed reaches its limit; samples may show the one before the other."""
     known = limited.solution
-    (found,) = detect_structures(replace(known, structure=())).values()
+    (found,) = KnownArcs.from_solution(known).structures.values()
     begin, reached, left, end = found.times
     between = (*found.kinds[1][: found.n_controls], *found.kinds[0][found.n_controls :])
     shown = replace(
