@@ -206,11 +206,7 @@ def _extract_phase(
 def _point_idle_directions(
     leg: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
-    """Return controls with directions that minimise H where the magnitude of a unit vector is zero.
-
-    The directions are proportional to the primer vector, so that they are smooth at its zeros. Their largest length is
-    0.5, so that they satisfy the limit between the nodes, too.
-    """
+    """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""
     layout, found = leg.model.controls, u.copy()
     stated = {c.parts for c in leg.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
     for vector in (v for v in leg.vector_controls if v.parts[1:] in stated):

@@ -1,8 +1,8 @@
 r"""Vectors of constant length: bounds that the length implies, and thrust as magnitude times unit vector.
 
-The direction n of a thrust :math:`d n` is free along coasts, d = 0. If all functions are affine in n and d, and n occurs
-only times d, n is solved for with :math:`|n| \le 1`, as in ``Model.vector_control``, and reported with length 1:
-along coasts against the primer, where it minimises H.
+The direction n of a thrust :math:`d n` is free along coasts, d = 0. If all functions are affine in n and d, and n
+occurs only times d, n is solved for with :math:`|n| \le 1`, as in ``Model.vector_control``, and reported with
+length 1: along coasts against the primer, where it minimises H.
 """
 
 from __future__ import annotations
