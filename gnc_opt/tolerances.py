@@ -9,18 +9,15 @@ from gnc_opt.arrays import Array
 
 ROUNDING = 1e-12
 """Rounding level relative to the operands (some 1000 machine epsilons): singular values relative to the largest, sums
-with cancellation, zero eigenvalues, asymmetries.
-"""
+with cancellation, zero eigenvalues, asymmetries."""
 
 NEGLIGIBLE, SMALL, NOTABLE = 1e-6, 1e-3, 1e-2
 """Levels of a dimensionless effect: negligible below the first; possibly a discretisation error below the second; a
-relevant change of the result above the third.
-"""
+relevant change of the result above the third."""
 
 AT_LIMIT = 1e-6
 """Distance to a limit, relative to its range or magnitude, below which the limit is active; interior-point iterates
-have about this distance at any usual solver tolerance.
-"""
+have about this distance at any usual solver tolerance."""
 
 BRANCH_ENDED = 1e-6
 """Magnitude below which a quantity is scaled by 1, so that violations are not relative to rounding."""

@@ -29,9 +29,6 @@ from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
 CONTROL_AT_BOUND_SHARE = 0.02
 """Largest distance of a control on a bound, relative to its range."""
 
-STATE_LEFT_BOUND_RATIO = 2.0
-"""Least distance of a state off its bound, in units of `CONTROL_AT_BOUND_SHARE`."""
-
 HELD_STATE_TOLERANCE = 1e-4
 """Largest distance of a state on its bound along a segment, relative to its magnitude."""
 
@@ -158,8 +155,7 @@ def _compute_hamiltonian_gain(samples: PhaseSamples, gradient: Array, i: int) ->
 def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
     """Assign short bangs next to a singular arc to the arc if they are noise or chatter.
 
-    During such bangs the switching function is small, or the control is far from the bound indicated by its sign. A
-    bang that leads a state to or from an arc on its bound is neither.
+    During such bangs the switching function is small, or the control is far from the bound indicated by its sign.
     """
     bounds = samples.leg.control_bounds
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
@@ -167,22 +163,9 @@ def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradie
     noise = np.empty(labels.size, dtype=bool)
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
     for first, last in itertools.pairwise(edges):
-        small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H and not _leaves_state_bound(
-            samples, i, first, last
-        )
+        small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
     _absorb_short_pieces(samples, labels, ArcKind.SINGULAR, noise)
-
-
-def _leaves_state_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
-    """Return whether a state with a rate that depends on the control leaves its bound at an end of a run of samples."""
-    bounds, ends = samples.leg.state_bounds, [first, last - 1]
-    off = np.minimum(samples.x - bounds.lower[:, None], bounds.upper[:, None] - samples.x)
-    share = off[:, first:last] / samples.state_scale[:, None]
-    left = (np.min(share[:, [0, -1]], axis=1) < CONTROL_AT_BOUND_SHARE) & (
-        np.max(share, axis=1) > STATE_LEFT_BOUND_RATIO * CONTROL_AT_BOUND_SHARE
-    )
-    return bool(np.any(left)) and bool(np.any(left & np.any(_driven_states(samples, i)[:, ends], axis=1)))
 
 
 def _absorb_short_pieces(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
