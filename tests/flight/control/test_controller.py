@@ -42,8 +42,8 @@ def test_explanations_are_read_by_name_and_printed():
     explanation = DesignReport("title", facts)
     assert [str(f) for f in explanation] == ["gain: [1. , 2.5] N (why)", "pole: -1.25", "law: LQR (best)"]
     assert (
-        str(ReportEntry("third", np.array([1 / 3]))) == "third: [0.333333]"
-        and str(ReportEntry("third", 1 / 3)) == "third: 0.333333"
+        str(ReportEntry("third", np.array([1 / 3]))) == "third: [0.333]"
+        and str(ReportEntry("third", 1 / 3)) == "third: 0.333"
     )
     assert (
         str(ReportEntry("two", 2.0)) == "two: 2" and str(ReportEntry("small", 1e-9, "s")) == "small: 1e-09 s"

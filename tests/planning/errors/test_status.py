@@ -226,7 +226,7 @@ def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Pr
 def test_the_guess_that_helps_is_named() -> None:
     """Which kind, and the states of which no number tells the size; not beside a trajectory, which is the user's."""
     with pytest.raises(
-        go.SolveError, match=r"go\.guess_from_simulation\(\) , waypoints .* polar .* Start with 'v', whose"
+        go.SolveError, match=r"go\.guess_from_simulation\(\), waypoints .* polar .* Start with 'v', whose"
     ):
         go.solve(circle(), mesh="4x3", tol=None)
     with pytest.raises(go.SolveError, match=r"guess_from_simulation") as told:

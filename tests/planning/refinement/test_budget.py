@@ -174,7 +174,7 @@ def test_an_answer_that_is_stopped_is_no_worse_than_one_before(
 
     def noted(self: StagedRefinement, candidate: Any) -> None:
         real(self, candidate)
-        found.append((self.budget.spent, candidate.cost if candidate.solved else math.inf))
+        found.append((self.budget.spent, candidate.minimised_cost if candidate.is_solved else math.inf))
 
     monkeypatch.setattr(StagedRefinement, "_add_candidate", noted)
     limit = share * OSCILLATOR_WORK

@@ -49,7 +49,7 @@ def least_time() -> float:
     return float(TOP + (1.0 - others) / TOP + COAST + slowed)
 
 
-@pytest.mark.parametrize("limit", ["path"])
+@pytest.mark.parametrize("limit", ["bounds"])
 def test_an_arc_may_end_with_its_phase(limit: str) -> None:
     solution = go.solve(push_coast_brake(limit))
     assert solution.converged and solution.objective == pytest.approx(least_time(), abs=1e-8)

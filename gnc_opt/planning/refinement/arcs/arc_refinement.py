@@ -47,11 +47,7 @@ def compute_dynamics_defects(samples: PhaseSamples) -> Array:
 def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
     """Return the resolution with more points or a higher control degree, whichever has the larger error.
 
-    Parameters
-    ----------
-    errors : array (segments,)
-        Errors of states and costates in every segment of the piece.
-    gradient, tol : float
+    ``errors`` (segments,) are those of states and costates in every segment of the piece.
     """
     smoother = r.raise_control_degree(gradient) if gradient > EQUAL else r
     if smoother != r and gradient > max(float(np.max(errors)), SINGULAR_GAIN_MAX):

@@ -129,18 +129,10 @@ class LinearLimits:
     def insert_arc(
         self, structure: PhaseStructure, row: int, sample: int, interval: tuple[float, float], kind: ArcKind
     ) -> PhaseStructure:
-        """Return the structure with another kind of a row over an interval, and of the associated one.
+        """Return the structure with another kind of a row over an interval (s), and of the associated one.
 
-        Parameters
-        ----------
-        row : int
-            Row of the structure: controls, then path constraints.
-        sample : int
-            Sample at which the new kind is required.
-        interval : tuple of float
-            s.
-        kind : ArcKind
-            INTERIOR for a constraint that becomes inactive: its control then goes to the opposite limit.
+        The new kind is required at a sample. It is INTERIOR for a constraint that becomes inactive: its control then
+        goes to the opposite limit.
         """
         first = len(structure.control_kinds)
         holder = next((i for i, rows in self.rows.items() if row - first in rows), None)

@@ -33,11 +33,7 @@ class Kink:
 def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return the kinks in segment k, ordered and disjoint; none if they cannot be distinguished from noise.
 
-    Parameters
-    ----------
-    k : int
-    active : array (rows, N)
-        Activity of the phase's constraints (`active_limit_multipliers`), the same for all segments.
+    ``active`` (rows, N) are the `active_limit_multipliers` of the phase.
     """
     found = _find_switches(error, k) or _find_junctions(error, k, active)
     found.sort(key=lambda kink: kink.start)
