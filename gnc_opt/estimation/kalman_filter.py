@@ -64,7 +64,7 @@ def sample_counter_variables(channels: Sequence[Channel]) -> list[Variable]:
     return [*entries, Variable(LOST)]
 
 
-class Tally:
+class SampleCount:
     """Samples of one control step: due, accepted, rejected; ``entries`` of the memory by name, SX."""
 
     def __init__(self, memory: Layout, z: Any) -> None:
@@ -185,7 +185,7 @@ class KalmanFilter:
         sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
         t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
         x, P = self._unpack_memory(z)
-        views, tally = self._linearize_measurements(t, x, P), Tally(self.memory, z)
+        views, tally = self._linearize_measurements(t, x, P), SampleCount(self.memory, z)
         error = ca.SX.zeros(augmented.errors.size)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
             good = tally.is_sample_valid(channel, sample)

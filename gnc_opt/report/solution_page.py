@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
+from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import exited_tables, mesh_text, objective_text, time_unit
@@ -24,7 +25,7 @@ CAPTIONS = {
     "trajectory": "Trajectory: circle at the start, square at the end; vehicle at equal intervals of time.",
     "states": "States over time; dashed: limits.",
     "controls": (
-        "Controls, each with its switching function ∂H/∂u on its right. A control is at its lower limit where its "
+        "Controls, each with ∂H/∂u on its right. A control that enters H linearly is at its lower limit where this "
         "switching function is positive, at its upper limit where it is negative; dotted: changes of sign."
     ),
     "costates": "Costates over time: derivatives of the optimal cost with respect to the states.",
@@ -154,14 +155,17 @@ def _conditions_table(verdict: Verdict | None) -> str:
     )
 
 
+def _arc_text(arc: Arc) -> str:
+    touched = arc.start == arc.end
+    return f"{arc.kind.value} {'at' if touched else f'{arc.start:.8g} to'} {arc.end:.8g}"
+
+
 def _arcs_table(solution: Solution) -> str:
     channels: dict[tuple[str, str], list[str]] = {}
     for arc in solution.structure:
-        channels.setdefault((arc.phase, arc.channel), []).append(f"{arc.kind.value} to {arc.end:.8g}")
+        channels.setdefault((arc.phase, arc.channel), []).append(_arc_text(arc))
     rows = [(phase, channel, ", ".join(arcs)) for (phase, channel), arcs in channels.items()]
-    return html_table(
-        ("phase", "control or constraint", f"arcs, each to its end ({time_unit(solution)})"), rows
-    )
+    return html_table(("phase", "control or constraint", f"arcs ({time_unit(solution)})"), rows)
 
 
 def _refinement_table(history: History | None) -> str:

@@ -360,7 +360,7 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     assert "refinement.svg" in {file.name for file in files}
     words = Parsed(page.read_text(encoding="utf-8")).words
     assert f"{solution.history.passes[-1].objective:.12g}" in words
-    assert "lower to 1, upper to 2" in words
+    assert "lower 0 to 1, upper 1 to 2" in words
     costate = words.index("costate of q")
     assert float(words[costate + 1]) == pytest.approx(1.0, abs=1e-7)
     assert words[costate + 3] == "s"  # s per unit of q, which has none

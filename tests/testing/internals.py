@@ -74,7 +74,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_SEGMENTS,
     COARSE_POINTS,
     FIRST_DEGREE,
-    Plan,
+    ArcMesh,
     Resolution,
     count_uniform_points,
 )

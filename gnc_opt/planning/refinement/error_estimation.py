@@ -75,13 +75,7 @@ class ErrorScales:
         return np.where(self.path_has_control, 0.0, self.path)
 
     def evaluate_errors(self, samples: PhaseSamples, adjoint: Array) -> SegmentErrors:
-        """Return the errors of each segment.
-
-        Parameters
-        ----------
-        adjoint : array (n_states, n_samples)
-            Residual of the costate equation at the samples; see `costate_residual`.
-        """
+        """Return the errors of each segment; ``adjoint`` is the `costate_residual` (n_states, n_samples)."""
         f, leg, s = self.functions, self.leg, samples
         at = s.times, s.x, s.u_polynomial
         rates = evaluate_within_bounds(f.rates, *at, leg.control_bounds)

@@ -91,14 +91,9 @@ def show_progress(
 
 
 def is_stagnating(errors: Sequence[float], tol: float) -> bool:
-    """Return whether the error decreases too slowly in the last passes to reach the tolerance.
+    """Return whether the errors of all passes decrease too slowly to reach the tolerance.
 
-    Parameters
-    ----------
-    errors : sequence of float
-        Errors of all passes. With fewer than `CONVERGENCE_WINDOW` after the first, the result is False.
-    tol : float
-        Target error.
+    With fewer than `CONVERGENCE_WINDOW` passes after the first, the result is False.
     """
     if len(errors) <= CONVERGENCE_WINDOW:
         return False

@@ -137,9 +137,9 @@ class PiecewisePolynomial:
         return _time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
-    def _segments_by_grid(self) -> tuple["_Alike", ...]:
+    def _segments_by_grid(self) -> tuple["_EqualNodeSegments", ...]:
         """Groups of segments with equal nodes, which share one interpolation matrix."""
-        return tuple(_Alike.from_segments(self, places) for places in self._cached_grid.places)
+        return tuple(_EqualNodeSegments.from_segments(self, places) for places in self._cached_grid.places)
 
     def _shared_values(self) -> tuple[Array, ...]:
         """Return the values as views of what `_segments_by_grid` keeps, so that changes in place are seen."""
@@ -152,7 +152,7 @@ class PiecewisePolynomial:
 
 
 @dataclass(frozen=True, eq=False)
-class _Alike:
+class _EqualNodeSegments:
     """Group of segments with equal nodes.
 
     Attributes
@@ -170,7 +170,7 @@ class _Alike:
     places: Indices
 
     @classmethod
-    def from_segments(cls, signal: PiecewisePolynomial, places: Indices) -> "_Alike":
+    def from_segments(cls, signal: PiecewisePolynomial, places: Indices) -> "_EqualNodeSegments":
         segments = np.flatnonzero(places >= 0)
         values = np.stack([signal.values[k].T for k in segments], axis=2)
         nodes = signal.nodes[segments[0]]

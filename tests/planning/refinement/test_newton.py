@@ -13,10 +13,10 @@ from scipy.optimize import brentq
 from testing.constructed_solutions import cart as constructed_cart
 from testing.constructed_solutions import costates, interval, phase, solution
 from testing.internals import (
+    ArcMesh,
     Interval,
     PhaseStructure,
     PiecewisePolynomial,
-    Plan,
     Scheme,
     Switches,
     detect_phase_structure,
@@ -204,7 +204,7 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
     nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
     guess = replace(cart, statistics=cart.statistics)
     monkeypatch.setattr(
-        switching, "_start_from_newton", lambda *_: (guess, {"leg": Plan.from_structure(nowhere)}, None)
+        switching, "_start_from_newton", lambda *_: (guess, {"leg": ArcMesh.from_structure(nowhere)}, None)
     )
     found, history = switching.optimise_switching_times(cart)
     assert history.converged and not history.passes[0].solved
@@ -600,7 +600,9 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution(slowest: float, kept
     assert least == pytest.approx(-4.04, abs=1e-3)
     box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
     limited = replace(flight, s=replace(s, leg=replace(s.leg, state_bounds=box)))
-    assert (collocate_trajectory(solution, limited, Plan.from_structure(structure, 60.0)) is not None) is kept
+    assert (
+        collocate_trajectory(solution, limited, ArcMesh.from_structure(structure, 60.0)) is not None
+    ) is kept
 
 
 # Variations of a known flight, part by part: where they begin, what limits they keep, what they are told

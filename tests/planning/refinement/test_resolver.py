@@ -12,8 +12,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from testing.internals import (
+    ArcMesh,
     IterationLimits,
-    Plan,
     count_uniform_points,
     optimise_switching_times,
     solve_mesh,
@@ -321,13 +321,15 @@ def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
     leg = limited.solution.phase()
     (found,) = KnownArcs.from_solution(limited.solution).structures.values()
     first, *inner, last = found.times
-    known = Plan.from_refined_mesh(
+    known = ArcMesh.from_refined_mesh(
         found.with_times((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh
     )
     assert known.structure.times == pytest.approx(tuple(leg.breaks), rel=1e-14)
     assert known.mesh().degrees == leg.mesh.degrees
     far = found.with_times((first, *(t + 0.05 * leg.duration for t in inner), last))
-    assert Plan.from_refined_mesh(far, leg.mesh) == Plan.from_structure(far, count_uniform_points(leg.mesh))
+    assert ArcMesh.from_refined_mesh(far, leg.mesh) == ArcMesh.from_structure(
+        far, count_uniform_points(leg.mesh)
+    )
 
 
 @pytest.mark.parametrize("cost", ["time", "effort"])

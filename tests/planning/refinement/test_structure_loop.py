@@ -17,10 +17,10 @@ from testing.internals import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,
     FIRST_DEGREE,
+    ArcMesh,
     IterationLimits,
     PhaseSamples,
     PhaseStructure,
-    Plan,
     Resolution,
     Smooth,
     detect_phase_structure,
@@ -343,7 +343,7 @@ def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() ->
 THREE = PhaseStructure((1.0, 2.0, 4.0, 5.0), ((LOW,), (SING,), (UP,)))
 
 
-def held_by(plan: Plan) -> Any:
+def held_by(plan: ArcMesh) -> Any:
     asked: dict[str, Any] = {}
     leg = SimpleNamespace(numbers=SimpleNamespace(initial=SimpleNamespace(fixed=np.ones(1, dtype=bool))))
     problem = SimpleNamespace(
@@ -359,14 +359,14 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
         ((LOW, FREE, FREE, FREE), (FREE, SING, UP, FREE), (FREE, UP, FREE, LOW)),
         regular=(True, False, True, False), n_controls=2, n_paths=1,
     )  # fmt: skip
-    asked = held_by(Plan(structure, (Resolution(1), Resolution(2, 6, 4), Resolution(1))))
+    asked = held_by(ArcMesh(structure, (Resolution(1), Resolution(2, 6, 4), Resolution(1))))
     assert asked["name"] == "leg"
     assert asked["arcs"].tolist() == [[LOW, RELEASED, RELEASED, RELEASED], [FREE, FREE, FREE, UP]]
     assert asked["paths"].tolist() == [[RELEASED, UP, UP, RELEASED]]
     assert asked["states"].tolist() == [[FREE, FREE, FREE, LOW]]
     assert asked["smooth"] == (Smooth(1, 1, 3, 4),)
     bang = held_by(
-        Plan.from_structure(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), n_controls=1))
+        ArcMesh.from_structure(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), n_controls=1))
     )
     assert bang["paths"] is None and bang["states"] is None and bang["smooth"] == ()
     assert bang["arcs"].tolist() == [[LOW, UP]]
@@ -401,12 +401,12 @@ def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
 # --- resolution -------------------------------------------------------------------------------------------
 
 
-def plan_of(*resolutions: Resolution, kinds: Any = None) -> Plan:
+def plan_of(*resolutions: Resolution, kinds: Any = None) -> ArcMesh:
     n = len(resolutions)
     structure = PhaseStructure(
         tuple(np.linspace(0, 1, n + 1)), kinds or ((LOW, FREE, FREE, FREE, FREE),) * n, (), 1, 2
     )
-    return Plan(structure, resolutions)
+    return ArcMesh(structure, resolutions)
 
 
 def test_costates_count_in_shares_of_the_cost() -> None:
@@ -484,7 +484,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
 ) -> None:
     problem = cart()
     base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
-    told, calls = {"leg": Plan.from_structure(TWO_ROWS)}, []
+    told, calls = {"leg": ArcMesh.from_structure(TWO_ROWS)}, []
 
     def run(loop: Any, guess: Any, plans: Any, flown: Any = None) -> Any:
         calls.append((guess, plans, loop.target_error, loop.limits.passes, loop.options.tolerance))
@@ -507,7 +507,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
 
 
 def test_plans_follow_the_switch_times_of_their_solution() -> None:
-    plan = Plan(THREE, (Resolution(1), Resolution(2), Resolution(1)))
+    plan = ArcMesh(THREE, (Resolution(1), Resolution(2), Resolution(1)))
     leg = SimpleNamespace(breaks=np.array([1.0, 1.5, 2.0, 4.5, 5.0]))
     there: Any = SimpleNamespace(phases={"leg": leg})
     assert s._update_plan_times(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)
@@ -516,5 +516,5 @@ def test_plans_follow_the_switch_times_of_their_solution() -> None:
 def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     problem = cart()
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
-    found = s._list_arcs(solution(problem, phase(problem)), {"leg": Plan.from_structure(structure)})
+    found = s._list_arcs(solution(problem, phase(problem)), {"leg": ArcMesh.from_structure(structure)})
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))

@@ -190,7 +190,7 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
     )
     (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     expected = sign * 2.0 * 4.0 * 1.5**2 / s.hamiltonian_scale
-    assert arc == SingularArc("phase leg, u from 0.5 s to 2 s", 1, pytest.approx(expected), why)
+    assert arc == SingularArc("phase leg, u from 0.5 to 2 s", 1, pytest.approx(expected), why)
 
 
 def test_controls_that_curve_h_together_are_not_affine() -> None:
@@ -208,7 +208,7 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
         control_bounds=BOX,
     )
     (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
-    assert arc == SingularArc("phase leg, u, w from 0 s to 2 s", 0, 0.0, singular.NOT_AFFINE)
+    assert arc == SingularArc("phase leg, u, w from 0 to 2 s", 0, 0.0, singular.NOT_AFFINE)
 
 
 # --- what active constraints take -------------------------------------------------------------------------

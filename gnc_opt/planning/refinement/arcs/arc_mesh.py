@@ -143,7 +143,7 @@ class Resolution:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ArcMesh:
     """Structure and resolution of one phase.
 
     Attributes
@@ -169,13 +169,13 @@ class Plan:
     firm: bool = False
 
     @classmethod
-    def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
+    def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> ArcMesh:
         """Return a plan with the coarsest resolution that suits a mesh of ``points`` collocation points."""
         first = tuple(_choose_initial_resolution(structure, k, points) for k in range(structure.n_pieces))
         return cls(structure, first, points)
 
     @classmethod
-    def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
+    def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> ArcMesh:
         """Return a plan with the segments of a refined mesh, or with few segments if the mesh does not match."""
         found, times = cls.from_structure(structure, count_uniform_points(mesh)), np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
@@ -192,17 +192,19 @@ class Plan:
             resolutions=tuple(_read_resolution(mesh, *piece, first) for piece, first in pieces),
         )
 
-    def replace_structure(self, structure: PhaseStructure) -> Plan:
+    def replace_structure(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of another structure with initial resolutions; `loose` is kept if the touches are the same.
 
         Pieces with the same singular controls keep their degree, since the optimum depends on it.
         """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
-        plan = replace(Plan.from_structure(structure, self.points), loose=self.loose and same, firm=self.firm)
+        plan = replace(
+            ArcMesh.from_structure(structure, self.points), loose=self.loose and same, firm=self.firm
+        )
         kept = tuple(self._inherit_smooth_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
         return replace(plan, resolutions=kept)
 
-    def extend_structure(self, structure: PhaseStructure) -> Plan:
+    def extend_structure(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of the structure with one more arc: unchanged pieces keep their segments.
 
         The new arc hardly changes the trajectory in those pieces.

@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, TINY
 
@@ -16,7 +16,7 @@ SINGULAR_GAIN_MAX = 1e-4
 """Largest gain in H with which the polynomial of a singular control approximates the control."""
 
 
-def refine_inaccurate_pieces(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
+def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
     """Return the plan with finer pieces where dynamics or adjoint equations are violated, or None."""
     errors = compute_dynamics_defects(samples)
     gradient = samples.functions.state_gradient(
@@ -57,7 +57,7 @@ def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: f
     return r.refine_by_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
-def compute_singular_gradients(samples: PhaseSamples, plan: Plan) -> Array:
+def compute_singular_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
     """Return the largest |dH/du| of singular controls in every piece (A,), relative to H."""
     kinds = plan.structure.control_kinds[:, plan.segment_pieces[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale

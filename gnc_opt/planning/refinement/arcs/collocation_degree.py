@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, Plan, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, ArcMesh, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import gauss_rule
@@ -27,12 +27,12 @@ RESOLUTION_TOLERANCE_SHARE = 0.1
 """Largest sum of the omitted terms, relative to the tolerance."""
 
 
-def choose_resolutions(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
+def choose_resolutions(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol: float) -> ArcMesh:
     """Return the plan with the numbers of collocation points that an integrated trajectory requires.
 
     Parameters
     ----------
-    plan : Plan
+    plan : ArcMesh
         Plan in which every control is on a bound at all times.
     s : PhaseSamples
         Samples of a nearby solution, whose magnitudes of states and costates are the references.

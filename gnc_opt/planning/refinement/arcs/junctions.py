@@ -20,7 +20,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.polynomial import Side
@@ -38,7 +38,7 @@ CONTACT_MOVE_TOLERANCE = 1e-10
 """Smallest move of the ends of arcs on state constraints, whose multipliers contain derivatives of the errors."""
 
 
-def move_control_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | None:
+def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStructure | None:
     """Return the structure with kinks moved to the times that the solution indicates, or None if they are converged.
 
     Lengths of pieces may become zero or negative.
@@ -93,7 +93,7 @@ def find_junction_time(
     return time + float(np.clip(move, -most, most))
 
 
-def _find_kink_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
+def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: int) -> float:
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign

@@ -15,7 +15,7 @@ from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import ArcKind, Kinds
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.costates import Iterate
 from gnc_opt.planning.solution.solution import Solution
@@ -51,7 +51,7 @@ def simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
 
 
 def solve_with_split_switches(
-    solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
+    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, deadline: float
 ) -> Solution | None:
     """Return a solution with the multipliers of the program with split switches; None if that has no solution."""
     freed = solution.need_problem("refine")
@@ -63,7 +63,7 @@ def solve_with_split_switches(
     return _copy_multipliers(solution, found, plans) if found.status.solved else None
 
 
-def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Solution:
+def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
     held = solution.need_problem("refine")
     for name, plan in plans.items():
         held = plan.hold_arcs(held, name)
@@ -80,7 +80,7 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, P
     )
 
 
-def _release_split_intervals(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
+def _release_split_intervals(plan: ArcMesh, problem: Problem, name: str) -> tuple[Problem, Mesh]:
     """Return the problem with the arcs of a plan, free in the intervals at shared boundaries, and its mesh."""
     problem = plan.hold_arcs(problem, name)
     cuts, mesh, held = _SplitMesh.from_plan(plan), plan.mesh(), problem.phases[name].numbers.arcs
@@ -106,7 +106,7 @@ class _SplitMesh:
     boundaries: tuple[int, ...]
 
     @classmethod
-    def from_plan(cls, plan: Plan) -> _SplitMesh:
+    def from_plan(cls, plan: ArcMesh) -> _SplitMesh:
         ends = plan.piece_breaks
         return cls(ends[-1], tuple(ends[k] for k in simultaneous_switches(plan.structure)))
 

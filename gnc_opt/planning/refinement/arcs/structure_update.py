@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
     SINGULAR_GAIN_MAX,
     compute_dynamics_defects,
@@ -36,8 +36,8 @@ SMOOTHED = "singular controls of higher degree"
 
 
 def correct_plans(
-    solution: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]], tol: float
-) -> tuple[dict[str, Plan], str]:
+    solution: Solution, plans: dict[str, ArcMesh], left: set[tuple[str, PhaseStructure]], tol: float
+) -> tuple[dict[str, ArcMesh], str]:
     """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
@@ -67,7 +67,7 @@ def correct_plans(
     return plans, ""
 
 
-def _move_kinks_and_refine(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
+def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: float) -> tuple[ArcMesh, str]:
     """Move kinks to where the solution has them and refine pieces with large errors."""
     moved, raised = (
         move_control_kinks(constraints, plan),
@@ -92,7 +92,7 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: Plan, tol: float
 
 
 def remove_vanished_piece(
-    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
+    samples: PhaseSamples, plan: ArcMesh, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure without a piece of zero length and the action, or None if there is no such piece."""
     structure, lengths = plan.structure, plan.structure.piece_lengths
@@ -121,7 +121,7 @@ def _lengthen_piece(structure: PhaseStructure, piece: int) -> PhaseStructure:
 
 
 def _add_missing_arc(
-    samples: PhaseSamples, plan: Plan, problem: Problem
+    samples: PhaseSamples, plan: ArcMesh, problem: Problem
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
     pieces = plan.segment_pieces[samples.segments]
@@ -181,7 +181,7 @@ def _compute_structure_violations(
 
 
 def _add_saturated_arc(
-    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
+    samples: PhaseSamples, plan: ArcMesh, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
@@ -210,7 +210,7 @@ def _add_saturated_arc(
     return structure, action
 
 
-def _replace_saturated_controls(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     if np.max(compute_dynamics_defects(samples)) > SINGULAR_GAIN_MAX:
         return None, ""
     return replace_saturated_controls(samples, plan.structure, plan.segment_pieces[samples.segments])

@@ -18,7 +18,7 @@ from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, count_uniform_points
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
 from gnc_opt.planning.refinement.arcs.collocation_degree import choose_resolutions
 from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -115,14 +115,14 @@ def optimise_switching_times(
     return replace(solution, structure=_list_arcs(solution, plans)), history
 
 
-def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Plan:
+def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> ArcMesh:
     if segments == "few":
-        return Plan.from_structure(structure, count_uniform_points(mesh))
-    return Plan.from_refined_mesh(structure, mesh)
+        return ArcMesh.from_structure(structure, count_uniform_points(mesh))
+    return ArcMesh.from_refined_mesh(structure, mesh)
 
 
 def _determine_unique_costates(
-    solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
+    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, deadline: float
 ) -> Solution:
     """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
     if not any(simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
@@ -142,7 +142,7 @@ class _Iterate:
     """One pass: the solution of a structure."""
 
     solution: Solution
-    plans: dict[str, Plan]
+    plans: dict[str, ArcMesh]
     record: RefinementIteration
 
 
@@ -160,8 +160,8 @@ def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol
 
 
 def _start_from_newton(
-    solution: Solution, plans: dict[str, Plan], mesh_tolerance: float
-) -> tuple[Solution, dict[str, Plan], Solution | None]:
+    solution: Solution, plans: dict[str, ArcMesh], mesh_tolerance: float
+) -> tuple[Solution, dict[str, ArcMesh], Solution | None]:
     """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
 
     Returns a guess, the plans and, unless a limit is violated, the trajectory as the solution on their mesh. If
@@ -176,7 +176,7 @@ def _start_from_newton(
     structure, flight = found
     guess = flight.build_solution(solution)
     plan = choose_resolutions(
-        Plan.from_structure(structure, plan.points), solution.samples()[name], guess, mesh_tolerance
+        ArcMesh.from_structure(structure, plan.points), solution.samples()[name], guess, mesh_tolerance
     )
     return guess, {name: plan}, collocate_trajectory(solution, flight, plan)
 
@@ -193,7 +193,7 @@ class _StructureLoop:
     iterates: list[_Iterate]
 
     def iterate_structures(
-        self, solution: Solution, plans: dict[str, Plan], integrated: Solution | None = None
+        self, solution: Solution, plans: dict[str, ArcMesh], integrated: Solution | None = None
     ) -> RefinementStatus:
         """Solve, except in the first pass if its solution is integrated, and update until nothing changes.
 
@@ -258,8 +258,8 @@ class _StructureLoop:
 
 
 def _propose_alternative_plans(
-    failed: Solution, plans: dict[str, Plan], rejected: set[tuple[str, PhaseStructure]]
-) -> dict[str, Plan] | None:
+    failed: Solution, plans: dict[str, ArcMesh], rejected: set[tuple[str, PhaseStructure]]
+) -> dict[str, ArcMesh] | None:
     """Return the plans to try after a structure without a solution, or None.
 
     Released state constraints next to movable arcs are imposed; if there are none, a piece of zero length is removed.
@@ -286,7 +286,7 @@ def _is_stalled(records: list[RefinementIteration]) -> bool:
     )
 
 
-def _list_arc_orders(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
+def _list_arc_orders(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
     return {
         (name, plan.structure.with_times(()), after[name].structure.with_times(()))
         for name, plan in before.items()
@@ -300,7 +300,11 @@ def _keeps_arc_order(record: RefinementIteration) -> bool:
 
 
 def _solve_program(
-    problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions, limits: SolveLimits
+    problem: Problem,
+    plans: Mapping[str, ArcMesh],
+    guess: Solution,
+    options: SolverOptions,
+    limits: SolveLimits,
 ) -> Solution:
     fixed = problem
     for name, plan in plans.items():
@@ -310,7 +314,7 @@ def _solve_program(
     return replace(found, problem=problem)
 
 
-def _update_plan_times(plan: Plan, solution: Solution, name: str) -> Plan:
+def _update_plan_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_breaks)])
     return replace(plan, structure=plan.structure.with_times(times))
@@ -320,7 +324,7 @@ def _record_iterate(solution: Solution, begin: float, action: str) -> Refinement
     return record_iteration(solution, estimate_errors(solution), begin, action)
 
 
-def _list_arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
+def _list_arcs(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in solution.samples().items():
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)

@@ -14,7 +14,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.switching.newton_step import final_cost_gradient
 from gnc_opt.planning.refinement.switching.switched_trajectory import SwitchedFlow
 from gnc_opt.planning.solution.history import Statistics
@@ -27,7 +27,7 @@ from gnc_opt.planning.verification.recomputed_solution import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT
 
 
-def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> Solution | None:
+def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -> Solution | None:
     """Return the trajectory after its last Newton step at the collocation points of a plan.
 
     None if a limit is violated, or if the known solution has only acceptable accuracy: its optimum may be degenerate.
@@ -38,7 +38,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: Plan) -> S
         One-phase solution whose switching times were optimised.
     flight : SwitchedFlow
         Converged trajectory.
-    plan : Plan
+    plan : ArcMesh
         Plan of the structure after the last Newton step.
     """
     if known.status is not Status.OPTIMAL:
