@@ -192,10 +192,7 @@ def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
 def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
     """Return the costate residual (n_states, n_samples), relative to the cost per second; zero where excluded.
 
-    Parameters
-    ----------
-    pure_paths : array (n_paths,)
-        Magnitude of each path constraint that depends on the states only; 0 for the others.
+    ``pure_paths`` (n_paths,) are the magnitudes of path constraints that depend on the states only; 0 for the others.
     """
     s, leg, times = samples, samples.leg, samples.times
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))

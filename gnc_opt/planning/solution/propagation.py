@@ -79,13 +79,14 @@ def integrate_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Arr
 def compute_segment_errors(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
     """Return the propagation errors of segments, integrated with the applied control (n_states, n).
 
-    Infinite if the integration fails.
+    Infinite where the integration fails, and after `integration.MOST_RATES` evaluations for all segments together.
     """
     misses, jumps = np.empty((leg.states.size, segments.size)), leg.applied.jump_times
+    budget = Budget(leg.states.labels)
     for column, k in enumerate(segments):
         left, right = leg.breaks[k : k + 2]
         edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
-        states, _ = _integrate_pieces(leg, functions, edges, leg.applied)
+        states, _ = _integrate_pieces(leg, functions, edges, leg.applied, budget=budget)
         misses[:, column] = leg.x(right, "left") - states[:, -1]
     return np.where(np.isfinite(misses), misses, np.inf)
 
@@ -96,13 +97,14 @@ def _integrate_pieces(
     edges: Array,
     signal: Callable[..., Array],
     rtol: float = RELATIVE_TOLERANCE,
+    budget: Budget | None = None,
 ) -> tuple[Array, str]:
     """Return the states at the edges of pieces with smooth control, and the cause of an early end.
 
     The integration starts at the trajectory's state at the first edge; states (n_states, n_edges) are NaN after an
     early end.
     """
-    tolerance, budget = Tolerance(rtol, compute_state_magnitudes(leg)), Budget(leg.states.labels)
+    tolerance, budget = Tolerance(rtol, compute_state_magnitudes(leg)), budget or Budget(leg.states.labels)
     states = np.full((leg.states.size, edges.size), np.nan)
     states[:, 0] = leg.x(edges[0])
     for k, (left, right) in enumerate(itertools.pairwise(edges)):

@@ -76,6 +76,8 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     # Residuals contain the error of the states inside a segment, which an integration does not.
     integrated = held | ((missed > tolerance) & (np.max(missed, initial=0.0) <= SMALL))
     errors = compute_segment_errors(leg, s.functions, np.flatnonzero(integrated))
+    known = held[integrated] | np.all(np.isfinite(errors), axis=0)
+    integrated[integrated], errors = known, errors[:, known]
     narrow[:, integrated] += errors - total[:, integrated]
     total[:, integrated] = errors
     narrow[:, held] = 0.0

@@ -22,7 +22,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.model import integration
-from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
+from gnc_opt.planning.solution.propagation import Propagation, compute_segment_errors, integrate_dynamics
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.solution.violation_diagnosis import _find_unbounded_variables
 
@@ -268,3 +268,14 @@ def test_what_runs_off_is_named_once_where_it_is_largest_and_first() -> None:
         ("y, t = 7 diverges", 3e6),
         ("x, t = 0 diverges", 2e6),
     ]
+
+
+def test_segments_share_a_limit_of_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stiff dynamics must not cost the limit once per segment."""
+    solution = go.solve(fall(), mesh="10x3", tol=None)
+    (samples,) = solution.samples().values()
+    leg, segments = samples.leg, np.arange(10)
+    assert np.max(np.abs(compute_segment_errors(leg, samples.functions, segments))) < 1e-8
+    monkeypatch.setattr(integration, "MOST_RATES", 200)
+    errors = compute_segment_errors(leg, samples.functions, segments)
+    assert np.all(np.isfinite(errors[:, 0])) and np.all(np.isinf(errors[:, -1]))

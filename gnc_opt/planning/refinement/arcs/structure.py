@@ -389,10 +389,7 @@ class PhaseStructure:
     def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
         """Return the arcs of all controls, active path constraints and active state bounds; touches have zero length.
 
-        Parameters
-        ----------
-        labels : tuple of str
-            Labels of all rows.
+        ``labels`` are those of all rows.
         """
         found = []
         determined = [self.find_determined_controls(k) for k in range(self.n_pieces)]
