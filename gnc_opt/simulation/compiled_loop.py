@@ -168,9 +168,9 @@ class CompiledLoop:
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
         again = False
         for i, seed in enumerate(seeds):
-            culprit = self.invalid_parameter_message(P[:, i])
-            if culprit:
-                refused[i] = culprit
+            invalid = self.invalid_parameter_message(P[:, i])
+            if invalid:
+                refused[i] = invalid
                 continue
             course = self._active_reference()
             for last, X, _ in self._propagate_event_legs(P[:, i], seed, known, course, again=again):
@@ -203,9 +203,9 @@ class CompiledLoop:
         """
         P = np.asarray(P, dtype=float)
         every = read_integer(every, "the number of control steps of which one is logged", 1)
-        culprit = self.invalid_parameter_message(P)
-        if culprit:
-            raise ArgumentError(f"the run cannot be simulated: {culprit}.")
+        invalid = self.invalid_parameter_message(P)
+        if invalid:
+            raise ArgumentError(f"the run cannot be simulated: {invalid}.")
         kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
         log: dict[str, list[Array]] = defaultdict(list)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))

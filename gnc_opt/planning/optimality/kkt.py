@@ -77,9 +77,9 @@ class SaddlePoint:
             null = self._factors.solve(null / np.max(np.abs(null)))
         null /= np.max(np.abs(null))
         if np.max(np.abs(null[: self._n]), initial=0.0) > SMALL:
-            culprit = self.labels[int(np.argmax(np.abs(null[: self._n])))]
+            contradicted = self.labels[int(np.argmax(np.abs(null[: self._n])))]
             raise GncOptError(
-                f"the first-order conditions of '{self._name}' do not determine '{culprit}' (the KKT system is "
+                f"the first-order conditions of '{self._name}' do not determine '{contradicted}' (the KKT system is "
                 "singular): the cost must depend on it; a singular arc needs refine(solution, structure='auto') "
                 "first, and a quantity that nothing depends on must be fixed."
             )
@@ -96,9 +96,9 @@ class SaddlePoint:
             solved = solved + self._factors.solve(rest)
         rest = scaled - self._matrix @ solved
         if not np.max(np.abs(rest), initial=0.0) <= CONSISTENT * np.max(np.abs(scaled), initial=TINY) + NOISE:
-            culprit = self.labels[int(np.argmax(np.abs(rest)))]
+            contradicted = self.labels[int(np.argmax(np.abs(rest)))]
             raise GncOptError(
-                f"the limits of '{self._name}' that are active contradict its constraints, at '{culprit}': "
+                f"the limits of '{self._name}' that are active contradict its constraints, at '{contradicted}': "
                 "refine bang-bang arcs with refine(solution, structure='auto') first, or free a boundary value that is "
                 "given twice."
             )

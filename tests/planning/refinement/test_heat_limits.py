@@ -43,6 +43,16 @@ def test_a_limit_that_takes_over_from_heat_ends_its_arc(charged: go.Solution) ->
     assert charged.history is not None and charged.history.converged and go.verify(charged).ok
 
 
+@pytest.mark.xfail(
+    strict=True, reason="two limits of one control in one segment: hp refinement, without arcs"
+)
+def test_arcs_end_where_another_limit_takes_over_from_heat(charged: go.Solution) -> None:
+    ends = {arc.channel: (arc.start, arc.end) for arc in charged.structure if arc.kind.at_limit}
+    assert ends["u"] == pytest.approx((0.0, KINK), abs=1e-6)
+    assert ends["heat"] == pytest.approx((WARM, TAKEN_OVER), abs=1e-6)
+    assert ends["falling"] == pytest.approx((TAKEN_OVER, charged.objective), abs=1e-6)
+
+
 def test_heat_is_worth_nothing_after_its_limit(charged: go.Solution) -> None:
     """Before it dH/du = 0 says lambda_T = -lambda_x / 2 at u = 1; the costate jumps to zero."""
     leg = charged.phases["leg"]

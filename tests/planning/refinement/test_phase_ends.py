@@ -49,7 +49,12 @@ def least_time() -> float:
     return float(TOP + (1.0 - others) / TOP + COAST + slowed)
 
 
-@pytest.mark.parametrize("limit", ["bounds"])
+NO_LAST_ROW = pytest.mark.xfail(
+    strict=True, reason="a path constraint has no row at the end of a Gauss phase"
+)
+
+
+@pytest.mark.parametrize("limit", ["bounds", pytest.param("path", marks=NO_LAST_ROW)])
 def test_an_arc_may_end_with_its_phase(limit: str) -> None:
     solution = go.solve(push_coast_brake(limit))
     assert solution.converged and solution.objective == pytest.approx(least_time(), abs=1e-8)

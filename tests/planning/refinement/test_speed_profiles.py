@@ -42,7 +42,7 @@ def test_force_then_power_then_speed_are_at_their_limits(mesh: str) -> None:
     power, speed = (next(a for a in solution.structure if a.channel == name) for name in ("power", "v"))
     assert power.kind is speed.kind is ArcKind.UPPER
     found = [power.start, power.end, speed.start, speed.end]
-    assert np.allclose(found, np.cumsum(times)[[0, 1, 1, 2]], rtol=0.0, atol=1e-3)
+    assert np.allclose(found, np.cumsum(times)[[0, 1, 1, 2]], rtol=0.0, atol=1e-6)
 
 
 def allowed(x: float) -> float:

@@ -321,7 +321,7 @@ class ArcMesh:
         """Return junctions at segment ends along an arc on a first-order limit with singular and regular controls.
 
         If the constraint is imposed at the Gauss points only, it may deviate between them by a polynomial with zeros at
-        all of them. A single control has no freedom for such a deviation; with a second one, the optimum exploits it,
+        all of them. A single control has no freedom for such a deviation. With two controls the optimum exploits it,
         and errors decrease only with the third power of the segment length.
         """
         structure, n_controls = self.structure, len(self.structure.control_kinds)

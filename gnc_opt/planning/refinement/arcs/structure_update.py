@@ -141,8 +141,8 @@ def _add_most_severe_arc(
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    mended = linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
-    return mended, f"arc of {label} added at {samples.describe_times(start)}"
+    extended = linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
+    return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
 def _compute_structure_violations(
