@@ -207,7 +207,7 @@ def _point_idle_directions(
     leg: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
     """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""
-    layout, found = leg.model.controls, u.copy()
+    layout, found = leg.model.controls, u.copy(order="K")
     stated = {c.parts for c in leg.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
     for vector in (v for v in leg.vector_controls if v.parts[1:] in stated):
         size, direction = layout.slice(vector.magnitude), layout.slice(vector.direction)
