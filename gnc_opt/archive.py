@@ -27,7 +27,7 @@ Arrays: TypeAlias = dict[str, Array]
 
 
 @dataclass(frozen=True)
-class Packing:
+class DataclassPacking:
     """Conversion of ``classes`` (dataclasses, enumerations) to JSON trees, without their ``left_out`` fields."""
 
     classes: tuple[type, ...]
@@ -152,7 +152,7 @@ class FileFormat:
     kind: type
     noun: str
     version: int
-    packing: Packing
+    packing: DataclassPacking
     alike: tuple[int, ...] = ()
 
     def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
@@ -244,7 +244,7 @@ def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
         try:
             entries = _read_checked_arrays(stream)
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
-        except _NoArchive:
+        except _NotAnArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
         except Exception as error:  # zipfile, zlib, NumPy and JSON raise different errors
             raise _damaged_file_error(path, noun) from error
@@ -255,14 +255,14 @@ def _damaged_file_error(path: str | Path, noun: str) -> GncOptError:
     return GncOptError(f"'{path}' is damaged: its content is not a complete {noun}; save it again.")
 
 
-class _NoArchive(Exception):
+class _NotAnArchive(Exception):
     """The file is not a zip archive."""
 
 
 def _read_checked_arrays(stream: BinaryIO) -> dict[str, Array]:
     """Return all arrays of an archive after verifying their checksums, which NumPy does not do completely."""
     if not zipfile.is_zipfile(stream):
-        raise _NoArchive
+        raise _NotAnArchive
     with zipfile.ZipFile(stream) as archive:
         broken = archive.testzip()
         if broken is not None:

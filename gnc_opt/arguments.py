@@ -42,7 +42,7 @@ def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
     return call_with_suggestion
 
 
-class Strict:
+class StrictAttributes:
     """Base of public classes: an unknown attribute or keyword raises an error that suggests a valid name."""
 
     __slots__ = ()
@@ -62,11 +62,11 @@ class Strict:
             object.__setattr__(self, name, value)
         elif callable(known):
             raise UnknownAttributeError(
-                f"{_format_call(self)} sets {name} by a method call: write {name}(...)."
+                f"{_describe_instance(self)} sets {name} by a method call: write {name}(...)."
             )
         elif known is not None:
             raise UnknownAttributeError(
-                f"'{name}' of {_format_call(self)} follows from its declarations: change those."
+                f"'{name}' of {_describe_instance(self)} follows from its declarations: change those."
             )
         else:
             raise _make_attribute_error(self, name)
@@ -79,14 +79,18 @@ class Strict:
             raise _make_attribute_error(self, name)
 
 
-def _make_attribute_error(instance: Strict, name: str) -> UnknownAttributeError:
+def _make_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttributeError:
     public = [known for known in dir(type(instance)) if not known.startswith("_")]
-    owners = [c.__name__ for c in _find_leaf_classes(Strict) if not name.startswith("_") and hasattr(c, name)]
+    owners = [
+        c.__name__
+        for c in _find_leaf_classes(StrictAttributes)
+        if not name.startswith("_") and hasattr(c, name)
+    ]
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else did_you_mean(name, public)
-    return UnknownAttributeError(f"{_format_call(instance)} has no '{name}': {remedy}")
+    return UnknownAttributeError(f"{_describe_instance(instance)} has no '{name}': {remedy}")
 
 
-def _format_call(instance: Strict) -> str:
+def _describe_instance(instance: StrictAttributes) -> str:
     kind = type(instance).__name__.lower()
     try:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"
@@ -114,7 +118,7 @@ def read_mapping(value: Any, what: str, remedy: str) -> Mapping[Any, Any]:
     return {} if value is None else cast(Mapping[Any, Any], expect(value, Mapping, what, remedy))
 
 
-def require_distinct(names: Sequence[str], what: str) -> None:
+def require_distinct_names(names: Sequence[str], what: str) -> None:
     """Raise `ArgumentError` if a name occurs twice; ``what`` is for example ``"events of a loop"``."""
     for name in names:
         if names.count(name) > 1:

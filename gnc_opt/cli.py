@@ -67,8 +67,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Argument parser with one-sentence errors."""
-
     def error(self, message: str) -> NoReturn:
         self.exit(ExitCode.BAD_INPUT, f"gnc-opt: {message} (see {self.prog} --help)\n")
 

@@ -56,7 +56,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
 
     _check_output_paths(args)
     console = _select_console(args)
-    with _print_warning_format():
+    with _one_line_warnings():
         file, problem = _load_problem(args)
         solution = solve(
             problem,
@@ -75,7 +75,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
     if args.quiet and not solution.status.solved:
         print(f"gnc-opt: {format_failure(solution)}", file=sys.stderr)
     _print_solution(console, solution, verdict, args.conditions)
-    _write_outputs(args, console, file, solution, verdict)
+    _write_output_files(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)
 
 
@@ -85,7 +85,7 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
 
     _check_output_paths(args)
     options = dict(parse_option(text) for text in args.set)
-    with _print_warning_format():
+    with _one_line_warnings():
         file = load_problem_file(args.file)
         found = multistart(
             partial(_build_problem_from_file, args.file, options),
@@ -113,7 +113,7 @@ def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
 
 
 def check_command(args: argparse.Namespace) -> ExitCode:
-    with _print_warning_format():
+    with _one_line_warnings():
         file, problem = _load_problem(args)
         problem.check()
     _print_text(_select_console(args), _describe_problem(file, problem))
@@ -182,7 +182,7 @@ def _print_solution(console: Console, solution: Solution, verdict: Verdict | Non
         _print_text(console, verdict.table() if conditions else str(verdict))
 
 
-def _write_outputs(
+def _write_output_files(
     args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
 ) -> None:
     from gnc_opt.report import summary_dict, write_json
@@ -227,7 +227,7 @@ def _check_output_paths(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _print_warning_format() -> Iterator[None]:
+def _one_line_warnings() -> Iterator[None]:
     """Show warnings of gnc_opt on one line without their source location; other warnings are unchanged."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

@@ -27,6 +27,7 @@ RENAMED = {
     "gnc_opt.control.design_neighbouring_optimal": "gnc_opt.guidance.design_neighbouring_optimal",
     "gnc_opt.control.design_ukf": "gnc_opt.estimation.design_ukf",
     "gnc_opt.control.first_memory": "gnc_opt.control.initial_state_function",
+    "gnc_opt.control.law": "gnc_opt.control.law_function",
     "gnc_opt.control.output_feedback": "gnc_opt.estimation.output_feedback",
     "gnc_opt.simulate_guess": "gnc_opt.guess_from_simulation",
     "gnc_opt.simulation.Ball": "gnc_opt.simulation.UniformInBall",

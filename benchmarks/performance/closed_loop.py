@@ -145,7 +145,7 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
     """Return all measurements as plain numbers."""
     tracking = Tracking(plan())
     begin = time.process_time()
-    serial = tracking.campaign("TVLQR", runs, seed, executor="serial")
+    serial = tracking.simulate_campaign("TVLQR", runs, seed, executor="serial")
     built = time.process_time() - begin
     assert serial.flight is not None
     flight = serial.flight
@@ -163,7 +163,7 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
         apart = max(apart, float(np.max(np.abs(end - serial.states[:, index]))))
 
     rates = {name: rate(tracking, name, runs, seed) for name in RATES}
-    parallel = tracking.campaign("TVLQR", runs, seed)
+    parallel = tracking.simulate_campaign("TVLQR", runs, seed)
     plain = float(np.median(seconds))
     return {
         "runs": runs,
@@ -184,7 +184,7 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
 
 def flying(tracking: Tracking, name: str, runs: int, seed: int) -> tuple[int, Callable[[], float]]:
     """Return how many runs a function flies whenever it is called, and that function, which tells the time it took."""
-    few = tracking.campaign(name, min(runs, 20), seed, executor="serial")
+    few = tracking.simulate_campaign(name, min(runs, 20), seed, executor="serial")
     assert few.flight is not None
     flight, P = few.flight.with_machine_code(1000), np.tile(few.parameters, 5)
 

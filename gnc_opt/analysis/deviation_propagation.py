@@ -12,7 +12,7 @@ from gnc_opt.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Sources:
+class DeviationSources:
     """Sources of deviations by name: covariances of dispersions, and indices of random numbers."""
 
     names: tuple[str, ...]
@@ -27,38 +27,38 @@ class Sources:
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class StateDeviations:
     """Deviations of a column (n,): derivatives in the dispersed parameters, and covariances by noise block."""
 
-    sources: Sources
+    sources: DeviationSources
     by_parameters: Array
     noise: Sequence[Array]
 
     @classmethod
-    def first(cls, sources: Sources, g: Array, h: Array) -> Scatter:
+    def from_derivatives(cls, sources: DeviationSources, g: Array, h: Array) -> StateDeviations:
         """Return the deviations of a column with derivatives g, h in the initial noise and the dispersed parameters."""
         quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
         return cls(sources, np.hstack([h, g]), quiet)
 
-    def propagate(self, a: Array, g: Array, h: Array, *, first: bool) -> Scatter:
+    def propagate(self, a: Array, g: Array, h: Array, *, first: bool) -> StateDeviations:
         """Return the deviations of a x + g n + h p, with the noise n of a step and the parameters p."""
         added = np.hstack([h, g if first else np.zeros_like(g)])
         noise = [a @ s @ a.T for s in self.noise]
         if not first:
             noise = [s + g[:, p] @ g[:, p].T for s, p in zip(noise, self.sources.numbers, strict=True)]
-        return Scatter(self.sources, a @ self.by_parameters + added, noise)
+        return StateDeviations(self.sources, a @ self.by_parameters + added, noise)
 
-    def transform(self, matrix: Array) -> Scatter:
+    def transform(self, matrix: Array) -> StateDeviations:
         """Return the deviations of a matrix times the column."""
         noise = [matrix @ s @ matrix.T for s in self.noise]
-        return Scatter(self.sources, matrix @ self.by_parameters, noise)
+        return StateDeviations(self.sources, matrix @ self.by_parameters, noise)
 
     @property
-    def size(self) -> int:
+    def n_entries(self) -> int:
         return int(self.by_parameters.shape[0])
 
     @property
-    def covariances(self) -> Array:
+    def covariances_by_source(self) -> Array:
         """Covariances by source, (n_sources, n, n)."""
         parts = [
             self.by_parameters[:, place] @ spread @ self.by_parameters[:, place].T
@@ -66,4 +66,4 @@ class Scatter:
         ]
         for i, s in enumerate(self.noise, start=len(parts) - len(self.noise)):
             parts[i] = parts[i] + s
-        return np.reshape(parts, (len(parts), self.size, self.size))
+        return np.reshape(parts, (len(parts), self.n_entries, self.n_entries))

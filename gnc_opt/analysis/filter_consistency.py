@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arguments import Strict, expect, read_probability
+from gnc_opt.arguments import StrictAttributes, expect, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator import Estimator
@@ -33,7 +33,7 @@ Band = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class InnovationTest(Strict):
+class InnovationTest(StrictAttributes):
     """Consistency test of the innovations of one measurement.
 
     Attributes
@@ -63,7 +63,7 @@ class InnovationTest(Strict):
 
 
 @dataclass(frozen=True)
-class Consistency(Strict, Printed):
+class Consistency(StrictAttributes, Printed):
     """Consistency test of an estimator's errors and innovations.
 
     Attributes

@@ -145,7 +145,7 @@ def sobol_indices(
     """
     name = "sobol_indices()"
     expect(scenario, Scenario, f"the argument of {name}", "give a Scenario")
-    scenario.require(measure)
+    scenario.require_measure(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
     design = _Design(scenario, measure)
@@ -199,8 +199,6 @@ def estimate_sobol_indices(f: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """Evaluation of the rows of a Sobol' design."""
-
     scenario: Scenario
     measure: str
 
@@ -211,7 +209,7 @@ class _Design:
 
     def sample_rows(self, rows: range) -> Array:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
-        flight, dispersions = self.scenario.flight, self.scenario.dispersions
+        flight, dispersions = self.scenario.compiled_loop, self.scenario.dispersions
         a, b = (
             np.stack(
                 [draw_parameters(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1
@@ -229,4 +227,4 @@ class _Design:
         return np.stack(found)
 
     def _evaluate_measures(self, P: Array, seeds: list[list[int]]) -> Array:
-        return self.scenario.values(self.measure, P, seeds)
+        return self.scenario.measure_values(self.measure, P, seeds)

@@ -21,10 +21,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.analysis.deviation_propagation import Scatter, Sources
+from gnc_opt.analysis.deviation_propagation import DeviationSources, StateDeviations
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.arguments import Strict, expect, read_integer, suggest_keywords
+from gnc_opt.arguments import StrictAttributes, expect, read_integer, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.variables import Layout
@@ -48,12 +48,12 @@ def format_covariance_table(found: LinearCovariance) -> str:
         sigma = float(np.linalg.norm(found.std(variable.name)[:, -1]))
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
         shares = [(s, share) for s, share in found.budget(variable.name).items() if share > 0][:3]
-        lines.append((line + ", ".join(f"{s} {_percent_text(share)}" for s, share in shares)).rstrip())
+        lines.append((line + ", ".join(f"{s} {_format_share(share)}" for s, share in shares)).rstrip())
     lines.append("  sources: shares of the variance")
     return "\n".join(lines)
 
 
-def _percent_text(share: float) -> str:
+def _format_share(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
@@ -65,7 +65,7 @@ _KINDS = {"command": "commands", "applied": "applied"}
 
 
 @dataclass(frozen=True, eq=False)
-class LinearCovariance(Strict, Printed):
+class LinearCovariance(StrictAttributes, Printed):
     """Covariances along a nominal run by source; see `linear_covariance`.
 
     A *signal* is the name of a state (its error), ``command(F)`` or ``applied(F)`` (mean over the step).
@@ -183,37 +183,35 @@ def linear_covariance(
     """
     expect(scenario, Scenario, "the argument of linear_covariance()", "give a Scenario")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
-    flight, dispersions = scenario.flight, scenario.dispersions
+    flight, dispersions = scenario.compiled_loop, scenario.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
     linearization = Linearization(flight, scenario.loop.wiring, columns)
     if linearization.nominal_nis() <= FROZEN_GAINS_MAX_NIS:
         linearization = replace(linearization, hold=True)
-    return _Pass(linearization, dispersions, every).propagate_covariance()
+    return _CovariancePropagation(linearization, dispersions, every).propagate_covariance()
 
 
-class _Pass:
-    """Propagation of the deviations along the nominal run."""
-
+class _CovariancePropagation:
     def __init__(self, linearization: Linearization, dispersions: Dispersions, every: int) -> None:
         self.linearization, self.flight = linearization, linearization.flight
         self.every, self.dispersions = every, dispersions
         layout, nominal = self.flight.layout, self.flight.nominal
         moments = {name: d.moments(nominal[layout.slice(name)]) for name, d in dispersions.items()}
         self.shift = np.concatenate([np.empty(0), *[mean for mean, _ in moments.values()]])
-        numbers = linearization.linearize_noises
+        numbers = linearization.noise_slices
         units = [np.eye(place.stop - place.start) for place in numbers.values()]
-        self.sources = Sources(
+        self.sources = DeviationSources(
             (*moments, *numbers),
             (*(covariance for _, covariance in moments.values()), *units),
             tuple(numbers.values()),
         )
         self.values: dict[str, list[Array]] = {kind: [] for kind in ("state", *_KINDS)}
-        self.covariances: dict[str, list[Array]] = {kind: [] for kind in ("error", *_KINDS)}
+        self.covariances_by_source: dict[str, list[Array]] = {kind: [] for kind in ("error", *_KINDS)}
         self.mean: list[Array] = []
 
     def propagate_covariance(self) -> LinearCovariance:
         X, g, h = self.linearization.linearize_initial_state()
-        scatter = Scatter.first(self.sources, g, h)
+        scatter = StateDeviations.from_derivatives(self.sources, g, h)
         for k, step in enumerate(self.linearization.linearize_steps(X)):
             first = k == 0
             if k % self.every == 0:
@@ -225,23 +223,23 @@ class _Pass:
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _store_state_covariance(self, X: Array, scatter: Scatter) -> None:
-        places = self.linearization.state.split(np.arange(scatter.size))["plant"]
+    def _store_state_covariance(self, X: Array, scatter: StateDeviations) -> None:
+        places = self.linearization.state_layout.split(np.arange(scatter.n_entries))["plant"]
         x = self.flight.kernel.state.split(X)["plant"]
-        to_errors = np.zeros((self.flight.error_layout.size, scatter.size))
+        to_errors = np.zeros((self.flight.error_layout.size, scatter.n_entries))
         to_errors[:, places] = self._error_jacobian(x).full()
         errors = scatter.transform(to_errors)
         self.values["state"].append(x)
-        self.covariances["error"].append(errors.covariances)
+        self.covariances_by_source["error"].append(errors.covariances_by_source)
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
 
-    def _store_output_covariances(self, y: Array, scatter: Scatter) -> None:
-        values = self.linearization.output.split(y)
-        places = self.linearization.output.split(np.eye(y.size))
+    def _store_output_covariances(self, y: Array, scatter: StateDeviations) -> None:
+        values = self.linearization.output_layout.split(y)
+        places = self.linearization.output_layout.split(np.eye(y.size))
         for kind, name in _KINDS.items():
             part = scatter.transform(places[name])
             self.values[kind].append(values[name])
-            self.covariances[kind].append(part.covariances)
+            self.covariances_by_source[kind].append(part.covariances_by_source)
 
     @cached_property
     def _error_jacobian(self) -> Any:
@@ -252,7 +250,7 @@ class _Pass:
     def _collect_result(self) -> LinearCovariance:
         flight = self.flight
         kept = np.append(np.arange(0, flight.n_steps, self.every), flight.n_steps)
-        parts = {kind: np.stack(found, axis=1) for kind, found in self.covariances.items()}
+        parts = {kind: np.stack(found, axis=1) for kind, found in self.covariances_by_source.items()}
         return LinearCovariance(
             times=flight.times[kept],
             sources=self.sources.names,

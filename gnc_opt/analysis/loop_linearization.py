@@ -70,7 +70,7 @@ class Linearization:
             )
 
     @cached_property
-    def state(self) -> Places:
+    def state_layout(self) -> Places:
         """Layout of the linearised entries of X."""
         parts = self.flight.kernel.state.parts
         held = {"memory": len(self.fixed_indices)}
@@ -79,13 +79,13 @@ class Linearization:
         )
 
     @property
-    def output(self) -> Places:
+    def output_layout(self) -> Places:
         """Layout of the linearised entries of the log."""
         sizes = dict(self.flight.kernel.log.parts)
         return Places(tuple((name, sizes[name]) for name in OUTPUTS))
 
     @cached_property
-    def linearize_noises(self) -> dict[str, slice]:
+    def noise_slices(self) -> dict[str, slice]:
         """Slices of n for the blocks that draw random numbers, by block name."""
         blocks = {
             f"{kind} {i}": link.block.name
@@ -110,10 +110,10 @@ class Linearization:
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
-        row = next(self._known_inputs())
+        row = next(self._nominal_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
-        keep = self.retained_indices
-        return X[:, 0], by_w[keep][:, self.random_inputs], by_p[keep][:, self.columns]
+        keep = self.linearized_indices
+        return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
 
     def nominal_nis(self) -> float:
         """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
@@ -121,7 +121,7 @@ class Linearization:
         if COVARIANCE not in memory:
             return 0.0
         C, X = kernel.constants(self.flight.nominal), self.linearize_initial_state()[0]
-        for row in self._known_inputs():
+        for row in self._nominal_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
@@ -131,10 +131,10 @@ class Linearization:
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
         by_P = self._constant_derivatives
-        n = self.state.size
-        for k, row in enumerate(self._known_inputs()):
+        n = self.state_layout.size
+        for k, row in enumerate(self._nominal_inputs()):
             after, y, *jacobians = self._step_derivative_function(
-                X[self.retained_indices], X[self._fixed_entries], row, C
+                X[self.linearized_indices], X[self._fixed_entries], row, C
             )
             by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
@@ -147,10 +147,12 @@ class Linearization:
     # --- internals ----------------------------------------------------------------------------------------
 
     @cached_property
-    def retained_indices(self) -> list[int]:
+    def linearized_indices(self) -> list[int]:
         """Indices in X of the linearised entries."""
         held = set(self.fixed_indices)
-        return [int(i) for name, _ in self.state.parts for i in self._state_indices[name] if i not in held]
+        return [
+            int(i) for name, _ in self.state_layout.parts for i in self._state_indices[name] if i not in held
+        ]
 
     @cached_property
     def fixed_indices(self) -> list[int]:
@@ -162,7 +164,7 @@ class Linearization:
 
     @cached_property
     def _fixed_entries(self) -> list[int]:
-        retained = set(self.retained_indices)
+        retained = set(self.linearized_indices)
         return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
@@ -171,7 +173,7 @@ class Linearization:
         return kernel_state.split(np.arange(kernel_state.size))
 
     @cached_property
-    def random_inputs(self) -> list[int]:
+    def noise_indices(self) -> list[int]:
         """Indices of the random numbers in w."""
         return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
 
@@ -180,7 +182,7 @@ class Linearization:
         """Return ``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
-        places, rest = self.retained_indices, self._fixed_entries
+        places, rest = self.linearized_indices, self._fixed_entries
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
@@ -189,7 +191,7 @@ class Linearization:
         column = ca.vertcat(after[places], y)
         jacobians = [
             ca.jacobian(column, x),
-            ca.jacobian(column, w)[:, self.random_inputs],
+            ca.jacobian(column, w)[:, self.noise_indices],
             ca.jacobian(column, C),
         ]
         return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
@@ -202,17 +204,17 @@ class Linearization:
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
-    def _known_inputs(self) -> Iterator[Array]:
+    def _nominal_inputs(self) -> Iterator[Array]:
         for _, rows in self.flight.legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):
-            rows[:, self.random_inputs] = 0.0
+            rows[:, self.noise_indices] = 0.0
             yield from rows
 
     def _require_finite_derivatives(self, k: int, derivatives: Array) -> None:
         bad = np.flatnonzero(~np.isfinite(derivatives).all(axis=1))
         if bad.size:
-            sizes = (*self.state.parts[1:], *self.output.parts)
+            sizes = (*self.state_layout.parts[1:], *self.output_layout.parts)
             names = [*self.flight.states.labels, *(name for name, size in sizes for _ in range(size))]
             raise ArgumentError(
                 f"the derivative of '{names[bad[0]]}' of the closed loop is not finite at {self.flight.times[k]:g} s "

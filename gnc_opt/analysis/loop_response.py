@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.loop_linearization import Linearization
-from gnc_opt.arguments import Strict, expect, read_integer, read_numbers
+from gnc_opt.arguments import StrictAttributes, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.loop_margins import Margins, input_output_states, stability_margins
+from gnc_opt.control.loop_margins import Margins, mask_input_output_states, stability_margins
 from gnc_opt.control.sampled_data import to_continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
@@ -42,7 +42,7 @@ _LOOKS = np.array([0.01, 0.1, 0.5])
 
 
 @dataclass(frozen=True)
-class _Probe(Block):
+class _CommandPerturbation(Block):
     """Block that adds d to the command."""
 
     def parameters(self, size: int, unit: str) -> Defaults:
@@ -57,7 +57,7 @@ class _Probe(Block):
 
 
 @dataclass(frozen=True, eq=False)
-class LoopResponse(Strict):
+class LoopResponse(StrictAttributes):
     """Loop opened at its commands, at instants of a run; see `loop_response`. Frequencies are in rad/s.
 
     Attributes
@@ -106,7 +106,7 @@ class LoopResponse(Strict):
         """Return the poles z of the closed loop, (n,) complex."""
         return np.asarray(np.linalg.eigvals(self.a[self._read_instant(index)]).astype(complex))
 
-    def stable(self, index: int = 0) -> bool:
+    def is_stable(self, index: int = 0) -> bool:
         """Return whether the linearised loop is stable at the instant ``index``."""
         return bool(np.all(np.abs(self.poles(index)) <= _STABLE))
 
@@ -118,7 +118,7 @@ class LoopResponse(Strict):
         ArgumentError
             The linearised loop is unstable, or open because all commands are at their limits.
         """
-        if not self.stable(index):
+        if not self.is_stable(index):
             z = max(self.poles(index), key=abs)
             raise ArgumentError(
                 f"the loop linearised at {self.times[index]:g} s is unstable (pole {z:.6g}) and has no margins: "
@@ -137,7 +137,7 @@ class LoopResponse(Strict):
         """Disk margins at all instants, (n_times,); 0 for an unstable loop, NaN for an open one."""
 
         def disk(k: int) -> float:
-            if not self.stable(k):
+            if not self.is_stable(k):
                 return 0.0
             return np.nan if self._is_loop_open(k) else float(self.margins(k).disk)
 
@@ -168,7 +168,7 @@ class LoopResponse(Strict):
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
             )
         k = self._read_instant(index)
-        within = input_output_states(self.a[k], self.b[k], self.c[k])
+        within = mask_input_output_states(self.a[k], self.b[k], self.c[k])
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
         return np.asarray(
@@ -232,7 +232,7 @@ def loop_response(
     Examples
     --------
     >>> response = loop_response(loop, x0=[1.0, 0.0], tf=8.0)
-    >>> print(response.stable(), f"{response.disk_margins[0]:.2f}")
+    >>> print(response.is_stable(), f"{response.disk_margins[0]:.2f}")
     True 1.24
     """
     expect(loop, ClosedLoop, "the argument of loop_response()", "give a ClosedLoop")
@@ -242,7 +242,7 @@ def loop_response(
                 f"'{sensor.name}' is sampled every {sensor.period:g} s: a loop of two rates has no frequency response; "
                 "remove it, or use its period as dt of the loop."
             )
-    opened = replace(loop, actuators=(_Probe(_PROBE), *loop.actuators))
+    opened = replace(loop, actuators=(_CommandPerturbation(_PROBE), *loop.actuators))
     flight = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]
@@ -251,7 +251,7 @@ def loop_response(
     wanted = np.unique(np.searchsorted(flight.times, times * (1 + 1e-12) + 1e-12, "right") - 1)
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
-    rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
+    rows = linearization.output_layout.split(np.arange(linearization.output_layout.size))["commands"]
     found = []
     X = linearization.linearize_initial_state()[0]
     for k, step in enumerate(linearization.linearize_steps(X)):

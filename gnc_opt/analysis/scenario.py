@@ -63,9 +63,9 @@ class Scenario:
         expect(self.loop, ClosedLoop, "the loop of a scenario", "give a ClosedLoop")
         set_ = object.__setattr__
         set_(self, "seed", read_integer(self.seed, "the seed of a scenario", 0))
-        check_dispersions(self.dispersions, self.flight.layout, self.flight.nominal)
+        check_dispersions(self.dispersions, self.compiled_loop.layout, self.compiled_loop.nominal)
         set_(self, "dispersions", dict(self.dispersions))
-        self.criteria.goal(self.flight)
+        self.criteria.goal(self.compiled_loop)
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -73,7 +73,7 @@ class Scenario:
         }  # the compiled loop suffices
 
     @cached_property
-    def flight(self) -> CompiledLoop:
+    def compiled_loop(self) -> CompiledLoop:
         """Compiled loop."""
         return self.loop.compile(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
 
@@ -82,29 +82,29 @@ class Scenario:
         """Targets of the runs, and user-defined measures."""
         return read_criteria(self.target, self.measures)
 
-    def require(self, measure: str) -> None:
+    def require_measure(self, measure: str) -> None:
         """Raise an error if the name is not a measure of the runs."""
         if measure not in self.criteria.measures:
-            self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)
+            self.simulate_campaign(np.empty((self.compiled_loop.layout.size, 0)), []).measure(measure)
 
     @property
     def noise_size(self) -> int:
         """Number of standard normal random numbers per control step."""
-        return int(self.flight.kernel.known.size - 1 - self.flight.schedule.shape[0])
+        return int(self.compiled_loop.kernel.known.size - 1 - self.compiled_loop.schedule.shape[0])
 
     # --- runs ---------------------------------------------------------------------------------------------
 
-    def campaign(self, P: Array, seeds: Sequence[Any]) -> Campaign:
+    def simulate_campaign(self, P: Array, seeds: Sequence[Any]) -> Campaign:
         """Simulate runs with parameter columns P (n_parameters, n) and seeds, and return them as a campaign."""
         runs = range(P.shape[1])
-        flown = [Flown(runs, P, self.flight.final(P, seeds))] if runs else []
-        goal = self.criteria.goal(self.flight)
-        campaign = merge_batches(self.flight, flown, seed=0, asked=len(runs), goal=goal)
+        flown = [Flown(runs, P, self.compiled_loop.final(P, seeds))] if runs else []
+        goal = self.criteria.goal(self.compiled_loop)
+        campaign = merge_batches(self.compiled_loop, flown, seed=0, asked=len(runs), goal=goal)
         return self.criteria.apply_to_campaign(campaign) if runs else campaign
 
-    def values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
-        """Return a measure of runs, (n,), arguments as in `campaign`; infinite for failed runs or without a value."""
-        campaign = self.campaign(P, seeds)
+    def measure_values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
+        """Return a measure of runs, (n,), as in `simulate_campaign`; infinite for failed runs or without a value."""
+        campaign = self.simulate_campaign(P, seeds)
         flown = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
         values = campaign.measure(measure)
         return np.where(flown & ~np.isnan(values), values, np.inf)

@@ -3,7 +3,7 @@
 from typing import Any
 
 from gnc_opt.control.c_export.export import CCode, export_c
-from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
@@ -47,7 +47,7 @@ __all__ = [
     "export_fmu",
     "feedforward",
     "initial_state_function",
-    "law",
+    "law_function",
     "lie_derivative",
     "output_errors",
     "trim",

@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.c_export.c_writer import CNumbers
+from gnc_opt.control.c_export.c_writer import CFloatType
 from gnc_opt.control.control_limits import clip
-from gnc_opt.control.controller import Controller, FlightLaw, initial_state_function, law
+from gnc_opt.control.controller import CodegenLaw, Controller, initial_state_function, law_function
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
-from gnc_opt.control.horizon_qp import Rows
+from gnc_opt.control.horizon_qp import StepLimits
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
 
@@ -25,42 +25,42 @@ _ITERATIONS_PER_UNKNOWN = 20
 
 
 @dataclass(frozen=True, eq=False)
-class ProgrammeCode:
+class QpCode:
     """C code of the QP of a horizon; step j of the horizon from row k of the schedule uses the matrices k + j."""
 
-    rows: Rows
+    rows: StepLimits
     roots: Array
     matrices: tuple[Array, ...]
     count: int
     n_states: int
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         return self.count * (self.rows.lower.size + self.roots.size)
 
     @property
-    def limits(self) -> int:
-        return self.count * self._unknown_kinds
+    def n_limits(self) -> int:
+        return self.count * self._n_limits_per_step
 
     @property
-    def operations(self) -> int:
+    def max_operations(self) -> int:
         """Largest number of arithmetic operations and comparisons of a call."""
-        m, size = self.rows.lower.size, self.unknowns
+        m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
-        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._unknown_kinds + n + m))
+        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_limits_per_step + n + m))
         row = 2 * sweep + size * (size + 3)
-        iteration = 2 * sweep + 6 * self.limits + 2 * size * (size + 8) + row + 3 * size * (size + 3)
+        iteration = 2 * sweep + 6 * self.n_limits + 2 * size * (size + 8) + row + 3 * size * (size + 3)
         return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
-    def stack_entries(self) -> int:
+    def max_stack_entries(self) -> int:
         """Largest number of entries on the stack of a call."""
-        m, size = self.rows.lower.size, self.unknowns
+        m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
         active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1
-        return int(active + 4 * self.limits + 6 * (size + 1) + 2 * n + 3 * m)
+        return int(active + 4 * self.n_limits + 6 * (size + 1) + 2 * n + 3 * m)
 
-    def c_text(self, numbers: CNumbers) -> str:
+    def write_c_code(self, numbers: CFloatType) -> str:
         """Return the C code, to be placed after a table ``schedule[N_ROWS][.]``."""
         rows, m, n = self.rows, self.rows.lower.size, self.matrices[0].shape[1]
         slack = [
@@ -90,7 +90,8 @@ class ProgrammeCode:
         ]
         lines += ["} matrices;", ""]
         lines += [
-            numbers.table(name, values if values.size else np.zeros(1)) for name, values in arrays.items()
+            numbers.define_array(name, values if values.size else np.zeros(1))
+            for name, values in arrays.items()
         ]
         for name, entries in places.items():
             lines.append(f"static const int {name}[] = {{{', '.join(map(str, entries or (0,)))}}};")
@@ -107,18 +108,18 @@ class ProgrammeCode:
             "}",
             "",
         ]
-        return "\n".join([*lines, numbers.typed_literal(_SOURCE.read_text(encoding="ascii"))])
+        return "\n".join([*lines, numbers.replace_real_type(_SOURCE.read_text(encoding="ascii"))])
 
     # --- internals ----------------------------------------------------------------------------------------
 
     @property
-    def _unknown_kinds(self) -> int:
+    def _n_limits_per_step(self) -> int:
         rows = self.rows
         return rows.lower.size * (1 + (rows.change is not None)) + 2 * len(rows.states) + self.roots.size
 
     @property
     def _max_iterations(self) -> int:
-        return _ITERATIONS_PER_UNKNOWN * (self.unknowns + 1)
+        return _ITERATIONS_PER_UNKNOWN * (self.n_unknowns + 1)
 
     @property
     def _row_limits(self) -> tuple[Array, Array]:
@@ -139,7 +140,7 @@ def command_memory_layout(m: int) -> Layout:
     return Layout("memory", parts, "the memory of the controller")
 
 
-def limit_command(u: Any, previous: Any, rows: Rows) -> Any:
+def limit_command(u: Any, previous: Any, rows: StepLimits) -> Any:
     """Return a command clipped to the limits of magnitude and rate, SX or MX."""
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
@@ -147,9 +148,9 @@ def limit_command(u: Any, previous: Any, rows: Rows) -> Any:
     return clip(u, lower, upper)
 
 
-def build_flight_law(
-    code: ProgrammeCode, deviation: ErrorDynamics, controller: Controller, reference: Any
-) -> FlightLaw:
+def build_codegen_law(
+    code: QpCode, deviation: ErrorDynamics, controller: Controller, reference: Any
+) -> CodegenLaw:
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
     signals = build_reference_layout(reference, Variable("row", 1))
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
@@ -163,23 +164,23 @@ def build_flight_law(
     assert controller.dt is not None and controller.span is not None
     form = Controller(
         name=controller.name,
-        step=law(t, x, r, z, u, ca.vertcat(u, ca.if_else(solved, alarm, 1))),
+        step=law_function(t, x, r, z, u, ca.vertcat(u, ca.if_else(solved, alarm, 1))),
         start=initial_state_function(t, x, r, first),
         states=controller.states,
         commands=controller.commands,
         signals=signals,
         memory=controller.memory,
-        schedule=_Numbered(ReferenceSchedule(reference), controller.span),
+        schedule=_IndexedSchedule(ReferenceSchedule(reference), controller.span),
         explanation=controller.explanation,
         dt=controller.dt,
         alarms=controller.alarms,
         span=controller.span,
     )
-    return FlightLaw(form, code)
+    return CodegenLaw(form, code)
 
 
 @dataclass(frozen=True, eq=False)
-class _Numbered:
+class _IndexedSchedule:
     """Rows of a reference schedule, each followed by its index in the C table."""
 
     reference: ReferenceSchedule

@@ -54,7 +54,7 @@ def saturate(u: Any, limits: Authority | None) -> Any:
     return u if limits is None else clip(u, *limits)
 
 
-def authority_margin_fact(
+def report_authority(
     reference: Reference,
     limits: Authority | None,
     *,

@@ -22,10 +22,10 @@ Schedule: TypeAlias = Callable[[Array, float], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class FlightLaw:
+class CodegenLaw:
     """Control law for C export: elementary operations and at most one call of a solver.
 
-    ``solver`` is an `gnc_opt.control.active_set_qp.ProgrammeCode`; the call has the name of its C function.
+    ``solver`` is an `gnc_opt.control.active_set_qp.QpCode`; the call has the name of its C function.
     """
 
     controller: Controller
@@ -89,7 +89,7 @@ class Controller:
     span: tuple[float, float] | None = None
     unbridged: Controller | None = field(default=None, repr=False)
     estimated: Layout | None = None
-    flight: FlightLaw | None = field(default=None, repr=False)
+    flight: CodegenLaw | None = field(default=None, repr=False)
     easy: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ class Controller:
         return f"Controller({self.name!r}: from {inputs} to {commands}, {step})"
 
     @property
-    def followed(self) -> Layout:
+    def reference_layout(self) -> Layout:
         """Layout of the states that the law feeds back and that its reference contains."""
         return self.states if self.estimated is None else self.estimated
 
@@ -118,7 +118,7 @@ class Controller:
         """Return the design report: gains, poles or margins, bounds and control authority margins."""
         return self.explanation
 
-    def signal(self, t: float, dt: float | None = None) -> Array:
+    def schedule_row(self, t: float, dt: float | None = None) -> Array:
         """Return the row r (n_signals,) of the schedule for a control step that begins at t (s)."""
         return self.schedule(np.array([float(t)]), self.step_length(dt))[:, 0]
 
@@ -139,7 +139,7 @@ class Controller:
     def initial_memory(self, t: float, x: ArrayLike, dt: float | None = None) -> Array:
         """Return the initial memory (n_memory,) at time t (s) and measured state x (n_states,)."""
         state = as_point(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
-        return np.asarray(self.start(float(t), state, self.signal(t, dt)).full()[:, 0])
+        return np.asarray(self.start(float(t), state, self.schedule_row(t, dt)).full()[:, 0])
 
     def __call__(
         self, t: float, x: ArrayLike, z: ArrayLike | None = None, dt: float | None = None
@@ -158,7 +158,7 @@ class Controller:
             Length of the step, s; see `step_length`.
         """
         state = as_point(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
-        row = self.signal(t, dt)
+        row = self.schedule_row(t, dt)
         if z is not None and np.size(z) != self.memory.size:
             raise ArgumentError(
                 f"the memory given to '{self.name}' has {np.size(z)} entries, not {self.memory.size}: give the one "
@@ -169,7 +169,7 @@ class Controller:
         return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])
 
 
-def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> Any:
+def law_function(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> Any:
     """Return the CasADi function of a control law from its symbols and expressions (SX or MX column vectors).
 
     Parameters
@@ -185,7 +185,7 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> An
     --------
     >>> import casadi as ca
     >>> t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0), ca.SX.sym("z", 0)
-    >>> step = law(t, x, r, z, -x[0] - 2 * x[1], z)
+    >>> step = law_function(t, x, r, z, -x[0] - 2 * x[1], z)
     >>> print(step(0.0, [1.0, 0.5], [], [])[0])
     -2
     """
@@ -194,7 +194,7 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> An
 
 
 def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:
-    """Return the CasADi function of the initial memory, from the symbols of `law` and an expression z (n_memory, 1).
+    """Return the CasADi function of the initial memory, from the symbols of `law_function` and z (n_memory, 1).
 
     Parameters
     ----------

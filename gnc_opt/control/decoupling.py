@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law
+from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import (
@@ -22,7 +22,7 @@ from gnc_opt.control.feedforward import (
     build_reference_layout,
     reference_sample_times,
 )
-from gnc_opt.control.input_output_linearization import OutputErrors, Pair, zero_dynamics
+from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import Layout, Variable
@@ -37,7 +37,7 @@ GROWTH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Memory:
+class MemoryEntry:
     """Part of a law's memory: symbol, initial and next value (SX columns), and whether it is an alarm."""
 
     name: str
@@ -53,7 +53,7 @@ class Memory:
 
 
 @dataclass(frozen=True, eq=False)
-class Inverse:
+class GuardedInverse:
     """Inverse of a decoupling matrix E; ``regular`` (SX) is 1 where |det E| >= ``lowest`` * ``scale``."""
 
     matrix: Any
@@ -62,7 +62,7 @@ class Inverse:
     lowest: float
 
     @property
-    def report_condition(self) -> ReportEntry:
+    def report_smallest_determinant(self) -> ReportEntry:
         """Return the smallest |det E| on the reference."""
         name, remark = "smallest determinant on the reference", f"largest {self.scale:.6g}"
         return ReportEntry(name, self.lowest, remark=remark)
@@ -72,10 +72,10 @@ class Inverse:
         return _solve_minimum_norm(self.matrix, y)
 
 
-def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> Inverse:
+def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> GuardedInverse:
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
-    pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
+    pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant
     times = reference_sample_times(reference)
     values = np.array([v[0, 0] for v in pair.evaluate_along_reference(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
@@ -91,7 +91,7 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
             "its rate the control."
         )
     if matrix.is_constant():
-        return Inverse(ca.SX(matrix), ca.SX(1), scale, scale)
+        return GuardedInverse(ca.SX(matrix), ca.SX(1), scale, scale)
     sign = float(np.sign(values[worst]))
     regular = sign * determinant >= guard * scale
     size = matrix.shape[0]
@@ -99,14 +99,14 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
     if matrix.shape[1] != size:
         harmless[:, :size] += ca.DM.eye(size)
     safe = ca.if_else(regular, matrix, ca.SX(harmless))
-    return Inverse(ca.densify(safe), regular, scale, float(signed[worst]))
+    return GuardedInverse(ca.densify(safe), regular, scale, float(signed[worst]))
 
 
 def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[ReportEntry]:
     """Return the zero dynamics at the end of the reference; raise `DesignError` if they are unstable."""
     t = reference.final_time
     zeros = zero_dynamics(errors, t, reference.x(t), reference.u(t))
-    if zeros.growth > growth:
+    if zeros.growth_rate > growth:
         worst = zeros.eigenvalues[int(np.argmax(zeros.eigenvalues.real))]
         raise DesignError(
             f"the zero dynamics of outputs {', '.join(errors.labels)} are unstable: "
@@ -126,14 +126,14 @@ class GuardedLaw:
 
     command: Any
     regular: Any
-    memory: tuple[Memory, ...] = ()
+    memory: tuple[MemoryEntry, ...] = ()
     fallback: Any = None
-    nominal: Nominal | None = None
+    nominal: NominalController | None = None
 
 
 def build_guarded_controller(
     name: str,
-    pair: Pair,
+    pair: PlantPair,
     reference: Reference,
     guarded: GuardedLaw,
     *,
@@ -146,8 +146,8 @@ def build_guarded_controller(
     u = ca.if_else(regular, guarded.command, last if guarded.fallback is None else guarded.fallback)
     own = [
         *memory,
-        Memory("u_last", last, pair.u_ref, u),
-        Memory(SINGULAR, singular, ca.SX(0), ca.fmax(singular, ca.logic_not(regular))),
+        MemoryEntry("u_last", last, pair.u_ref, u),
+        MemoryEntry(SINGULAR, singular, ca.SX(0), ca.fmax(singular, ca.logic_not(regular))),
     ]
     z = ca.vertcat(*[part.symbol for part in own])
     start = ca.vertcat(*[part.start for part in own])
@@ -159,8 +159,8 @@ def build_guarded_controller(
     schedule: Schedule = ReferenceSchedule(reference)
     alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)
     if nominal is not None:
-        variables += nominal.variables
-        inner_signals = nominal.nominal_signals
+        variables += nominal.memory_variables
+        inner_signals = nominal.signal_variables
         alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
         schedule = StackedSchedule(schedule, nominal.controller.schedule)
         z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
@@ -169,7 +169,7 @@ def build_guarded_controller(
     model = pair.model
     guarded_law = Controller(
         name=name,
-        step=law(pair.t, pair.x, r, z, u, after),
+        step=law_function(pair.t, pair.x, r, z, u, after),
         start=initial_state_function(pair.t, pair.x, r, start),
         states=model.states,
         commands=model.controls,
@@ -184,10 +184,10 @@ def build_guarded_controller(
     return with_dropout_handling(guarded_law)
 
 
-class Nominal:
+class NominalController:
     """Nominal controller inside another law, evaluated on the symbols of the outer law."""
 
-    def __init__(self, controller: Controller, pair: Pair) -> None:
+    def __init__(self, controller: Controller, pair: PlantPair) -> None:
         controller = controller.unbridged or controller  # the outer law handles dropouts
         if controller.states.labels != pair.model.states.labels:
             raise DesignError(
@@ -210,12 +210,12 @@ class Nominal:
         self.start = controller.start(pair.t, pair.x, self.r)
 
     @property
-    def variables(self) -> list[Variable]:
+    def memory_variables(self) -> list[Variable]:
         """Memory of the nominal controller, with prefixed names."""
         return [_prefix_nominal_names(v) for v in self.controller.memory.variables]
 
     @property
-    def nominal_signals(self) -> list[Variable]:
+    def signal_variables(self) -> list[Variable]:
         """Signals of the nominal controller, with prefixed names."""
         return [_prefix_nominal_names(v) for v in self.controller.signals.variables]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arguments import Strict
+from gnc_opt.arguments import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.text_formatting import html_heading, html_table
@@ -50,7 +50,7 @@ class ReportEntry:
 
 
 @dataclass(frozen=True)
-class DesignReport(Strict):
+class DesignReport(StrictAttributes):
     """Results of one design; ``report["closed-loop poles"]`` returns a value, ``print`` shows a table.
 
     Attributes

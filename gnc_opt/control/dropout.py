@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer
-from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout, Variable, as_vector
@@ -91,8 +91,8 @@ def with_dropout_handling(
         Variable("lost", 1),
         Variable(INVALID, 1),
     )
-    step, start = _build_bridged_law(inner, inner.step, hold, given)
-    easy = None if inner.easy is None else _build_bridged_law(inner, inner.easy, hold, given)[0]
+    step, start = _build_dropout_law(inner, inner.step, hold, given)
+    easy = None if inner.easy is None else _build_dropout_law(inner, inner.easy, hold, given)[0]
     flight = inner.flight
     if flight is not None:
         flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
@@ -114,7 +114,7 @@ def with_dropout_handling(
     )
 
 
-def _build_bridged_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
+def _build_dropout_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
     """Return law and initial memory of the controller with dropout handling, for the full or the easy law."""
     states, size = inner.states.size, inner.memory.size
     kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
@@ -137,7 +137,7 @@ def _build_bridged_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tu
         ca.if_else(good, 0, ca.if_else(lost < _NEVER / 2, _NEVER, lost + 1)),
         ca.if_else(works, invalid, 1),
     )
-    step = law(t, x, r, z, ca.if_else(works, u, spare), z_next, *enough)
+    step = law_function(t, x, r, z, ca.if_else(works, u, spare), z_next, *enough)
     begun = ca.if_else(good, ca.vertcat(first, x), 0)
     return step, initial_state_function(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
 

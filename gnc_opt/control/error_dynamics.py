@@ -63,7 +63,7 @@ class ErrorDynamics:
         )
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
-    def linearize_many(self, times: Array, x_ref: Array, u_ref: Array) -> tuple[Array, Array]:
+    def linearize_at_times(self, times: Array, x_ref: Array, u_ref: Array) -> tuple[Array, Array]:
         """Return A (n, n_errors, n_errors) and B (n, n_errors, n_controls) at n times, columns of x_ref and u_ref."""
         n = times.size
         parameters = np.repeat(self.model.parameter_values[:, None], n, axis=1)
@@ -73,7 +73,7 @@ class ErrorDynamics:
         )
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
-    def output(self, name: str, t: Any, x: Any) -> Any:
+    def output_expression(self, name: str, t: Any, x: Any) -> Any:
         """Return an output as an SX expression of t and x; raise `DesignError` if it depends on a control."""
         time, xs, us, p = self.model.arguments()
         y = self.model.output_expression(name)
@@ -85,7 +85,7 @@ class ErrorDynamics:
 
     def linearize_output(self, name: str, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> Array:
         """Return C (n_rows, n_errors), the Jacobian of output ``name`` in the errors, at t (s), x_ref, u_ref."""
-        y = self.output(name, self.model.time, self._x)
+        y = self.output_expression(name, self.model.time, self._x)
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
         jacobian = np.asarray(self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)[0].full())
         return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian))

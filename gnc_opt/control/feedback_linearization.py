@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, authority_margin_fact, read_limits
+from gnc_opt.control.control_limits import Limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
@@ -29,7 +29,7 @@ from gnc_opt.control.decoupling import (
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, output_errors, read_component
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_option, output_errors
 from gnc_opt.control.reference import Reference, read_plant_model
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.errors import DesignError
@@ -97,13 +97,13 @@ def design_feedback_linearization(
     gain = _chain_gain(errors, poles)
     closed = _compute_closed_loop_poles(errors, gain)
     facts = [
-        ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
         ReportEntry("closed-loop poles", closed, "1/s"),
-        inverse.report_condition,
+        inverse.report_smallest_determinant,
         *zeros,
-        *_report_sampling(errors, gain, dt),
-        *authority_margin_fact(reference, authority, required=True),
+        *_report_sampled_stability(errors, gain, dt),
+        *report_authority(reference, authority, required=True),
     ]
     u = inverse(-ca.DM(gain) @ _stack_chain_errors(errors) - errors.drift)
     spare = None
@@ -126,21 +126,26 @@ def design_feedback_linearization(
     )
 
 
-def _report_chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
+def _list_chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
     """Return (component, order) of the entries of eta, sorted by order, then by component."""
-    return [(i, k) for k in range(max(errors.degrees)) for i, r in enumerate(errors.degrees) if k < r]
+    return [
+        (i, k)
+        for k in range(max(errors.relative_degrees))
+        for i, r in enumerate(errors.relative_degrees)
+        if k < r
+    ]
 
 
 def _stack_chain_errors(errors: OutputErrors) -> Any:
-    return ca.vertcat(*[errors.chains[i][k] for i, k in _report_chain_entries(errors)])
+    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_chain_entries(errors)])
 
 
 def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
-    places = _report_chain_entries(errors)
-    a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.size))
+    places = _list_chain_entries(errors)
+    a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.n_outputs))
     for row, (i, k) in enumerate(places):
-        if k + 1 < errors.degrees[i]:
+        if k + 1 < errors.relative_degrees[i]:
             a[row, places.index((i, k + 1))] = 1.0
         else:
             b[row, i] = 1.0
@@ -150,9 +155,9 @@ def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
 def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
     """Return K (n_outputs, sum of the relative degrees)."""
     a, b = _integrator_chains(errors)
-    gain = np.zeros((errors.size, len(_report_chain_entries(errors))))
-    for column, (i, k) in enumerate(_report_chain_entries(errors)):
-        label, degree = errors.labels[i], errors.degrees[i]
+    gain = np.zeros((errors.n_outputs, len(_list_chain_entries(errors))))
+    for column, (i, k) in enumerate(_list_chain_entries(errors)):
+        label, degree = errors.labels[i], errors.relative_degrees[i]
         gain[i, column] = _pole_placement_gains(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)
     if np.max(found.real) >= 0:
@@ -166,7 +171,7 @@ def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Se
 def _pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        poles = read_component(label, poles, errors, "the linearisation")
+        poles = component_option(label, poles, errors, "the linearisation")
         if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
     row = np.atleast_1d(np.asarray(poles, dtype=complex))
@@ -187,7 +192,7 @@ def _compute_closed_loop_poles(errors: OutputErrors, gain: Array) -> Array:
     return np.asarray(np.linalg.eigvals(a - b @ gain))
 
 
-def _report_sampling(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
+def _report_sampled_stability(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
     if dt is None:
         return []
     dt = read_positive(dt, "the control step dt", DesignError)

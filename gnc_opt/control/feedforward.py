@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law
+from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.reference import Reference
 from gnc_opt.model.variables import Layout, Variable
@@ -78,7 +78,7 @@ def feedforward(reference: Reference) -> Controller:
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", 0)
     return Controller(
         name="feedforward",
-        step=law(t, x, r, z, r[states : states + controls], z),
+        step=law_function(t, x, r, z, r[states : states + controls], z),
         start=initial_state_function(t, x, r, z),
         states=reference.states,
         commands=reference.controls,

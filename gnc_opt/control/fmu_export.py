@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gnc_opt.archive import write_atomically
-from gnc_opt.control.c_export.export import CCode, export_c, flight_controller
+from gnc_opt.control.c_export.export import CCode, codegen_controller, export_c
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
 
@@ -112,7 +112,7 @@ def export_fmu(
     with tempfile.TemporaryDirectory() as folder:
         sources = Path(folder)
         code = export_c(controller, sources, dt=dt, span=span, name=file.stem)
-        controller = flight_controller(controller).controller
+        controller = codegen_controller(controller).controller
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
         guid = _source_digest(sources)
@@ -166,7 +166,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
         generationTool="gnc_opt",
         variableNamingConvention="flat",
     )
-    simulation = _add_child(
+    simulation = _add_xml_element(
         root,
         "CoSimulation",
         modelIdentifier=code.name,
@@ -174,21 +174,23 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    sources = _add_child(simulation, "SourceFiles")
+    sources = _add_xml_element(simulation, "SourceFiles")
     for name in (_INTERFACE.name, code.source.name):
-        _add_child(sources, "File", name=name)
+        _add_xml_element(sources, "File", name=name)
     units = sorted({unit for unit in (*controller.states.units, *controller.commands.units) if unit})
     if units:
-        definitions = _add_child(root, "UnitDefinitions")
+        definitions = _add_xml_element(root, "UnitDefinitions")
         for unit in units:
-            _add_child(definitions, "Unit", name=unit)
-    _add_child(root, "DefaultExperiment", stepSize=repr(code.dt), **_default_experiment_times(controller))
-    variables, structure = _add_child(root, "ModelVariables"), _add_child(root, "ModelStructure")
+            _add_xml_element(definitions, "Unit", name=unit)
+    _add_xml_element(
+        root, "DefaultExperiment", stepSize=repr(code.dt), **_default_experiment_times(controller)
+    )
+    variables, structure = _add_xml_element(root, "ModelVariables"), _add_xml_element(root, "ModelStructure")
     _add_variables(controller, variables)
-    outputs = _add_child(structure, "Outputs")
+    outputs = _add_xml_element(structure, "Outputs")
     for index, variable in enumerate(variables, start=1):
         if variable.get("causality") == "output":
-            _add_child(outputs, "Unknown", index=str(index))
+            _add_xml_element(outputs, "Unknown", index=str(index))
     ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text
@@ -207,11 +209,11 @@ def _add_variables(controller: Controller, variables: ElementTree.Element) -> No
     taken = set()
     for reference, (causality, variability, label, unit) in enumerate(reals):
         variable = _add_scalar_variable(variables, label, reference, causality, variability)
-        _add_child(variable, "Real", start="0.0", **({"unit": unit} if unit else {}))
+        _add_xml_element(variable, "Real", start="0.0", **({"unit": unit} if unit else {}))
         taken.add(label)
     for reference, alarm in enumerate(controller.alarms):
         name = alarm if alarm not in taken else f"alarm {alarm}"
-        _add_child(
+        _add_xml_element(
             _add_scalar_variable(variables, name, reference, "output", "discrete"), "Boolean", start="false"
         )
 
@@ -220,7 +222,7 @@ def _add_scalar_variable(
     variables: ElementTree.Element, name: str, reference: int, causality: str, variability: str
 ) -> ElementTree.Element:
     exact = {"initial": "exact"} if causality == "output" else {}
-    return _add_child(
+    return _add_xml_element(
         variables,
         "ScalarVariable",
         name=name,
@@ -231,7 +233,7 @@ def _add_scalar_variable(
     )
 
 
-def _add_child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+def _add_xml_element(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
     return ElementTree.SubElement(parent, tag, attributes)
 
 

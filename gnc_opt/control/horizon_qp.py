@@ -20,7 +20,7 @@ _INACTIVE_ROW_DISTANCE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class StepLimits:
     """Limits of one step: controls (m,), their change, and states with the penalty of a squared violation."""
 
     lower: Array
@@ -61,14 +61,14 @@ class Rows:
         return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
 
     @property
-    def price_square_roots(self) -> Array:
+    def penalty_square_roots(self) -> Array:
         """Square roots of the penalties; scaled by them, squared slacks have weight one."""
         price = self.price[self.soft_limited_states] * self.state_scale[self.soft_limited_states] ** 2
         return np.sqrt(np.maximum(price, _LEAST_PRICE))
 
 
 @dataclass(frozen=True, eq=False)
-class Programme:
+class QuadraticProgram:
     """``min y'y/2 + g'y`` subject to ``low <= a y <= high``; unknowns from ``free`` on are slacks >= 0."""
 
     g: Any
@@ -97,10 +97,10 @@ class Programme:
 
 
 @dataclass(frozen=True, eq=False)
-class Horizon:
+class PredictionHorizon:
     """Matrices of the steps of a horizon: A - B K, B L^-T, K, L^-T."""
 
-    rows: Rows
+    rows: StepLimits
     matrices: list[list[Any]]
 
     @property
@@ -116,10 +116,12 @@ class Horizon:
     def n_unknowns(self) -> int:
         return self.n_free_commands + self.n_steps * len(self.rows.soft_limited_states)
 
-    def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
+    def build_qp(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> QuadraticProgram:
         """Return the QP for initial errors, feedforward, limited states and previous command (m,)."""
         rows, m, errors = self.rows, self.rows.lower.size, self._predict_errors(e_0)
-        commands = [self._command_rows(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)]
+        commands = [
+            self._predict_command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)
+        ]
         found = [_build_interval_rows(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
             before = (ca.DM(m, self.n_unknowns), previous)
@@ -129,11 +131,11 @@ class Horizon:
         found += self._state_limit_rows(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
         gradient = np.zeros(self.n_unknowns)
-        gradient[self.n_free_commands :] = np.tile(self.rows.price_square_roots, self.n_steps)
-        return Programme(ca.DM(gradient), ca.densify(a), low, high, self.n_free_commands)
+        gradient[self.n_free_commands :] = np.tile(self.rows.penalty_square_roots, self.n_steps)
+        return QuadraticProgram(ca.DM(gradient), ca.densify(a), low, high, self.n_free_commands)
 
-    def inactive(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
-        """Return whether the unconstrained regulator satisfies all limits; arguments as in `programme`."""
+    def is_regulator_feasible(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
+        """Return whether the unconstrained regulator satisfies all limits; arguments as in `build_qp`."""
         rows, m = self.rows, self.rows.lower.size
         e, room, limited = e_0, [], len(rows.states)
         for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):
@@ -155,15 +157,15 @@ class Horizon:
         found = [(ca.DM(e_0.shape[0], self.n_unknowns), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
-            found.append((a @ rows + self._sparse_rows(self.rows.lower.size * j, f), a @ rest))
+            found.append((a @ rows + self._place_block(self.rows.lower.size * j, f), a @ rest))
         return found
 
-    def _command_rows(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
+    def _predict_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
-        return self._sparse_rows(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
+        return self._place_block(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
-    def _sparse_rows(self, begin: int, block: Any) -> Any:
+    def _place_block(self, begin: int, block: Any) -> Any:
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_unknowns - end))
 
@@ -181,7 +183,7 @@ class Horizon:
                     if i in rows.soft_limited_states:
                         slack = rows.soft_limited_states.index(i)
                         place = self.n_free_commands + j * len(rows.soft_limited_states) + slack
-                        row = row + self._sparse_rows(place, ca.DM(-side / rows.price_square_roots[slack]))
+                        row = row + self._place_block(place, ca.DM(-side / rows.penalty_square_roots[slack]))
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
                     found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
         return found

@@ -6,7 +6,7 @@ control enters; with f affine in u,
 
 .. math:: h^{(r)} = a(t, x) + E(t, x)\, u .
 
-Tracking errors :math:`e(x, x_r)` are differentiated along plant and reference (`Pair`): plain outputs,
+Tracking errors :math:`e(x, x_r)` are differentiated along plant and reference (`PlantPair`): plain outputs,
 :math:`e = h(x) - h(x_r)`, or rotations. (A. Isidori, Nonlinear Control Systems, 3rd ed., ch. 4 and 5.)
 """
 
@@ -33,7 +33,7 @@ Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class PlantPair:
     """Plant and reference with the same dynamics; f, f_ref (SX): dx/dt of each."""
 
     model: Model
@@ -46,7 +46,7 @@ class Pair:
     f_ref: Any
 
     @classmethod
-    def of_plant_and_reference(cls, model: Model) -> Pair:
+    def from_model(cls, model: Model) -> PlantPair:
         """Return the pair of a model; `DesignError` unless the controls enter dx/dt affinely."""
         t, x, u, p = model.arguments()
         f = ca.substitute(model.derivative(), p, ca.DM(model.parameter_values))
@@ -87,23 +87,23 @@ class Pair:
 class OutputErrors:
     """Output errors: ``chains`` (e, de/dt, ...); the derivative of order r is ``drift + decoupling @ u``."""
 
-    pair: Pair
+    pair: PlantPair
     labels: tuple[str, ...]
     chains: tuple[Any, ...]
     drift: Any
     decoupling: Any
 
     @property
-    def degrees(self) -> tuple[int, ...]:
+    def relative_degrees(self) -> tuple[int, ...]:
         """The relative degrees, one per component."""
         return tuple(chain.numel() for chain in self.chains)
 
     @property
-    def size(self) -> int:
+    def n_outputs(self) -> int:
         return len(self.labels)
 
     @property
-    def determinant(self) -> Any:
+    def decoupling_determinant(self) -> Any:
         """det E, or (det E E^T)^(1/2) if there are more controls than outputs."""
         e = self.decoupling
         return ca.det(e) if e.shape[0] == e.shape[1] else ca.sqrt(ca.det(e @ e.T))
@@ -153,14 +153,14 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     Examples
     --------
     >>> errors = output_errors(cart, go.Reference(solution), "q")
-    >>> print(errors.degrees)
+    >>> print(errors.relative_degrees)
     (2,)
     """
-    pair = Pair.of_plant_and_reference(model)
-    return chain_errors(pair, reference, error_expressions(pair, outputs))
+    pair = PlantPair.from_model(model)
+    return build_error_chains(pair, reference, error_expressions(pair, outputs))
 
 
-def chain_errors(pair: Pair, reference: Reference, expressions: Mapping[str, Any]) -> OutputErrors:
+def build_error_chains(pair: PlantPair, reference: Reference, expressions: Mapping[str, Any]) -> OutputErrors:
     """Return the output errors of expressions of (t, x, x_ref), by name; raises as `output_errors`."""
     model = pair.model
     named = {
@@ -187,7 +187,7 @@ def chain_errors(pair: Pair, reference: Reference, expressions: Mapping[str, Any
     return OutputErrors(pair, tuple(named), tuple(chains), drift, decoupling)
 
 
-def error_expressions(pair: Pair, outputs: Outputs) -> dict[str, Any]:
+def error_expressions(pair: PlantPair, outputs: Outputs) -> dict[str, Any]:
     """Return the error of each output, SX of (t, x, x_ref), by name."""
     if isinstance(outputs, Mapping):
         items: list[tuple[str, Any]] = list(outputs.items())
@@ -199,7 +199,7 @@ def error_expressions(pair: Pair, outputs: Outputs) -> dict[str, Any]:
     return {name: _output_error(pair, name, output) for name, output in items}
 
 
-def _output_error(pair: Pair, name: str, output: Any) -> Any:
+def _output_error(pair: PlantPair, name: str, output: Any) -> Any:
     model = pair.model
     if isinstance(output, str):
         if output in model.states:
@@ -217,7 +217,9 @@ def _output_error(pair: Pair, name: str, output: Any) -> Any:
     return h - pair.substitute_reference(h)
 
 
-def _differentiate_to_control(pair: Pair, reference: Reference, label: str, e: Any) -> tuple[list[Any], Any]:
+def _differentiate_to_control(
+    pair: PlantPair, reference: Reference, label: str, e: Any
+) -> tuple[list[Any], Any]:
     """Return [e, de/dt, ...] without controls, and the first derivative that contains a control."""
     nothing = ca.DM.zeros(pair.u.numel())
     chain = [e]
@@ -232,7 +234,7 @@ def _differentiate_to_control(pair: Pair, reference: Reference, label: str, e: A
     )
 
 
-def _depends_on_control(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
+def _depends_on_control(pair: PlantPair, reference: Reference, e: Any, rate: Any) -> bool:
     """Return whether a control enters de/dt, tested numerically near the reference (terms may cancel)."""
     if not ca.depends_on(rate, pair.u):
         return False
@@ -256,7 +258,7 @@ class ZeroDynamics:
     eigenvalues: Array
 
     @property
-    def growth(self) -> float:
+    def growth_rate(self) -> float:
         """Largest real part of the eigenvalues, 1/s; -inf without zero dynamics."""
         return float(np.max(self.eigenvalues.real, initial=-np.inf))
 
@@ -287,7 +289,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     If q + 2 v stays at zero, q obeys dq/dt = -q / 2:
 
     >>> errors = output_errors(cart, go.Reference(solution), {"mixed": q + 2 * v})
-    >>> print(f"{zero_dynamics(errors, 0.5, [0.9, -0.5], [-1.0]).growth:.3f}")
+    >>> print(f"{zero_dynamics(errors, 0.5, [0.9, -0.5], [-1.0]).growth_rate:.3f}")
     -0.500
     """
     pair = errors.pair
@@ -314,7 +316,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 
 
-def read_component(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+def component_option(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
     known = [*errors.labels, *map(_output_of_component, errors.labels)]
     for key in given:

@@ -28,18 +28,18 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GUARD,
     GuardedLaw,
-    Memory,
-    Nominal,
+    MemoryEntry,
+    NominalController,
     build_guarded_controller,
     build_guarded_inverse,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.input_output_linearization import OutputErrors, Pair, chain_errors
+from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_error_chains
 from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference import Reference, read_plant_model
 from gnc_opt.control.sampled_data import spectral_radius, zero_order_hold
-from gnc_opt.control.sliding_mode import read_switching
+from gnc_opt.control.sliding_mode import build_switching_control
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import one_thread
@@ -105,14 +105,14 @@ def design_integral_sliding_mode(
     0.00 m off
     """
     reference = read_plant_model(model, reference, "design_integral_sliding_mode")
-    pair = Pair.of_plant_and_reference(model)
-    switching = read_switching(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
+    pair = PlantPair.from_model(model)
+    switching = build_switching_control(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
     errors, singular = _projected_surface(pair, reference, projection)
     inverse = build_guarded_inverse(errors, reference, guard)
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
     s, integral = _integrate_surface(errors, dt)
-    wanted, twist = switching.required_input(s, ca.SX.zeros(errors.size))
+    wanted, twist = switching.required_input(s, ca.SX.zeros(errors.n_outputs))
     u = u_nominal + inverse(wanted)
     memory = [
         *twist,
@@ -121,9 +121,9 @@ def design_integral_sliding_mode(
     ]
     facts += [
         ReportEntry("s at the start", 0.0, remark="no reaching phase"),
-        *switching.facts(),
+        *switching.report_entries(),
         ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
-        *switching.authority_margin_facts(errors, reference),
+        *switching.report_authority(errors, reference),
     ]
     return build_guarded_controller(
         name,
@@ -136,7 +136,7 @@ def design_integral_sliding_mode(
 
 
 def _projected_surface(
-    pair: Pair, reference: Reference, projection: Projection
+    pair: PlantPair, reference: Reference, projection: Projection
 ) -> tuple[OutputErrors, Array]:
     """Return w = G e as an output of relative degree 1, and the singular values of B at the start."""
     if projection not in get_args(Projection):
@@ -158,7 +158,7 @@ def _projected_surface(
         g = ca.SX(np.linalg.pinv(first))
     else:
         g = ca.solve(b.T @ b, b.T)
-    return chain_errors(pair, reference, {"s": g @ e}), singular
+    return build_error_chains(pair, reference, {"s": g @ e}), singular
 
 
 def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
@@ -171,31 +171,31 @@ def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     here = ca.vertcat(pair.u, pair.u_ref)
     right = ca.substitute(dt / 2 * g - dt**2 / 12 * g_rate, here, ca.vertcat(*held))
     left = dt / 2 * g + dt**2 / 12 * g_rate
-    first, behind = ca.SX.sym("w_start", errors.size), ca.SX.sym("integral", errors.size)
+    first, behind = ca.SX.sym("w_start", errors.n_outputs), ca.SX.sym("integral", errors.n_outputs)
     s = (w - first) - (behind + right)
     # The integral is empty at the first step: subtract the right-end contribution of a step before it at u_ref.
     nothing = -ca.substitute(right, ca.vertcat(*held), ca.vertcat(pair.u_ref, pair.u_ref))
 
-    def surface_memory(u_nominal: Any) -> list[Memory]:
+    def surface_memory(u_nominal: Any) -> list[MemoryEntry]:
         ahead = ca.substitute(left, pair.u, u_nominal)
         return [
-            Memory("w_start", first, w, first),
-            Memory("integral", behind, nothing, behind + right + ahead),
-            Memory("u_nominal", held[0], pair.u_ref, u_nominal),
-            Memory("u_ref_held", held[1], pair.u_ref, pair.u_ref),
-            Memory("s", ca.SX.sym("s", errors.size), ca.SX.zeros(errors.size), s),
+            MemoryEntry("w_start", first, w, first),
+            MemoryEntry("integral", behind, nothing, behind + right + ahead),
+            MemoryEntry("u_nominal", held[0], pair.u_ref, u_nominal),
+            MemoryEntry("u_ref_held", held[1], pair.u_ref, pair.u_ref),
+            MemoryEntry("s", ca.SX.sym("s", errors.n_outputs), ca.SX.zeros(errors.n_outputs), s),
         ]
 
     return s, surface_memory
 
 
 def _read_nominal_controller(
-    pair: Pair, reference: Reference, nominal: Controller | ArrayLike, dt: float
-) -> tuple[Nominal | None, Any, list[ReportEntry]]:
+    pair: PlantPair, reference: Reference, nominal: Controller | ArrayLike, dt: float
+) -> tuple[NominalController | None, Any, list[ReportEntry]]:
     """Return the nominal controller (``None`` for a gain), its command and its report entries."""
     if isinstance(nominal, Controller):
         nominal.step_length(dt)
-        inner = Nominal(nominal, pair)
+        inner = NominalController(nominal, pair)
         return inner, inner.command, [ReportEntry("nominal law", nominal.name), *nominal.explanation.facts]
     gain = read_numbers(nominal, "the nominal gain K", DesignError)
     shape = (pair.u.numel(), pair.model.errors.size)
@@ -216,7 +216,7 @@ def _read_nominal_controller(
     return None, pair.u_ref - ca.DM(gain) @ e, facts
 
 
-def _nominal_loop_poles(pair: Pair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
+def _nominal_loop_poles(pair: PlantPair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
     """Return the poles of A - B K at the end of the reference, and the spectral radius of the sampled loop."""
     t = reference.final_time
     a, b = ErrorDynamics(pair.model).linearize(t, reference.x(t), reference.u(t))

@@ -72,7 +72,7 @@ def _channel_margins(
 ) -> tuple[float, float, float, float]:
     others = [j for j in range(b.shape[1]) if j != i]
     rest = a - b[:, others] @ gain[others]
-    within = input_output_states(rest, b[:, [i]], gain[[i]])
+    within = mask_input_output_states(rest, b[:, [i]], gain[[i]])
     rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
 
     def evaluate_channel(w: float) -> complex:
@@ -96,7 +96,7 @@ def _channel_margins(
     )
 
 
-def input_output_states(a: Array, b: Array, c: Array) -> Mask:
+def mask_input_output_states(a: Array, b: Array, c: Array) -> Mask:
     """Return which states (n,) lie on a path from the inputs to the outputs in the graph of the matrices."""
     there = a != 0
 

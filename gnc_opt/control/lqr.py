@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, authority_margin_fact, clip, read_limits
-from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, report_authority
+from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
@@ -33,7 +33,7 @@ from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layou
 from gnc_opt.control.loop_margins import stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
 from gnc_opt.control.reference import Reference, read_plant_model
-from gnc_opt.control.riccati import Steady, require_stabilizable, solve_algebraic_riccati
+from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.sampled_data import discretize, to_continuous_poles
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
@@ -43,7 +43,7 @@ from gnc_opt.tolerances import are_equal
 
 
 def report_regulator(
-    regulator: Steady,
+    regulator: LqrSolution,
     plant: tuple[Array, Array],
     dt: float | None,
     *,
@@ -138,8 +138,8 @@ def design_lqr(
     solution, plant = _solve_augmented_riccati(deviation, (a, b), cost, integrals, dt)
     bounds = read_limits(model, limits)
     step, start, memory = _lqr_law(model, deviation, solution.gain, integrals, bounds)
-    signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.size else []))
-    facts = [*_report_lqr(solution, plant, model.controls, dt), *authority_margin_fact(reference, bounds)]
+    signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.n_states else []))
+    facts = [*_report_lqr(solution, plant, model.controls, dt), *report_authority(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
@@ -148,7 +148,9 @@ def design_lqr(
         commands=model.controls,
         signals=signals,
         memory=memory,
-        schedule=_WithStep(ReferenceSchedule(reference)) if integrals.size else ReferenceSchedule(reference),
+        schedule=_StepSchedule(ReferenceSchedule(reference))
+        if integrals.n_states
+        else ReferenceSchedule(reference),
         dt=dt,
         span=(reference.initial_time, reference.final_time),
         explanation=DesignReport(f"{name} of '{model.name}'", tuple(facts)),
@@ -157,7 +159,7 @@ def design_lqr(
 
 
 @dataclass(frozen=True, eq=False)
-class _Integrals:
+class _IntegralStates:
     """Integral states: layout, linearised output matrix ``C`` (size, n_errors) and weights."""
 
     memory: Layout
@@ -166,12 +168,12 @@ class _Integrals:
     weight: Array
 
     @property
-    def size(self) -> int:
+    def n_states(self) -> int:
         return self.memory.size
 
 
 @dataclass(frozen=True, eq=False)
-class _WithStep:
+class _StepSchedule:
     """Schedule with the length of the control step as an additional signal."""
 
     schedule: ReferenceSchedule
@@ -199,7 +201,7 @@ def require_constant_linearization(deviation: ErrorDynamics, reference: Referenc
 
 def _integral_states(
     deviation: ErrorDynamics, reference: Reference, integral: Mapping[str, ArrayLike] | None
-) -> _Integrals:
+) -> _IntegralStates:
     model = deviation.model
     variables, rows, weights = [], [], []
     asked = read_mapping(integral, "integral of design_lqr()", 'write {"q": 1.0}, a weight by name')
@@ -229,20 +231,20 @@ def _integral_states(
     diagonal = np.concatenate(weights) if weights else np.zeros(0)
     require_definite(np.diag(diagonal), memory.labels, "the weight")
     matrix = np.vstack(rows) if rows else np.zeros((0, model.errors.size))
-    return _Integrals(memory, tuple(asked), matrix, np.diag(diagonal))
+    return _IntegralStates(memory, tuple(asked), matrix, np.diag(diagonal))
 
 
 def _solve_augmented_riccati(
     deviation: ErrorDynamics,
     plant: tuple[Array, Array],
     cost: QuadraticCost,
-    integrals: _Integrals,
+    integrals: _IntegralStates,
     dt: float | None,
-) -> tuple[Steady, tuple[Array, Array]]:
+) -> tuple[LqrSolution, tuple[Array, Array]]:
     """Return the regulator and the (sampled) plant, augmented by the integral states."""
     (a, b), (q, r, n) = plant, cost
     labels = deviation.errors.labels + integrals.memory.labels
-    k, c = integrals.size, integrals.matrix
+    k, c = integrals.n_states, integrals.matrix
     if dt is None:
         one, per_step = np.zeros((k, k)), 1.0
     else:
@@ -266,30 +268,30 @@ def _solve_augmented_riccati(
 
 
 def _lqr_law(
-    model: Model, deviation: ErrorDynamics, gain: Array, integrals: _Integrals, limits: Authority | None
+    model: Model, deviation: ErrorDynamics, gain: Array, integrals: _IntegralStates, limits: Authority | None
 ) -> tuple[object, object, Layout]:
     states, controls = model.states.size, model.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
-    r = ca.SX.sym("r", states + controls + (1 if integrals.size else 0))
-    z = ca.SX.sym("z", integrals.size)
+    r = ca.SX.sym("r", states + controls + (1 if integrals.n_states else 0))
+    z = ca.SX.sym("z", integrals.n_states)
     x_ref, u_ff = r[:states], r[states : states + controls]
     e = deviation.error_expression(x, x_ref)
     k_e, k_i = gain[:, : e.shape[0]], gain[:, e.shape[0] :]
     u, z_next = u_ff - ca.DM(k_e) @ e, z
-    if integrals.size:
+    if integrals.n_states:
         u = u - ca.DM(k_i) @ z
         z_next = z + r[-1] * _compute_integral_rates(deviation, integrals, t, x, x_ref, e)
         if limits is not None:
             z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip(u, *limits))
     return (
-        law(t, x, r, z, u, z_next),
-        initial_state_function(t, x, r, ca.SX.zeros(integrals.size)),
+        law_function(t, x, r, z, u, z_next),
+        initial_state_function(t, x, r, ca.SX.zeros(integrals.n_states)),
         integrals.memory,
     )
 
 
 def _compute_integral_rates(
-    deviation: ErrorDynamics, integrals: _Integrals, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
+    deviation: ErrorDynamics, integrals: _IntegralStates, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
 ) -> ca.SX:
     model = deviation.model
     parts = []
@@ -297,12 +299,14 @@ def _compute_integral_rates(
         if name in model.errors:
             parts.append(e[model.errors.slice(name)])
         else:
-            parts.append(deviation.output(name, t, x) - deviation.output(name, t, x_ref))
+            parts.append(
+                deviation.output_expression(name, t, x) - deviation.output_expression(name, t, x_ref)
+            )
     return ca.vertcat(*parts)
 
 
 def _report_lqr(
-    solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: float | None
+    solution: LqrSolution, plant: tuple[Array, Array], controls: Layout, dt: float | None
 ) -> list[ReportEntry]:
     poles = to_continuous_poles(solution.poles, dt)
     facts = [

@@ -27,24 +27,24 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.active_set_qp import (
-    ProgrammeCode,
-    build_flight_law,
+    QpCode,
+    build_codegen_law,
     command_memory_layout,
     limit_command,
 )
 from gnc_opt.control.control_limits import (
     Limits,
-    authority_margin_fact,
     check_reference_limits,
     clip,
     read_limits,
+    report_authority,
 )
-from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
-from gnc_opt.control.horizon_qp import Horizon, Rows
+from gnc_opt.control.horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference, read_plant_model
@@ -148,15 +148,15 @@ def design_mpc(
             "has none."
         )
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
-    margin = authority_margin_fact(reference, bounds, required=True)
+    margin = report_authority(reference, bounds, required=True)
     change = None if rate_limits is None else _read_rate_limits(rate_limits, model, dt)
     in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, price)
-    rows = Rows(*bounds, change, in_x, in_e, *of_states)
+    rows = StepLimits(*bounds, change, in_x, in_e, *of_states)
     beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
-    windows = _Windows(gains, count)
-    schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
+    windows = _LtvModel(gains, count)
+    schedule = _HorizonSchedule(ReferenceSchedule(reference), windows, rows.states)
     signals = build_reference_layout(reference, *schedule.preview_variables())
-    law_ = _Law(deviation, schedule, rows, signals)
+    law_ = _MpcLaw(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
         step=law_.mpc_step(),
@@ -180,11 +180,11 @@ def design_mpc(
         ),
     )
     code = _qp_code(windows, rows, model)
-    return with_dropout_handling(replace(plain, flight=build_flight_law(code, deviation, plain, reference)))
+    return with_dropout_handling(replace(plain, flight=build_codegen_law(code, deviation, plain, reference)))
 
 
 @dataclass(frozen=True, eq=False)
-class _Windows:
+class _LtvModel:
     """Linear dynamics over a horizon from a given step: A - B K, B L^-T, K, L^-T, (N, ., .) each."""
 
     gains: SampledGains
@@ -211,11 +211,11 @@ class _Windows:
 
 
 @dataclass(frozen=True, eq=False)
-class _Schedule:
+class _HorizonSchedule:
     """Rows: x_ref, mean controls and limited states over the horizon, and the dynamics if they vary."""
 
     reference: ReferenceSchedule
-    windows: _Windows
+    windows: _LtvModel
     limited: tuple[int, ...]
 
     def preview_variables(self) -> list[Variable]:
@@ -239,19 +239,19 @@ class _Schedule:
         rows = [x[:, :, 0], *(u[:, :, j] for j in range(count))]
         rows += [x[list(self.limited), :, j] for j in range(1, count + 1) if self.limited]
         if not self.windows.is_constant:
-            numbers = [self.windows.gains.index(float(t)) for t in times]
+            numbers = [self.windows.gains.step_index(float(t)) for t in times]
             columns = [np.concatenate([m.ravel() for m in self.windows(k)]) for k in numbers]
             rows.append(np.stack(columns, axis=1))
         return np.vstack(rows)
 
 
 @dataclass(frozen=True, eq=False)
-class _Law:
+class _MpcLaw:
     """MPC law in MX; the ``easy`` form without solver is valid where the regulator satisfies all limits."""
 
     deviation: ErrorDynamics
-    schedule: _Schedule
-    rows: Rows
+    schedule: _HorizonSchedule
+    rows: StepLimits
     signals: Layout
 
     def mpc_step(self, *, easy: bool = False) -> Any:
@@ -259,7 +259,9 @@ class _Law:
         t, x, r, z = self._law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_signals(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
-        inside = self._horizon_function("inside", ca.SX, lambda horizon, *a: [horizon.inactive(*a)])(*known)
+        inside = self._horizon_function(
+            "inside", ca.SX, lambda horizon, *a: [horizon.is_regulator_feasible(*a)]
+        )(*known)
         omega, solved = ca.MX.zeros(m), inside
         if not easy:
             keep = self._horizon_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
@@ -270,7 +272,7 @@ class _Law:
         _, _, k, g = (parts[0] for parts in _compute_step_matrices(self.schedule, matrices))
         u = limit_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
-        return law(t, x, r, z, u, after, *([solved] if easy else []))
+        return law_function(t, x, r, z, u, after, *([solved] if easy else []))
 
     def initial_memory_function(self) -> Any:
         """Return the function of the initial memory: the feedforward, clipped to its limits."""
@@ -302,12 +304,12 @@ class _Law:
         rest = 0 if self.schedule.windows.is_constant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
         e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
-        horizon = Horizon(self.rows, _compute_step_matrices(self.schedule, matrices))
+        horizon = PredictionHorizon(self.rows, _compute_step_matrices(self.schedule, matrices))
         return ca.Function(name, arguments, outputs(horizon, e, u_ff, x_limited, previous))
 
-    def _solve_horizon_qp(self, horizon: Horizon, *known: Any) -> list[Any]:
+    def _solve_horizon_qp(self, horizon: PredictionHorizon, *known: Any) -> list[Any]:
         """Return the first unknowns of the QP solution, and whether it satisfies the optimality conditions."""
-        task = horizon.programme(*known)
+        task = horizon.build_qp(*known)
         one = ca.DM.eye(horizon.n_unknowns)
         shape = {"h": one.sparsity(), "a": task.a.sparsity()}
         least = np.full(horizon.n_unknowns, -np.inf)
@@ -318,16 +320,16 @@ class _Law:
         return [answer["x"][: self.rows.lower.size], solved]
 
 
-def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
+def _qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -> QpCode:
     """Return the QP for C export, with the matrices of every step of the reference."""
     last = len(windows.gains.steps) - 1
     firsts = [last + windows.count] if windows.is_constant else range(last + 1)
     found = [windows(k) for k in firsts]
     parts = [np.concatenate([w[i][:1] for w in found]) for i in range(4)]
-    return ProgrammeCode(rows, rows.price_square_roots, tuple(parts), windows.count, model.states.size)
+    return QpCode(rows, rows.penalty_square_roots, tuple(parts), windows.count, model.states.size)
 
 
-def _compute_step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
+def _compute_step_matrices(schedule: _HorizonSchedule, r: Any) -> list[list[Any]]:
     """Return A - B K, B L^-T, K, L^-T of each step, constant or from the end of the schedule row."""
     windows, place = schedule.windows, 0
     if windows.is_constant:
@@ -414,7 +416,9 @@ def _read_state_limits(
     return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 
-def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
+def _report_mpc(
+    gains: SampledGains, windows: _LtvModel, rows: StepLimits, states: Layout
+) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
     size, limits = (m + len(rows.soft_limited_states)) * count, rows.n_rows * count
     remark = f"{size} unknowns, {limits} rows"
@@ -432,7 +436,7 @@ def _report_mpc(gains: SampledGains, windows: _Windows, rows: Rows, states: Layo
     return facts
 
 
-def _report_limits(rows: Rows, states: Layout) -> list[ReportEntry]:
+def _report_limits(rows: StepLimits, states: Layout) -> list[ReportEntry]:
     soft = [states.labels[rows.states[i]] for i in rows.soft_limited_states]
     hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited_states]
     rates = ["rates of controls"] if rows.change is not None else []

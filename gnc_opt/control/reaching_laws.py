@@ -40,7 +40,7 @@ class Sign:
 
     Parameters
     ----------
-    slope : float
+    max_slope : float
         Infinite; part of the interface of the boundary layers.
 
     Examples
@@ -49,13 +49,13 @@ class Sign:
     [-1.0, 0.0, 1.0]
     """
 
-    slope: float = np.inf
+    max_slope: float = np.inf
 
     def __call__(self, s: Any) -> Any:
         """Return sign(s), SX."""
         return ca.sign(s)
 
-    def width(self, ratio: float) -> float:
+    def layer_width(self, ratio: float) -> float:
         """Return the |s| (unit of s) at which the switching function equals ``ratio`` (0 to 1)."""
         return 0.0
 
@@ -81,7 +81,7 @@ class SaturationLayer:
         read_positive(self.phi, "the width phi of a boundary layer")
 
     @property
-    def slope(self) -> float:
+    def max_slope(self) -> float:
         """Largest slope, 1 / phi."""
         return 1 / self.phi
 
@@ -89,7 +89,7 @@ class SaturationLayer:
         """Return sat(s / phi), SX."""
         return ca.fmax(-1, ca.fmin(1, s / self.phi))
 
-    def width(self, ratio: float) -> float:
+    def layer_width(self, ratio: float) -> float:
         """Return the |s| (unit of s) at which the switching function equals ``ratio`` (0 to 1)."""
         return self.phi * ratio
 
@@ -122,13 +122,13 @@ class ConstantRate:
         """Return rho(s), SX."""
         return self.eta * boundary(s)
 
-    def slope(self, boundary: Boundary) -> float:
+    def max_slope(self, boundary: Boundary) -> float:
         """Return the largest d rho / d s, 1/s."""
-        return self.eta * boundary.slope
+        return self.eta * boundary.max_slope
 
-    def band(self, boundary: Boundary, bound: float) -> float:
+    def sliding_band(self, boundary: Boundary, bound: float) -> float:
         """Return the largest |s| that a disturbance up to ``bound`` can sustain, for continuous control."""
-        return boundary.width(bound / self.eta)
+        return boundary.layer_width(bound / self.eta)
 
     def reaching_time(self, s: float, bound: float) -> float:
         """Return the longest reaching time (s) for a disturbance up to ``bound``, with ideal switching."""
@@ -161,9 +161,9 @@ class ExponentialRate(ConstantRate):
         """Return rho(s), SX."""
         return super().rate(s, boundary) + self.k * s
 
-    def slope(self, boundary: Boundary) -> float:
+    def max_slope(self, boundary: Boundary) -> float:
         """Return the largest d rho / d s, 1/s."""
-        return super().slope(boundary) + self.k
+        return super().max_slope(boundary) + self.k
 
     def reaching_time(self, s: float, bound: float) -> float:
         """Return the longest reaching time (s) for a disturbance up to ``bound``, with ideal switching."""
@@ -214,15 +214,15 @@ class SuperTwisting:
         """Return dz/dt, SX."""
         return -self.k2 * boundary(s)
 
-    def slope(self, boundary: Boundary) -> float:
+    def max_slope(self, boundary: Boundary) -> float:
         """Return the largest d rho / d s (1/s); infinite without a boundary layer (at s = 0)."""
         if isinstance(boundary, Sign):
             return np.inf
-        return float(1.5 * self.k1 * boundary.slope**0.5)
+        return float(1.5 * self.k1 * boundary.max_slope**0.5)
 
-    def band(self, boundary: Boundary, bound: float) -> float:
+    def sliding_band(self, boundary: Boundary, bound: float) -> float:
         """Return the |s| in equilibrium with a disturbance that grows at the rate ``bound``."""
-        return boundary.width(bound / self.k2)
+        return boundary.layer_width(bound / self.k2)
 
 
 def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:

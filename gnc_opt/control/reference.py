@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.arguments import Strict, expect, read_numbers
+from gnc_opt.arguments import StrictAttributes, expect, read_numbers
 from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.errors import ArgumentError, did_you_mean, quote, warn_user
 from gnc_opt.model.model import Model
@@ -68,7 +68,7 @@ TRIM_TOLERANCE = 1e-6
 _NODES, _WEIGHTS = leggauss(8)  # for the mean control over a step without a jump
 
 
-class Reference(Strict):
+class Reference(StrictAttributes):
     """State and control reference over time, from a solution, from functions or constant.
 
     After ``final_time`` the reference stays at its final state with the ``tail`` control. All phases of a solution must
@@ -250,7 +250,7 @@ class Reference(Strict):
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
-        owners, left, right = _clip_steps(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
+        owners, left, right = _split_steps(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
         means = (
             self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ _WEIGHTS * (0.5 * (right - left) / dt)
@@ -341,7 +341,7 @@ def _warn_of_residual(
         )
 
 
-def _clip_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
+def _split_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the pieces of steps between marks: index of the step, start and end of each piece."""
     first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
     counts = np.maximum(behind - first, 0) + 1

@@ -33,7 +33,7 @@ _PART = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Steady:
+class LqrSolution:
     """Steady Riccati solution: gain K, cost to go P (``e'P e``), poles of A - B K, residual."""
 
     gain: Array
@@ -43,7 +43,7 @@ class Steady:
 
 
 @dataclass(frozen=True, eq=False)
-class Mode:
+class UncontrollableMode:
     """Uncontrollable mode: its eigenvalue, its states, and the smallest singular value of [lambda 1 - A, B]."""
 
     eigenvalue: complex
@@ -53,7 +53,7 @@ class Mode:
 
 def solve_algebraic_riccati(
     a: Array, b: Array, q: Array, r: Array, n: Array, labels: tuple[str, ...], *, sampled: bool = False
-) -> Steady:
+) -> LqrSolution:
     """Return the stabilising solution; raise `DesignError` with the mode that prevents it."""
     require_stabilizable(a, b, labels, sampled=sampled)
     cross = np.linalg.solve(r, n.T)
@@ -75,7 +75,7 @@ def solve_algebraic_riccati(
             "choose weights of errors and controls that differ less, or scale the model's units."
         )
     order = np.argsort(-size)
-    return Steady(gain, p, poles[order], riccati_residual(a, b, q, r, n, p, sampled=sampled))
+    return LqrSolution(gain, p, poles[order], riccati_residual(a, b, q, r, n, p, sampled=sampled))
 
 
 def feedback_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
@@ -127,12 +127,12 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
             )
 
 
-def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
+def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[UncontrollableMode]:
     """Return the modes of ``de/dt = A e + B v`` that v does not control, from the staircase form."""
     size = a.shape[0]
-    balanced, scale = _balance_matrices(a)
+    balanced, scale = _balance_matrix(a)
     balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
-    rate = np.linalg.norm(_balance_matrices(a)[0], 2)
+    rate = np.linalg.norm(_balance_matrix(a)[0], 2)
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
@@ -156,11 +156,11 @@ def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mo
         pencil = np.hstack([eigenvalue * np.eye(size) - balanced, inputs])
         gap = float(np.linalg.svd(pencil, compute_uv=False)[-1])
         states = tuple(label for label, s in zip(labels, share, strict=True) if s > _PART * share.max())
-        modes.append(Mode(complex(eigenvalue * rate), states, gap))
+        modes.append(UncontrollableMode(complex(eigenvalue * rate), states, gap))
     return modes
 
 
-def _balance_matrices(a: Array) -> tuple[Array, Array]:
+def _balance_matrix(a: Array) -> tuple[Array, Array]:
     """Return ``a`` balanced by a diagonal similarity transformation, and its scales (n,), powers of two."""
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
@@ -170,7 +170,7 @@ def _balance_matrices(a: Array) -> tuple[Array, Array]:
 def _is_decaying(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
         return abs(eigenvalue) < 1 - EQUAL
-    rate = float(np.linalg.norm(_balance_matrices(a)[0], 2))
+    rate = float(np.linalg.norm(_balance_matrix(a)[0], 2))
     return eigenvalue.real < -EQUAL * rate
 
 

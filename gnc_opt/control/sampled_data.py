@@ -48,12 +48,12 @@ def is_period_start(phase: Any) -> Any:
     return phase < 0.5
 
 
-def advance_phase(phase: Any, count: int) -> Any:
+def advance_step_counter(phase: Any, count: int) -> Any:
     """Return the step counter (SX) after a step, modulo ``count``."""
     return ca.if_else(phase > count - 1.5, 0.0, phase + 1)
 
 
-def sort_symbols(times: Sequence[Any]) -> list[Any]:
+def sort_times(times: Sequence[Any]) -> list[Any]:
     """Return SX scalars in ascending order."""
     times = list(times)
     for last in range(len(times) - 1, 0, -1):

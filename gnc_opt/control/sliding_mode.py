@@ -22,20 +22,20 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, authority_margin_fact, read_limits, saturate
+from gnc_opt.control.control_limits import Authority, Limits, read_limits, report_authority, saturate
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
     GUARD,
+    GuardedInverse,
     GuardedLaw,
-    Inverse,
-    Memory,
+    MemoryEntry,
     build_guarded_controller,
     build_guarded_inverse,
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, output_errors, read_component
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_option, output_errors
 from gnc_opt.control.reaching_laws import (
     Boundary,
     ExponentialRate,
@@ -57,13 +57,13 @@ def _sliding_mode_command(
     s: Any,
     drift: Any,
     errors: OutputErrors,
-    inverse: Inverse,
-    switching: Switching,
+    inverse: GuardedInverse,
+    switching: SwitchingControl,
     observer: SuperTwistingObserver | None,
-) -> tuple[list[Memory], Any]:
-    n, dt = errors.size, switching.dt
+) -> tuple[list[MemoryEntry], Any]:
+    n, dt = errors.n_outputs, switching.dt
     wanted, twist = switching.required_input(s, drift)
-    memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.alarm_memory(s)]
+    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.alarm_memory(s)]
     if observer is None:
         return memory, inverse(wanted)
     assert dt is not None
@@ -71,11 +71,15 @@ def _sliding_mode_command(
     u = inverse(wanted - observer.estimate(s, s_hat, q))
     known = drift + errors.decoupling @ saturate(u, switching.limits)
     s_next, q_next = observer.update(s, s_hat, q, known, dt)
-    return [*memory, Memory("s_hat", s_hat, s, s_next), Memory("disturbance", q, ca.SX.zeros(n), q_next)], u
+    return [
+        *memory,
+        MemoryEntry("s_hat", s_hat, s, s_next),
+        MemoryEntry("disturbance", q, ca.SX.zeros(n), q_next),
+    ], u
 
 
 def _require_sampled_decay(
-    labels: Sequence[str], coefficients: Sequence[Array], switching: Switching
+    labels: Sequence[str], coefficients: Sequence[Array], switching: SwitchingControl
 ) -> None:
     """Raise `DesignError` if large sampled errors grow at this control step."""
     if switching.dt is None:
@@ -101,24 +105,24 @@ def _sum_weighted_derivatives(c: Array, chain: Any, order: int) -> Any:
 
 
 def _report_surface(
-    errors: OutputErrors, coefficients: Sequence[Array], switching: Switching
+    errors: OutputErrors, coefficients: Sequence[Array], switching: SwitchingControl
 ) -> list[ReportEntry]:
     """Return poles, the band of s and the resulting steady error, and the sampling limit."""
     pairs = list(zip(errors.labels, coefficients, strict=True))
     poles = [
         ReportEntry(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1
     ]
-    facts = [*poles, *switching.facts()]
+    facts = [*poles, *switching.report_entries()]
     if not isinstance(switching.boundary, Sign):
         real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
-        steady = [band / c[0] for band, c in zip(switching.bands, coefficients, strict=True)]
+        steady = [band / c[0] for band, c in zip(switching.sliding_bands, coefficients, strict=True)]
         remark = "of the outputs, from the band of s"
         facts += [ReportEntry("steady error bound", np.array(steady), remark=remark)] if real else []
     return facts
 
 
 @dataclass(frozen=True, eq=False)
-class Switching:
+class SwitchingControl:
     """Switching part: disturbance bounds of ds/dt, control step (s), control limits (n_controls,)."""
 
     reaching: Law
@@ -128,11 +132,11 @@ class Switching:
     limits: Authority | None
 
     @property
-    def bands(self) -> Array:
+    def sliding_bands(self) -> Array:
         """Largest |s| that disturbances at their bounds can sustain, per surface, for continuous control."""
-        return np.array([self.reaching.band(self.boundary, float(b)) for b in self.bounds])
+        return np.array([self.reaching.sliding_band(self.boundary, float(b)) for b in self.bounds])
 
-    def required_input(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
+    def required_input(self, s: Any, drift: Any) -> tuple[Any, list[MemoryEntry]]:
         """Return E u for which ``ds/dt = drift + E u`` satisfies the reaching law, and its memory entries; SX."""
         wanted = -drift - self.reaching.rate(s, self.boundary)
         if not isinstance(self.reaching, SuperTwisting):
@@ -141,42 +145,40 @@ class Switching:
         size = self.bounds.size
         twist = ca.SX.sym("twist", size)
         grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
-        return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
+        return wanted + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), grown)]
 
-    def alarm_memory(self, s: Any, *, stays: bool = True) -> list[Memory]:
+    def alarm_memory(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
         """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `create_gain_alarm`."""
         first = s if stays else ca.SX.zeros(s.shape)
-        edge = self.boundary.width(1.0)
+        edge = self.boundary.layer_width(1.0)
         if isinstance(self.reaching, SuperTwisting):
             return []
         return create_gain_alarm(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
-    def facts(self) -> list[ReportEntry]:
+    def report_entries(self) -> list[ReportEntry]:
         """Return the report entries of the bands of s and the sampling limit."""
         remark = "largest abs(s) that a disturbance at its bound sustains, continuous control"
-        facts = [ReportEntry("band of s", self.bands, remark=remark)]
-        slope = self.reaching.slope(self.boundary)
+        facts = [ReportEntry("band of s", self.sliding_bands, remark=remark)]
+        slope = self.reaching.max_slope(self.boundary)
         if np.isfinite(slope):
             remark = "longer control steps chatter in the boundary layer"
             facts.append(ReportEntry("sampling limit", 2 / slope, "s", remark))
         return facts
 
-    def authority_margin_facts(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
+    def report_authority(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
         """Return the report entry of the control authority margin with a finite switching gain."""
         if isinstance(self.reaching, SuperTwisting):  # unbounded command
-            return authority_margin_fact(reference, self.limits, dt=self.dt, required=True)
+            return report_authority(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
 
         def switching_gain_demand(times: Array) -> Array:
             matrices = errors.pair.evaluate_along_reference(reference, times, errors.decoupling)
             return np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
 
-        return authority_margin_fact(
-            reference, self.limits, gain=switching_gain_demand, dt=self.dt, required=True
-        )
+        return report_authority(reference, self.limits, gain=switching_gain_demand, dt=self.dt, required=True)
 
 
-def read_switching(
+def build_switching_control(
     reaching: Law,
     boundary: Boundary,
     names: tuple[Model, Sequence[str]],
@@ -185,11 +187,11 @@ def read_switching(
     dt: float | None,
     *,
     memory: bool = False,
-) -> Switching:
+) -> SwitchingControl:
     """Return the switching part of the named surfaces of a model; a law with ``memory`` requires dt."""
     model, labels = names
     bounds = read_bounds(reaching, bound, labels)
-    return Switching(
+    return SwitchingControl(
         reaching,
         boundary,
         bounds,
@@ -207,7 +209,7 @@ def _read_step_length(reaching: Law, boundary: Boundary, dt: float | None, *, ne
             raise DesignError("a law with memory is designed for one length of control steps: give dt, in s.")
         return None
     dt = read_positive(dt, "the control step dt", DesignError)
-    slope = reaching.slope(boundary)
+    slope = reaching.max_slope(boundary)
     if np.isfinite(slope) and slope * dt >= 2:
         raise DesignError(
             f"control steps of {dt:g} s are too long for the switching gain: gain * dt / phi = {slope * dt:.4g} "
@@ -223,7 +225,7 @@ LAYER_EXIT_MIN_STEPS = 10
 """Consecutive control steps outside the boundary layer that raise the alarm; fewer may be noise."""
 
 
-def create_gain_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
+def create_gain_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[MemoryEntry]:
     """Return the memory of an alarm for abs(s) > ``edge`` > 0; without ``stays`` only steps with growing s count."""
     if edge <= 0:
         return []
@@ -236,9 +238,9 @@ def create_gain_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[M
     after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0 if stays else -1)
     raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > LAYER_EXIT_MIN_STEPS - 0.5)
     return [
-        Memory("away", away, -ca.SX.ones(n), after),
-        Memory("distance", distance, ca.fabs(first), size),
-        Memory(SWITCHING_GAIN_EXCEEDED, flag, ca.SX(0), raised, alarm=True),
+        MemoryEntry("away", away, -ca.SX.ones(n), after),
+        MemoryEntry("distance", distance, ca.fabs(first), size),
+        MemoryEntry(SWITCHING_GAIN_EXCEEDED, flag, ca.SX(0), raised, alarm=True),
     ]
 
 
@@ -318,7 +320,7 @@ def design_sliding_mode(
     errors = output_errors(model, reference, outputs)
     coefficients = _surface_coefficients(errors, slopes)
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
-    switching = read_switching(*law, memory=observer is not None)
+    switching = build_switching_control(*law, memory=observer is not None)
     _require_sampled_decay(errors.labels, coefficients, switching)
     inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
@@ -327,11 +329,11 @@ def design_sliding_mode(
     drift = errors.drift + ca.vertcat(*[_sum_weighted_derivatives(c[:-1], chain, 1) for c, chain in pairs])
     memory, u = _sliding_mode_command(s, drift, errors, inverse, switching, observer)
     facts = [
-        ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         *_report_surface(errors, coefficients, switching),
-        inverse.report_condition,
+        inverse.report_smallest_determinant,
         *zeros,
-        *switching.authority_margin_facts(errors, reference),
+        *switching.report_authority(errors, reference),
     ]
     return build_guarded_controller(
         name,
@@ -348,8 +350,8 @@ def design_sliding_mode(
 def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     """Return the coefficients c_0, ..., c_{r-2}, 1 of each surface."""
     found = []
-    for i, (label, r) in enumerate(zip(errors.labels, errors.degrees, strict=True)):
-        given = _read_slope(errors, slopes, label, i) if r > 1 else []
+    for i, (label, r) in enumerate(zip(errors.labels, errors.relative_degrees, strict=True)):
+        given = _read_surface_slope(errors, slopes, label, i) if r > 1 else []
         try:
             poles = np.asarray(given, dtype=complex)
         except (TypeError, ValueError):
@@ -373,16 +375,16 @@ def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     return found
 
 
-def _read_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
+def _read_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
-        slope = read_component(label, slopes, errors, "the surface")
+        slope = component_option(label, slopes, errors, "the surface")
         if slope is None:
             raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
         return slope
     if isinstance(slopes, Sequence):
-        if len(slopes) != errors.size:
+        if len(slopes) != errors.n_outputs:
             raise DesignError(
-                f"{len(slopes)} slopes are given for {errors.size} surfaces ({', '.join(errors.labels)}): give lambda, "
+                f"{len(slopes)} slopes for {errors.n_outputs} surfaces ({', '.join(errors.labels)}): give lambda, "
                 "in 1/s, for all or one for each."
             )
         return slopes[index]

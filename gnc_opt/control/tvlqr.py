@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, authority_margin_fact, read_limits
-from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.control_limits import Limits, read_limits, report_authority
+from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
@@ -108,7 +108,7 @@ def design_tvlqr(
     gains = compute_riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _tvlqr_law(deviation)
-    facts = [*_report_tvlqr(deviation, reference, gains), *authority_margin_fact(reference, bounds)]
+    facts = [*_report_tvlqr(deviation, reference, gains), *report_authority(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
@@ -134,7 +134,7 @@ def _tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     x_ref, u_ff = r[:states], r[states : states + controls]
     gain = ca.reshape(r[states + controls :], errors, controls).T  # row by row
     u = u_ff - gain @ deviation.error_expression(x, x_ref)
-    return law(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
+    return law_function(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 
 def _report_tvlqr(

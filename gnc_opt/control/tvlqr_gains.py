@@ -15,7 +15,12 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import Steady, feedback_gain, riccati_backward_step, solve_algebraic_riccati
+from gnc_opt.control.riccati import (
+    LqrSolution,
+    feedback_gain,
+    riccati_backward_step,
+    solve_algebraic_riccati,
+)
 from gnc_opt.control.sampled_data import SampledStep, discretize, discretize_time_varying
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
@@ -33,7 +38,7 @@ class ContinuousGains:
     """Start, end and dense output of P for each piece, in order of time."""
     terminal: Array
     tail: Array
-    steady: Steady | None
+    steady: LqrSolution | None
 
     def P(self, t: float) -> Array:
         """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
@@ -67,21 +72,21 @@ class SampledGains:
     costs: tuple[Array, ...]
     """P at the start of each step and after the last."""
     tail: Array
-    steady: Steady | None
+    steady: LqrSolution | None
 
-    def index(self, t: float) -> int:
+    def step_index(self, t: float) -> int:
         return max(int(np.floor((t - self.initial_time) / self.dt + STEP_SLACK)), 0)
 
     def P(self, t: float) -> Array:
         """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
-        k = self.index(t)
+        k = self.step_index(t)
         if k > len(self.gains) and self.steady is not None:
             return self.steady.cost
         return self.costs[min(k, len(self.gains))]
 
     def K(self, t: float) -> Array:
         """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
-        k = self.index(t)
+        k = self.step_index(t)
         return self.gains[k] if k < len(self.gains) else self.tail
 
 
@@ -125,7 +130,7 @@ def _design_tail_regulator(
     end: Array | None,
     *,
     sampled: bool,
-) -> Steady | None:
+) -> LqrSolution | None:
     """Return the steady regulator after the end; ``None`` if there is none but a terminal weight is given."""
     try:
         return solve_algebraic_riccati(*plant, *cost, deviation.errors.labels, sampled=sampled)
@@ -137,7 +142,6 @@ def _design_tail_regulator(
 
 
 def _linearize_on_reference(deviation: ErrorDynamics, reference: Reference, t: float) -> tuple[Array, Array]:
-    """Return A and B on the reference at t (s)."""
     return deviation.linearize(t, reference.x(t), reference.u(t))
 
 
@@ -202,7 +206,7 @@ def _sampled_gains(
     def linearize_in_step(times: Array) -> tuple[Array, Array]:
         late, within = times > t_f, np.minimum(times, t_f)
         u = np.where(late, reference.tail_control[:, None], reference.u(within))
-        return deviation.linearize_many(within, reference.x(within), u)
+        return deviation.linearize_at_times(within, reference.x(within), u)
 
     steps = [
         discretize_time_varying(linearize_in_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f))

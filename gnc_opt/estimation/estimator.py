@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError, did_you_mean
 from gnc_opt.estimation.kalman_filter import COVARIANCE
@@ -214,7 +214,7 @@ def _combine_laws(
     own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
     x, after = estimator.update(t, y, own)
     u, inner_after, *enough = bare(t, x[fed], r, inner)
-    step = law(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
+    step = law_function(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
     x_first, _ = estimator.update(t, y, ca.DM(estimator.first))
     begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
     return step, initial_state_function(t, y, r, begun)

@@ -20,7 +20,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sampled_data import sort_symbols
+from gnc_opt.control.sampled_data import sort_times
 from gnc_opt.errors import DesignError
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -85,7 +85,7 @@ class Prediction:
         """Return the times from t to the end between which the controls are constant."""
         end = ca.fmax(tau[-1], t)
         inner = [*ca.vertsplit(tau)[:-1], *([tau[-1] - self.ending.length] if self.ending.reserve else [])]
-        return [t, *sort_symbols([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
+        return [t, *sort_times([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
 
     @cached_property
     def _arc_propagation_function(self) -> Any:

@@ -31,7 +31,7 @@ import scipy
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
@@ -349,7 +349,7 @@ class _Guidance:
         u = ca.if_else(tracking, command, means)
         after = ca.vertcat(tau, tracking, miss, ca.if_else(tracking, memory, own))
         first = ca.vertcat(self.optimum.tau, 0, 0, inner.start(t, x, r))
-        return law(t, x, r, z, u, after), initial_state_function(t, x, r, first)
+        return law_function(t, x, r, z, u, after), initial_state_function(t, x, r, first)
 
     # --- design report ------------------------------------------------------------------------------------
 

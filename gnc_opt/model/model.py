@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import Strict, expect, read_integer, read_name, read_numbers
+from gnc_opt.arguments import StrictAttributes, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, quote, suggest_symbol
 from gnc_opt.model.casadi_import import read_derivative, read_parameter_values, read_variables
@@ -85,7 +85,7 @@ class Differences:
 _ARGUMENTS = ["t", "x", "u", "p"]
 
 
-class Model(Strict):
+class Model(StrictAttributes):
     """Dynamics ``dx/dt = f(t, x, u, p)`` with named, vector-valued variables.
 
     Parameters

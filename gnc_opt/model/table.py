@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import Strict, read_label, read_numbers
+from gnc_opt.arguments import StrictAttributes, read_label, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, quote
 from gnc_opt.model.interpolation import METHODS, Method, Pieces
@@ -39,7 +39,7 @@ class TableUse:
         return frozenset(node.element_hash() for node in ca.vertsplit(self.comparisons))
 
 
-class Table(Strict):
+class Table(StrictAttributes):
     """Interpolated data on a grid, callable with expressions or numbers; created by `table`.
 
     Attributes

@@ -190,7 +190,6 @@ def _draw_switching_function(
 
 
 def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
-    """Return whether the applied control is at one of its bounds (n_times,)."""
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
     flown = leg.applied(t)[row]
     room = np.minimum(flown - lower, upper - flown)

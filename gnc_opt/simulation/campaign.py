@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.archive import FileFormat, Packing
-from gnc_opt.arguments import Strict
+from gnc_opt.archive import DataclassPacking, FileFormat
+from gnc_opt.arguments import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.tabular_data import Records, name_variable_rows
@@ -32,7 +32,7 @@ from gnc_opt.text_formatting import Printed, json_text
 
 
 @dataclass(frozen=True, eq=False)
-class Campaign(Strict, Printed):
+class Campaign(StrictAttributes, Printed):
     """Results of many runs of a closed loop; arrays have one column for each of the m available runs.
 
     Attributes
@@ -332,7 +332,7 @@ CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
     7,
-    Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
+    DataclassPacking((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
     alike=(2, 3, 4, 5, 6),  # 2 has no fingerprint, 3 no memory, 4 no events, 5 no re-plans, 6 no quantities
 )
 

@@ -130,8 +130,10 @@ class ClosedLoop:
                 "the replanner of a closed loop",
                 "write Replanner(resolver, every=...)",
             )
-            followed, signals = self.controller.followed, self.controller.signals
-            self.replanner.check(followed, signals, self.dt, lambda t: self.controller.signal(t, self.dt))
+            followed, signals = self.controller.reference_layout, self.controller.signals
+            self.replanner.check(
+                followed, signals, self.dt, lambda t: self.controller.schedule_row(t, self.dt)
+            )
         divergence_limits = _read_divergence_limits(self.divergence_limits, self.plant.states)
         set_(
             self,
@@ -301,7 +303,7 @@ class ClosedLoop:
             followed_rows=self._index_reference_rows(),
             states=self.plant.states,
             measured=self.controller.states,
-            followed=self.controller.followed,
+            followed=self.controller.reference_layout,
             commands=self.controller.commands,
             controls=self.plant.controls,
             memory=self.controller.memory,
@@ -356,7 +358,7 @@ class ClosedLoop:
         return rows
 
     def _index_reference_rows(self) -> Any:
-        signals, states = self.controller.signals, self.controller.followed
+        signals, states = self.controller.signals, self.controller.reference_layout
         if all(f"{n}_ref" in signals for n in states.names):
             return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
         if "x_ref" in signals and signals["x_ref"].size == states.size:

@@ -14,7 +14,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
-from gnc_opt.control.sampled_data import advance_phase, count_whole_steps, is_period_start
+from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_period_start
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, read_block_scalar, read_block_values
 
@@ -152,7 +152,7 @@ class PiecewiseConstantNoise(Disturbance):
     def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
         size = state.shape[0] - 1
         drawn = ca.if_else(is_period_start(state[size]), noise, state[:size])
-        return ca.vertcat(drawn, advance_phase(state[size], self._steps(tick.dt)))
+        return ca.vertcat(drawn, advance_step_counter(state[size], self._steps(tick.dt)))
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
         return p["sigma"] * state[:-1]

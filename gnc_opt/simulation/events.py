@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import expect, read_label, require_distinct
+from gnc_opt.arguments import expect, read_label, require_distinct_names
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, quote
 from gnc_opt.model.model import Model
@@ -180,7 +180,7 @@ class Events:
     @classmethod
     def from_declarations(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
         """Return the events of a plant; raise `ArgumentError` or `ModelError` for invalid ones."""
-        require_distinct([event.name for event in declared], "events of the closed loop")
+        require_distinct_names([event.name for event in declared], "events of the closed loop")
         if not declared:
             return cls((), (), None, None)
         t, x, _, p = plant.arguments()

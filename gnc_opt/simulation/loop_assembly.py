@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import require_distinct
+from gnc_opt.arguments import require_distinct_names
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, did_you_mean
@@ -34,7 +34,7 @@ def check_measured_signals(plant: Model, controller: Controller) -> None:
                 f"controller '{controller.name}' measures the output '{variable.name}' of '{plant.name}', which "
                 "depends on a control: measure one of states alone."
             )
-    for variable in controller.followed.variables if controller.estimated is not None else ():
+    for variable in controller.reference_layout.variables if controller.estimated is not None else ():
         if variable.name in plant.states:  # estimated states need not exist in the plant
             _check_variable(variable, plant, controller, "estimates")
 
@@ -198,7 +198,7 @@ def wire_loop(
                 f"'{block.name}' is a disturbance, not an actuator or a sensor: give it among the disturbances."
             )
     every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
-    require_distinct([block.name for block in every], "blocks of the closed loop")
+    require_distinct_names([block.name for block in every], "blocks of the closed loop")
     actuators, applied = link_blocks(blocks.actuators, list_sizes_and_units(controller.commands), "command")
     check_applied_signals(plant, applied, controller)
     sensors = _link_sensors(controller, blocks.sensors)

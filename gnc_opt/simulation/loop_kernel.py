@@ -178,8 +178,6 @@ def build_kernel(wiring: Wiring, substeps: int) -> Kernel:
 
 
 class _Builder(ControlStep):
-    """Assembly of the kernel functions."""
-
     def kernel(self) -> Kernel:
         constants, act = self._act_functions()
         step, easy = self._step_function(constants, act), self._fast_step_function(constants, act)

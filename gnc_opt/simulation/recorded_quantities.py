@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import read_label, require_distinct
+from gnc_opt.arguments import read_label, require_distinct_names
 from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
@@ -71,7 +71,7 @@ class Quantities:
     @classmethod
     def from_declarations(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
         """Return the declared quantities of a plant; raise `ArgumentError` for invalid ones."""
-        require_distinct([quantity.name for quantity in declared], "quantities of the closed loop")
+        require_distinct_names([quantity.name for quantity in declared], "quantities of the closed loop")
         rows = [
             plant_expression(q.expression, f"the expression of quantity '{q.name}'", plant, controls=True)
             for q in declared

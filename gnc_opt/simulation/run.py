@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.archive import FileFormat, Packing
-from gnc_opt.arguments import Strict, read_positive
+from gnc_opt.archive import DataclassPacking, FileFormat
+from gnc_opt.arguments import StrictAttributes, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.tabular_data import Records, name_variable_rows
@@ -71,7 +71,7 @@ class Logged:
 
 
 @dataclass(frozen=True)
-class Run(Strict, Printed):
+class Run(StrictAttributes, Printed):
     """Closed-loop run over N control steps.
 
     Attributes
@@ -308,7 +308,7 @@ RUN_FILES = FileFormat(
     Run,
     "run",
     4,
-    Packing((Run, Outcome, RunStatus, Layout, Variable, EventOccurrence, Replan)),
+    DataclassPacking((Run, Outcome, RunStatus, Layout, Variable, EventOccurrence, Replan)),
     alike=(2, 3),  # 2 knows no events, 3 no re-plans
 )
 

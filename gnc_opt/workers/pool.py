@@ -254,8 +254,6 @@ class WorkerPool(Generic[Object]):
 
 @dataclass(eq=False)
 class _Ledger(Generic[Item, Answer]):
-    """Pending and completed tasks of one run."""
-
     items: Sequence[Item]
     show: Callable[[Done[Item, Answer]], None]
     futures: dict[int, Future[Answer]] = field(default_factory=dict)
@@ -280,8 +278,6 @@ class _Ledger(Generic[Item, Answer]):
 
 
 class _Serial(Executor):
-    """Executor that runs every task immediately in this process."""
-
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         try:

@@ -38,7 +38,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt import simulation
-from gnc_opt.control import Controller, law, with_dropout_handling
+from gnc_opt.control import Controller, law_function, with_dropout_handling
 from gnc_opt.estimation import Estimator, Measurement, output_feedback
 from gnc_opt.simulation.block import clip
 from gnc_opt.simulation.dispersions import Dispersion
@@ -96,7 +96,7 @@ def within_limits(controller: Controller) -> Controller:
     return with_dropout_handling(
         replace(
             inner,
-            step=law(t, x, r, z, torques, after),
+            step=law_function(t, x, r, z, torques, after),
             commands=craft.controls,
             unbridged=None,
             flight=None,

@@ -30,7 +30,7 @@ from gnc_opt.control import (
     bryson,
     design_tvlqr,
     initial_state_function,
-    law,
+    law_function,
 )
 from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.model.variables import Layout
@@ -131,7 +131,7 @@ def quasi_sliding_mode(
     )
     return Controller(
         name=name,
-        step=law(t, x, r, z, u, z),
+        step=law_function(t, x, r, z, u, z),
         start=initial_state_function(t, x, r, z),
         states=states,
         commands=controls,

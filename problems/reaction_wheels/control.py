@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, solve_continuous_are
 
 import gnc_opt as go
-from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, law
+from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, law_function
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.riccati import solve_algebraic_riccati
@@ -215,7 +215,7 @@ def design_quaternion_lqr(
     facts = (ReportEntry("K_q", k_q, "N m"), ReportEntry("K_omega", np.asarray(k_w), "N m s"))
     return go.Controller(
         name="LQR",
-        step=law(t, x, r, z, body, z),
+        step=law_function(t, x, r, z, body, z),
         start=initial_state_function(t, x, r, z),
         states=states,
         commands=controls,

@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if runs < 1:
             continue
         begin, method = time.perf_counter(), design()
-        campaigns[name] = method.campaign(
+        campaigns[name] = method.simulate_campaign(
             name,
             runs,
             options.seed,

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     campaigns: dict[str, Campaign] = {}
     for name in CONTROLLERS:
         place = kept_in(options.checkpoint, name)
-        campaigns[name] = landing.campaign(
+        campaigns[name] = landing.simulate_campaign(
             name, options.runs, options.seed, progress=console.is_terminal, checkpoint=place
         )
     measures = {name: (f"{name} ({unit})", 1.0) for name, unit in _UNITS.items()}

@@ -26,7 +26,7 @@ from gnc_opt.control import DesignReport, ReportEntry, SuperTwistingObserver, li
 from gnc_opt.control.decoupling import (
     GUARD,
     GuardedLaw,
-    Memory,
+    MemoryEntry,
     build_guarded_controller,
     build_guarded_inverse,
 )
@@ -165,10 +165,10 @@ def design_swing_law(
     v = limits.limit(reaching.command(sigma, k.k6 * rate + gamma_hat, effect, angle), angle)
     s_next, q_next = k.observer.update(sigma, s_hat, q, k.k6 * rate + effect * v, dt)
     memory = (
-        Memory("sigma", ca.SX.sym("sigma"), sigma, sigma),
-        Memory("estimate", old, ca.SX(0), gamma_hat),
-        Memory("sigma_hat", s_hat, sigma, s_next),
-        Memory("q", q, ca.SX(0), q_next),
+        MemoryEntry("sigma", ca.SX.sym("sigma"), sigma, sigma),
+        MemoryEntry("estimate", old, ca.SX(0), gamma_hat),
+        MemoryEntry("sigma_hat", s_hat, sigma, s_next),
+        MemoryEntry("q", q, ca.SX(0), q_next),
     )
     return build_guarded_controller(
         f"swing control by {type(reaching).__name__}",

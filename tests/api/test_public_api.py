@@ -43,7 +43,7 @@ EXPECTED = {
         SuperTwistingObserver with_dropout_handling bryson
         design_feedback_linearization design_integral_sliding_mode
         design_lqr design_mpc design_sliding_mode design_tvlqr export_c
-        export_fmu feedforward initial_state_function law lie_derivative output_errors trim
+        export_fmu feedforward initial_state_function law_function lie_derivative output_errors trim
         zero_dynamics
     """,
     "gnc_opt.estimation": """

@@ -163,7 +163,7 @@ def test_the_command_prints_its_table(campaigns, monkeypatch, capsys, tmp_path):
     def flown(name: str, *rest: object, bias: bool = True, **more: object) -> Campaign:
         return campaigns["least energy" if name == "least energy" else "FLC"]
 
-    monkeypatch.setattr(table, "campaign", flown)
+    monkeypatch.setattr(table, "simulate_campaign", flown)
     assert main(["--runs", "1", "--json", str(tmp_path / "out.json")]) == 0
     text = capsys.readouterr().out
     assert all(name in text for name in (*LAWS, WITHOUT)) and "NIS of q" in text

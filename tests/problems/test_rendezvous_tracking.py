@@ -46,7 +46,7 @@ def guided():
 
 @pytest.fixture(scope="module")
 def corrected(guided):
-    return guided.campaign("neighbouring-optimal", 2, SEED, executor="serial")
+    return guided.simulate_campaign("neighbouring-optimal", 2, SEED, executor="serial")
 
 
 @pytest.mark.slow
@@ -74,7 +74,7 @@ def measured(guided):
 
 @pytest.fixture(scope="module")
 def filtered(measured):
-    return measured.campaign("filtered", 2, SEED, executor="serial")
+    return measured.simulate_campaign("filtered", 2, SEED, executor="serial")
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_a_filter_guides_by_range_and_bearing(measured, filtered, measured_runs)
 def test_planned_again_it_arrives_within_all_limits():
     """A run makes four plans, none fails, and the last ends after the least time and before the reserved plan."""
     again = Replanned(resolver(1).solution)
-    campaign = again.campaign("planned again", 1, SEED, executor="serial")
+    campaign = again.simulate_campaign("planned again", 1, SEED, executor="serial")
     assert campaign.passed().all() and campaign.event_totals == {"too close": 0}
     assert np.all(campaign.measure("replans") == 4) and np.all(campaign.measure("failed replans") == 0)
     arrivals = again.arrivals(campaign)
@@ -117,7 +117,7 @@ def test_planned_again_it_arrives_within_all_limits():
 def test_the_tvlqr_behind_the_filter_passes_and_the_filter_is_consistent(tracking):
     filtered = Filtered(tracking.solution)
     vars(filtered)["tvlqr"] = tracking.tvlqr
-    campaign = filtered.campaign("TVLQR", 6, SEED, executor="serial")
+    campaign = filtered.simulate_campaign("TVLQR", 6, SEED, executor="serial")
     assert campaign.passed().all()
     found = consistency(campaign, filtered.filter).innovations["range"]
     assert found.average == pytest.approx(1, abs=0.25)
@@ -125,7 +125,7 @@ def test_the_tvlqr_behind_the_filter_passes_and_the_filter_is_consistent(trackin
 
 @pytest.fixture(scope="module")
 def followed(tracking):
-    return {name: tracking.campaign(name, n, SEED, executor="serial") for name, n in RUNS.items()}
+    return {name: tracking.simulate_campaign(name, n, SEED, executor="serial") for name, n in RUNS.items()}
 
 
 def test_plan_keeps_its_reserve(tracking):
@@ -161,7 +161,7 @@ def test_linear_covariance_predicts_the_scatter_of_runs(tracking):
 
 
 def test_predictive_control_follows_too(tracking):
-    campaign = tracking.campaign("MPC", 1, SEED, executor="serial")
+    campaign = tracking.simulate_campaign("MPC", 1, SEED, executor="serial")
     assert np.all(campaign.passed())
 
 
@@ -234,7 +234,7 @@ def test_main_writes_statistics_and_figures(
     for kind, designed in {"Tracking": tracking, "Guided": guided, "Measured": measured}.items():
         known = {id(designed.solution): designed}
         monkeypatch.setattr(report + kind, lambda plan, known=known: known[id(plan)])
-    monkeypatch.setattr(Guided, "campaign", lambda self, *asked, **how: flights[type(self)])
+    monkeypatch.setattr(Guided, "simulate_campaign", lambda self, *asked, **how: flights[type(self)])
     arguments = ["--runs", "1", "--costly-runs", "0", "--json", str(tmp_path / "out.json")]
     arguments += ["--checkpoint", str(tmp_path / "kept")]
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0

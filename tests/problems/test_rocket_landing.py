@@ -27,7 +27,7 @@ def landing() -> Landing:
 @pytest.fixture(scope="module")
 def campaigns(landing):
     runs = {"as planned": 2, "planned again": 2, "ZEM/ZEV": 2}
-    return {name: landing.campaign(name, n, SEED, executor="serial") for name, n in runs.items()}
+    return {name: landing.simulate_campaign(name, n, SEED, executor="serial") for name, n in runs.items()}
 
 
 def test_the_plan_is_that_of_the_closed_form(landing):
@@ -97,7 +97,7 @@ def test_a_crash_is_a_failure(landing):
 
 
 def test_the_command_prints_its_table(campaigns, landing, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(Landing, "campaign", lambda self, name, *rest, **more: campaigns[name])
+    monkeypatch.setattr(Landing, "simulate_campaign", lambda self, name, *rest, **more: campaigns[name])
     assert main(["--runs", "1", "--json", str(tmp_path / "out.json")]) == 0
     text = capsys.readouterr().out
     assert "239.51 kg" in text and "planned again" in text and (tmp_path / "out.json").exists()

@@ -91,9 +91,11 @@ def test_observer_finds_the_unknown_rate(runs):
 def test_wrong_signs_or_ratios_of_gains_are_unstable(gains):
     """The closed form asks for k4 < 0 and k1 > k2."""
     plan = reference()
-    assert zero_dynamics(surface(plan, gains), DURATION, plan.x(DURATION), plan.u(DURATION)).growth > 1e-3
+    assert (
+        zero_dynamics(surface(plan, gains), DURATION, plan.x(DURATION), plan.u(DURATION)).growth_rate > 1e-3
+    )
     good = zero_dynamics(surface(plan), DURATION, plan.x(DURATION), plan.u(DURATION))
-    assert good.growth < 1e-5
+    assert good.growth_rate < 1e-5
 
 
 def test_zeros_on_the_surface_are_those_of_the_closed_form():

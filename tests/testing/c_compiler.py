@@ -16,7 +16,7 @@ from gnc_opt.control import (
     design_lqr,
     design_tvlqr,
     initial_state_function,
-    law,
+    law_function,
 )
 from gnc_opt.model import Layout, Variable
 
@@ -126,7 +126,7 @@ def law_of(values: list[ca.SX], t: ca.SX, x: ca.SX) -> Controller:
     u = ca.vertcat(*values)
     return Controller(
         name="every operation",
-        step=law(t, x, r, z, u, ca.SX(1, 1)),
+        step=law_function(t, x, r, z, u, ca.SX(1, 1)),
         start=initial_state_function(t, x, r, ca.SX(1, 1)),
         states=Layout("state", (Variable("x", 2),)),
         commands=Layout("command", (Variable("u", u.shape[0]),)),

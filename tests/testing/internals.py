@@ -4,8 +4,8 @@
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.control.c_export.c_writer import FLOAT
 from gnc_opt.control.control_limits import clip, read_limits, saturate
-from gnc_opt.control.horizon_qp import Programme, Rows
-from gnc_opt.control.input_output_linearization import Pair, error_expressions
+from gnc_opt.control.horizon_qp import QuadraticProgram, StepLimits
+from gnc_opt.control.input_output_linearization import PlantPair, error_expressions
 from gnc_opt.control.loop_margins import stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_cost, read_weight
 from gnc_opt.control.reaching_laws import read_bounds
@@ -16,7 +16,7 @@ from gnc_opt.control.riccati import (
     uncontrollable_modes,
 )
 from gnc_opt.control.sampled_data import (
-    advance_phase,
+    advance_step_counter,
     count_periods_begun,
     count_whole_steps,
     discretize,

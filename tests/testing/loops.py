@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
-from gnc_opt.control import Controller, DesignReport, initial_state_function, law
+from gnc_opt.control import Controller, DesignReport, initial_state_function, law_function
 from gnc_opt.model import Layout, Model, Variable
 
 NONE = Layout("entry")
@@ -54,7 +54,7 @@ def controller(
     u, z_next = expression(t, x, r, z)
     return Controller(
         name="by hand",
-        step=law(t, x, r, z, u, z_next),
+        step=law_function(t, x, r, z, u, z_next),
         start=initial_state_function(
             t, x, r, symbols.zeros(memory.size) if first is None else first(t, x, r)
         ),

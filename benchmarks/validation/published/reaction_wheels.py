@@ -157,7 +157,7 @@ def fly(controller: go.Controller, target: ArrayLike, duration: float = model.DU
     """
     craft = model.wheel_model()
     x = ca.SX.sym("x", craft.states.size)
-    row = controller.signal(0.0, STEP)
+    row = controller.schedule_row(0.0, STEP)
     memory = controller.initial_memory(0.0, model.REST, STEP)
     torques = ca.DM(model.INVERSE) @ controller.step(0.0, x, row, memory)[0]
     command = ca.Function("command", [x], [torques])
@@ -237,7 +237,7 @@ def unguarded_breakdown(angle: float) -> float:
     """Return the same (s) from the model under the FLC without a useful guard: the first q_0 < 0.005."""
     craft = model.wheel_model(drive="body")
     controller = control.design_flc(about_z(angle), singular=1e-3)
-    row, memory = controller.signal(0.0, 0.1), controller.initial_memory(0.0, model.REST, 0.1)
+    row, memory = controller.schedule_row(0.0, 0.1), controller.initial_memory(0.0, model.REST, 0.1)
 
     def rate(t: float, x: Array) -> Array:
         torque = controller.step(t, x, row, memory)[0]

@@ -91,7 +91,7 @@ class Pairs(list[Pair]):
     def add(
         self, name: str, why: str, off: float, *, first_order: bool = True, kind: str = ""
     ) -> Callable[[Make], Make]:
-        """Return the decorator; the arguments are those of `Pair`."""
+        """Return the decorator; the arguments are those of `PlantPair`."""
 
         def added(make: Make) -> Make:
             self.append(Pair(name, why, off, first_order, make, kind or self.kind))

@@ -19,7 +19,7 @@ _CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 
 
 @dataclass(frozen=True)
-class CNumbers:
+class CFloatType:
     """Floating-point type in C: name, suffix, NumPy type; tolerances ``solved``, ``dependent``."""
 
     type: str
@@ -29,7 +29,7 @@ class CNumbers:
     dependent: float
 
     @property
-    def size(self) -> int:
+    def n_bytes(self) -> int:
         return int(np.dtype(self.dtype).itemsize)
 
     def __call__(self, value: float) -> str:
@@ -45,7 +45,7 @@ class CNumbers:
         text = repr(float(value)) if self.dtype is np.float64 else str(rounded)
         return text + self.suffix
 
-    def c_entry(self, value: float) -> str:
+    def format_literal(self, value: float) -> str:
         """Return the C literal of a table entry; raise an error if it is not finite."""
         if not np.isfinite(value):
             raise ArgumentError(
@@ -53,30 +53,30 @@ class CNumbers:
             )
         return self(value)
 
-    def expression(self, text: str) -> str:
+    def convert_expression(self, text: str) -> str:
         """Return an expression with literals and <math.h> functions of this type."""
         if not self.suffix:
             return text
         return _CALL.sub(rf"\1{self.suffix}(", _LITERAL.sub(rf"\1{self.suffix}", text))
 
-    def typed_literal(self, text: str) -> str:
+    def replace_real_type(self, text: str) -> str:
         """Return C code with ``real_t`` replaced by the type."""
         return re.sub(r"\breal_t\b", self.type, text)
 
     def nested_initializer(self, values: Array) -> str:
         """Return the initializer of an array of any dimension."""
         if np.ndim(values) == 1:
-            return "{" + wrap_initializer(self.c_entry(float(v)) for v in values) + "}"
+            return "{" + wrap_initializer(self.format_literal(float(v)) for v in values) + "}"
         return "{" + ",\n".join(self.nested_initializer(row) for row in values) + "}"
 
-    def table(self, name: str, values: Array) -> str:
+    def define_array(self, name: str, values: Array) -> str:
         """Return the definition of a constant array."""
         shape = "".join(f"[{n}]" for n in np.shape(values))
         return f"static const {self.type} {name}{shape} = {self.nested_initializer(np.asarray(values))};"
 
 
-DOUBLE = CNumbers("double", "", np.float64, 1e-9, 1e-11)
-FLOAT = CNumbers("float", "f", np.float32, 1e-4, 1e-5)
+DOUBLE = CFloatType("double", "", np.float64, 1e-9, 1e-11)
+FLOAT = CFloatType("float", "f", np.float32, 1e-4, 1e-5)
 
 
 def wrap_initializer(entries: Iterable[str]) -> str:
@@ -140,7 +140,7 @@ _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca
 
 
 def write_c_statements(
-    function: Any, inputs: list[str], outputs: list[str], numbers: CNumbers = DOUBLE
+    function: Any, inputs: list[str], outputs: list[str], numbers: CFloatType = DOUBLE
 ) -> list[str]:
     """Return the body of a C function that evaluates an SXFunction; the first input is scalar, others are pointers."""
     dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
@@ -159,7 +159,7 @@ def write_c_statements(
             written.add((target[0], row))
             body.append(f"{outputs[target[0]]}[{row}] = w[{source[0]}];")
         elif operation in _OPERATIONS:
-            form = numbers.expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
+            form = numbers.convert_expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
             body.append(f"w[{target[0]}] = {form};")
         elif operation == ca.OP_CALL:
             body += _write_function_call(function, source, target, numbers)
@@ -189,7 +189,9 @@ def _input_expressions(function: Any, inputs: list[str]) -> list[list[str]]:
     return names
 
 
-def _write_function_call(function: Any, source: list[int], target: list[int], numbers: CNumbers) -> list[str]:
+def _write_function_call(
+    function: Any, source: list[int], target: list[int], numbers: CFloatType
+) -> list[str]:
     """Return the C call of the QP solver: its arguments are copied to and from arrays."""
     (name,) = function.get_function()
     called = function.get_function(name)

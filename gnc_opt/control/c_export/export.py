@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_name, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, write_c_statements
-from gnc_opt.control.c_export.schedule_table import FlightTable, tabulate_schedule
-from gnc_opt.control.controller import Controller, FlightLaw
+from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CFloatType, write_c_statements
+from gnc_opt.control.c_export.schedule_table import CScheduleTable, tabulate_schedule
+from gnc_opt.control.controller import CodegenLaw, Controller
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
 from gnc_opt.model.variables import Layout
 
@@ -113,8 +113,8 @@ def export_c(
     """
     expect(controller, Controller, "the argument of export_c()", "give the result of a design function")
     dt = controller.step_length(dt)
-    prefix = _read_prefix(_make_c_identifier(controller.name) if name is None else name)
-    form = flight_controller(controller)
+    prefix = _read_identifier_prefix(_make_c_identifier(controller.name) if name is None else name)
+    form = codegen_controller(controller)
     if form.solver is not None and span is not None:
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: omit span.")
     if precision not in _NUMBERS:
@@ -125,14 +125,14 @@ def export_c(
         _expand_to_scalar_operations(f, form) for f in (form.controller.step, form.controller.start)
     )
     table = tabulate_schedule(form.controller, dt, span)
-    files = FlightFiles(form, start, step, table, prefix, dt, _NUMBERS[precision])
+    files = CSourceFiles(form, start, step, table, prefix, dt, _NUMBERS[precision])
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     header, source, driver = (folder / f"{prefix}{end}" for end in (".h", ".c", "_main.c"))
     header.write_text(files.write_header(), encoding="ascii")
     source.write_text(files.write_source(), encoding="ascii")
     driver.write_text(files.write_driver(), encoding="ascii")
-    size = table.size(files.numbers)
+    size = table.n_bytes(files.numbers)
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
@@ -146,7 +146,7 @@ def _format_comparison(count: int, missed: Array) -> str:
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
 
-def _read_prefix(name: str) -> str:
+def _read_identifier_prefix(name: str) -> str:
     prefix = read_name(name, "C function")
     if not prefix.isascii():
         raise ArgumentError(
@@ -155,12 +155,12 @@ def _read_prefix(name: str) -> str:
     return prefix
 
 
-def flight_controller(controller: Controller) -> FlightLaw:
-    """Return the controller for C export: the same, or its `FlightLaw` if it solves a problem at every step."""
-    return FlightLaw(controller) if controller.flight is None else controller.flight
+def codegen_controller(controller: Controller) -> CodegenLaw:
+    """Return the controller for C export: the same, or its `CodegenLaw` if it solves a problem at every step."""
+    return CodegenLaw(controller) if controller.flight is None else controller.flight
 
 
-def _expand_to_scalar_operations(function: Any, form: FlightLaw) -> Any:
+def _expand_to_scalar_operations(function: Any, form: CodegenLaw) -> Any:
     what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
     remedy = "write it with functions of its own symbols, or take a law of a design function."
     try:
@@ -232,30 +232,30 @@ _NEEDS_NAN = (
 
 
 @dataclass(frozen=True, eq=False)
-class FlightFiles:
+class CSourceFiles:
     """Law as text: start and step as scalar operations, identifier prefix, step (s), number type."""
 
-    form: FlightLaw
+    form: CodegenLaw
     start: Any
     step: Any
-    table: FlightTable
+    table: CScheduleTable
     prefix: str
     dt: float
-    numbers: CNumbers
+    numbers: CFloatType
 
     @property
-    def operations(self) -> int:
+    def max_operations(self) -> int:
         """Largest number of operations of a step: arithmetic, comparisons, calls."""
         own = sum(self.step.instruction_id(k) not in _MOVES for k in range(self.step.n_instructions()))
-        return own + (0 if self.form.solver is None else self.form.solver.operations)
+        return own + (0 if self.form.solver is None else self.form.solver.max_operations)
 
     @property
-    def measure_stack(self) -> int:
+    def measure_stack_bytes(self) -> int:
         """Return the bytes of the local arrays of the larger function and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
-        own = self.step.sz_w() + memory + (0 if solver is None else solver.stack_entries)
-        return int(self.numbers.size * (row + max(self.start.sz_w(), own)))
+        own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_entries)
+        return int(self.numbers.n_bytes * (row + max(self.start.sz_w(), own)))
 
     def write_header(self, remark: str = "") -> str:
         """Return the C header; ``remark`` is a comment at its top."""
@@ -279,9 +279,9 @@ class FlightFiles:
             f"#define {upper}_T0 {DOUBLE(self.table.first)} /* time of the first row of the schedule, s */",
             "",
             f"/* Of a step, {bounded}; no memory is allocated. */",
-            f"#define {upper}_OPERATIONS {self.operations} /* arithmetic, comparisons, calls */",
-            f"#define {upper}_STACK {self.measure_stack} /* bytes of the arrays on the stack, at most */",
-            f"#define {upper}_TABLE {self.table.size(self.numbers)} /* bytes of the schedule */",
+            f"#define {upper}_OPERATIONS {self.max_operations} /* arithmetic, comparisons, calls */",
+            f"#define {upper}_STACK {self.measure_stack_bytes} /* bytes of the arrays on the stack, at most */",
+            f"#define {upper}_TABLE {self.table.n_bytes(self.numbers)} /* bytes of the schedule */",
             "",
             "/* Contents of the arrays, with units:",
         ]
@@ -310,7 +310,7 @@ class FlightFiles:
             "#endif",
             "",
         ]
-        return self.numbers.typed_literal("\n".join(lines))
+        return self.numbers.replace_real_type("\n".join(lines))
 
     def write_source(self) -> str:
         upper, prefix = self.prefix.upper(), self.prefix
@@ -320,7 +320,7 @@ class FlightFiles:
             "#include <math.h>",
             "",
             *_NEEDS_NAN,
-            *self.table.text(self.numbers),
+            *self.table.write_c_code(self.numbers),
         ]
         if self.form.solver is not None:
             lines += [
@@ -329,15 +329,15 @@ class FlightFiles:
                 f"    return schedule[k < {upper}_N_ROWS ? k : {upper}_N_ROWS - 1];",
                 "}",
                 "",
-                self.form.solver.c_text(self.numbers),
+                self.form.solver.write_c_code(self.numbers),
             ]
         lines += self._write_c_function("start", ["t", "x", "r"], ["z"], self.start)
         lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
-        return self.numbers.typed_literal("\n".join([*lines, self._fill_template("interface.c")]))
+        return self.numbers.replace_real_type("\n".join([*lines, self._fill_template("interface.c")]))
 
     def write_driver(self) -> str:
         """Return the C source of a program that reads measurements and writes commands."""
-        return self.numbers.typed_literal(self._fill_template("driver.c"))
+        return self.numbers.replace_real_type(self._fill_template("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.c_export.c_writer import CNumbers
+from gnc_opt.control.c_export.c_writer import CFloatType
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import Layout
@@ -19,7 +19,7 @@ _MOST_NUMBERS = 50_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class FlightTable:
+class CScheduleTable:
     """Schedule rows (n_rows, n_signals) at multiples of the control step from ``first`` (s); the last row stays in
     force.
     """
@@ -28,10 +28,10 @@ class FlightTable:
     rows: Array
     layout: Layout
 
-    def size(self, numbers: CNumbers) -> int:
-        return self.rows.size * numbers.size
+    def n_bytes(self, numbers: CFloatType) -> int:
+        return self.rows.size * numbers.n_bytes
 
-    def text(self, numbers: CNumbers) -> list[str]:
+    def write_c_code(self, numbers: CFloatType) -> list[str]:
         """Return the C code of the tables and of ``static void look_up(long row, real_t *r)``."""
         if self.layout.size == 0:
             return [
@@ -43,7 +43,7 @@ class FlightTable:
                 "",
             ]
         return [
-            numbers.table("schedule", self.rows),
+            numbers.define_array("schedule", self.rows),
             "",
             f"static void look_up(long row, {numbers.type} *r)",
             "{",
@@ -55,9 +55,9 @@ class FlightTable:
         ]
 
 
-def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, float] | None) -> FlightTable:
+def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, float] | None) -> CScheduleTable:
     if controller.signals.size == 0:
-        return FlightTable(0.0, np.zeros((1, 0)), controller.signals)
+        return CScheduleTable(0.0, np.zeros((1, 0)), controller.signals)
     found = controller.span if span is None else span
     if found is None:
         raise ArgumentError(
@@ -84,4 +84,4 @@ def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, floa
             f"the schedule of '{controller.name}' still changes by {change:.3g} after {last:g} s: "
             "give a span that holds all its changes."
         )
-    return FlightTable(first, rows[:count], controller.signals)
+    return CScheduleTable(first, rows[:count], controller.signals)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import Strict, read_label
+from gnc_opt.arguments import StrictAttributes, read_label
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
@@ -65,7 +65,7 @@ _STATEMENTS = (
 """Public names of a phase; other attributes are for the problem and the transcription."""
 
 
-class Phase(Strict):
+class Phase(StrictAttributes):
     """Time interval of a problem with one model; created by ``Problem.phase``.
 
     In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and

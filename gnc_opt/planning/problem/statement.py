@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import Strict
+from gnc_opt.arguments import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.table import TableUse
@@ -21,7 +21,7 @@ S = TypeVar("S", bound="Statement")
 T = TypeVar("T")
 
 
-class Statement(Strict):
+class Statement(StrictAttributes):
     """Phases, cost, boundary constraints and free parameters.
 
     Attributes

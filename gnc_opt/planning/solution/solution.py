@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.archive import FileFormat, Packing
+from gnc_opt.archive import DataclassPacking, FileFormat
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
@@ -475,7 +475,7 @@ SOLUTION_FILES = FileFormat(
     Solution,
     "solution",
     3,
-    Packing(
+    DataclassPacking(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
             *(SplitControl, VectorControl, AssembledControl, UnitVectorControl, Turns),

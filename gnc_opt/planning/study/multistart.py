@@ -291,8 +291,6 @@ def multistart(
 
 @dataclass(frozen=True)
 class _Search:
-    """Starts and refinements of one search, with progress display."""
-
     pool: WorkerPool[Problem]
     problem: Problem
     progress: bool

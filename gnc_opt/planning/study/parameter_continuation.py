@@ -208,8 +208,6 @@ def _build_problem(problem_of: Family, value: float) -> Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """Continuation in progress."""
-
     problem_of: Family
     way: Array
     least: float
@@ -264,7 +262,6 @@ class _Walk:
     def _solve_at(
         self, value: float, values: Sequence[float], solutions: Sequence[Solution]
     ) -> tuple[Solution, float]:
-        """Return the solution at a value, and the error of its prediction."""
         problem, last = _build_problem(self.problem_of, value), solutions[-1]
         before, ratio = None, 0.0
         if len(values) > 1:

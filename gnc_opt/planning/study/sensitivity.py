@@ -444,7 +444,6 @@ def _differentiate_phase(
 
 
 def _boundary_time_derivatives(transcription: Transcription, part: PhasePart, anchors: Array) -> Array:
-    """Return the derivatives of the break times, (K + 1,)."""
     mesh = part.collocation.mesh
     starts = anchors[mesh.segment_arcs] + mesh.arc_starts * np.diff(anchors)[mesh.segment_arcs]
     return np.append(starts, anchors[-1])

@@ -249,8 +249,6 @@ def _read_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class _Point:
-    """Result of one grid point."""
-
     solution: Solution | None
     ending: str
     outputs: Mapping[str, float]
@@ -258,16 +256,12 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Functions:
-    """User-defined functions of a sweep."""
-
     problem_of: Family
     outputs: Mapping[str, Output]
 
 
 @dataclass(frozen=True)
 class _Line:
-    """Solve one line of the grid, each point from its neighbour."""
-
     names: tuple[str, ...]
     values: Array
     mesh: MeshLike | Mapping[str, MeshLike] | None

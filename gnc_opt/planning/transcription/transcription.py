@@ -424,7 +424,6 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
 
 
 def _build_sparse_matrix(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:
-    """Return an MX matrix with nonzeros at column-major (row, column) indices."""
     starts = np.searchsorted(columns, np.arange(n_columns + 1))
     pattern = ca.Sparsity(n_rows, n_columns, starts.tolist(), rows.tolist())
     return ca.MX(pattern, nonzeros)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_integer, read_positive
 from gnc_opt.control.sampled_data import (
-    advance_phase,
+    advance_step_counter,
     count_periods_begun,
     count_whole_steps,
     is_period_start,
@@ -209,4 +209,4 @@ class ZeroOrderHold(Block):
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
         output = ca.if_else(is_period_start(state[size]), signal, state[:size])
-        return Step(output, ca.vertcat(output, advance_phase(state[size], self._steps(tick.h))))
+        return Step(output, ca.vertcat(output, advance_step_counter(state[size], self._steps(tick.h))))

@@ -10,7 +10,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.control.sampled_data import advance_phase, count_whole_steps, is_period_start
+from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_period_start
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.actuators.dynamic import MIN_TIME_CONSTANT_S
 from gnc_opt.simulation.block import (
@@ -84,7 +84,7 @@ class Pwm(Block):
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
-        after = ca.vertcat(command, advance_phase(phase, count))
+        after = ca.vertcat(command, advance_step_counter(phase, count))
         return Step(pulse + _propagate_nan(command), after, saturated)
 
 

@@ -169,11 +169,13 @@ def test_a_covariance_that_moves_little_is_held():
     )  # fmt: skip
     sensors = [Noise("odometer", 0.05, on="q"), Delay("late", 12 * DT, on="q")]
     loop = go.ClosedLoop(model, go.output_feedback(regulator(model), ekf), sensors=sensors)
-    flight = go.Scenario(loop, **MISSION, dispersions=SPREAD).flight
+    flight = go.Scenario(loop, **MISSION, dispersions=SPREAD).compiled_loop
     whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))
-    assert len(part.fixed_indices) == 105 and len(part.retained_indices) == len(whole.retained_indices) - 105
+    assert (
+        len(part.fixed_indices) == 105 and len(part.linearized_indices) == len(whole.linearized_indices) - 105
+    )
     a, b = (next(found.linearize_steps(found.linearize_initial_state()[0])).a for found in (whole, part))
-    kept = np.isin(whole.retained_indices, part.retained_indices)
+    kept = np.isin(whole.linearized_indices, part.linearized_indices)
     assert np.array_equal(a[np.ix_(kept, kept)], b)
 
 

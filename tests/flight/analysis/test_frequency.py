@@ -63,7 +63,7 @@ def test_a_light_mode_is_followed_where_the_nominal_run_rests(frequency):
     response = loop_response(go.ClosedLoop(hub, law, dt=DT), x0=np.zeros(4), tf=1.0)
     poles = response.poles()
     nearest = [poles[np.argmin(np.abs(poles - z))] for z in expected]
-    assert nearest == pytest.approx(expected, abs=1e-6) and response.stable()
+    assert nearest == pytest.approx(expected, abs=1e-6) and response.is_stable()
 
 
 @pytest.mark.parametrize("steps", [1, 3])
@@ -96,7 +96,7 @@ def test_the_loop_is_lost_where_the_gain_margin_says():
         run = loop.simulate([0.1, 0.0], tf=60.0)
         early, late = np.abs(run.states[0, 100:200]).max(), np.abs(run.states[0, -100:]).max()
         assert bool(late > early) is grows
-        assert loop_response(loop, **HERE).stable() is not grows
+        assert loop_response(loop, **HERE).is_stable() is not grows
 
 
 def test_disk_margins_hold_for_all_commands_at_once():
@@ -117,7 +117,7 @@ def test_disk_margins_hold_for_all_commands_at_once():
     low, high = (2 - alpha) / (2 + alpha), (2 + alpha) / (2 - alpha)
     for gains in ((low, low), (low, high), (high, low), (high, high)):
         changed = replace(loop, actuators=[ScaleFactor("gains", 0.999 * np.array(gains) + 0.001)])
-        assert loop_response(changed, **here).stable()
+        assert loop_response(changed, **here).is_stable()
 
 
 def test_along_a_trajectory_margins_change_with_the_plant():

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control import Controller, DesignReport, ReportEntry, initial_state_function, law
+from gnc_opt.control import Controller, DesignReport, ReportEntry, initial_state_function, law_function
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Layout, Variable
 
@@ -14,7 +14,7 @@ from gnc_opt.model import Layout, Variable
 def controller(dt=0.5, **changes):
     t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 1), ca.SX.sym("z", 1)
     fields = {
-        "name": "by hand", "step": law(t, x, r, z, x[0] + 10 * r + 100 * z + 1000 * t, z + x[1]),
+        "name": "by hand", "step": law_function(t, x, r, z, x[0] + 10 * r + 100 * z + 1000 * t, z + x[1]),
         "start": initial_state_function(t, x, r, x[1] + r + t), "states": Layout("state", (Variable("x", 2),)),
         "commands": Layout("command", (Variable("u"),)), "signals": Layout("signal", (Variable("s"),)),
         "memory": Layout("memory", (Variable("z"),)), "schedule": lambda times, dt: times[None, :] * dt,

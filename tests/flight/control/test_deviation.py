@@ -128,7 +128,7 @@ def test_output_that_depends_on_a_control_is_refused():
     model.ode({q: a})
     model.output("push", a + q)
     with pytest.raises(DesignError, match=r"'push'.*depends on a control"):
-        ErrorDynamics(model).output("push", ca.SX.sym("t"), ca.SX.sym("x"))
+        ErrorDynamics(model).output_expression("push", ca.SX.sym("t"), ca.SX.sym("x"))
 
 
 def test_gains_in_mrp_errors_have_their_closed_form_and_know_the_shadow_set():

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from testing.controller_steps import decoupling_matrix, step_through
 
 from gnc_opt.control import Reference, design_feedback_linearization, output_errors
-from gnc_opt.control.decoupling import Inverse, Memory, _solve_minimum_norm
-from gnc_opt.control.feedback_linearization import _chain_gain, _report_sampling
+from gnc_opt.control.decoupling import GuardedInverse, MemoryEntry, _solve_minimum_norm
+from gnc_opt.control.feedback_linearization import _chain_gain, _report_sampled_stability
 from gnc_opt.control.feedforward import StackedSchedule
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model, Variable
@@ -242,7 +242,7 @@ def test_authority_is_compared_on_both_sides_of_a_jump():
 
 
 def chains(degrees, labels=("a", "b")):
-    return SimpleNamespace(degrees=degrees, labels=labels, size=len(degrees))
+    return SimpleNamespace(relative_degrees=degrees, labels=labels, n_outputs=len(degrees))
 
 
 @pytest.mark.parametrize(
@@ -277,11 +277,11 @@ def test_steps_too_long_for_the_poles_of_a_chain_are_refused():
     errors = output_errors(cart(), climbing(), "q")
     gain = np.array([[4.0, 4.0]])
     a, b = np.array([[1.0, 0.4], [0.0, 1.0]]), np.array([[0.08], [0.4]])
-    (fact,) = _report_sampling(errors, gain, 0.4)
+    (fact,) = _report_sampled_stability(errors, gain, 0.4)
     assert fact.value == pytest.approx(np.max(np.abs(np.linalg.eigvals(a - b @ gain)))) and fact.value < 1
-    assert _report_sampling(errors, gain, None) == []
+    assert _report_sampled_stability(errors, gain, None) == []
     with pytest.raises(DesignError, match=r"control steps of 1\.1 s are too long"):
-        _report_sampling(errors, gain, 1.1)
+        _report_sampled_stability(errors, gain, 1.1)
 
 
 # Decoupling matrices: exact inverses, and those of least length.
@@ -297,9 +297,9 @@ def test_inverses_are_exact_or_of_least_length():
         assert found.ravel() == pytest.approx(np.linalg.pinv(there) @ y)
     constant = _solve_minimum_norm(ca.SX(ca.DM([[1.0, 2.0]])), ca.DM([5.0]))
     assert np.array(ca.evalf(ca.SX(constant))).ravel() == pytest.approx([1.0, 2.0])
-    inverse = Inverse(wide, ca.SX(1), 1.0, 1.0)
+    inverse = GuardedInverse(wide, ca.SX(1), 1.0, 1.0)
     assert np.array(ca.Function("f", [x], [inverse(ca.DM([5.0]))])(1.0)).ravel() == pytest.approx([1.0, 2.0])
-    assert Memory("m", ca.SX.sym("m", 3), 0, 0, "N").variable == Variable("m", 3, "N")
+    assert MemoryEntry("m", ca.SX.sym("m", 3), 0, 0, "N").variable == Variable("m", 3, "N")
     both = StackedSchedule(lambda t, dt: t[None, :], lambda t, dt: dt * t[None, :])
     assert both(np.array([1.0, 2.0]), 0.5).tolist() == [[1, 2], [0.5, 1]]
 

@@ -21,15 +21,22 @@ from testing.c_compiler import (
     sanitized,
     scalar_operations,
 )
-from testing.internals import Rows
+from testing.internals import StepLimits
 
 import gnc_opt as go
-from gnc_opt.control import Controller, DesignReport, design_lqr, export_c, initial_state_function, law
+from gnc_opt.control import (
+    Controller,
+    DesignReport,
+    design_lqr,
+    export_c,
+    initial_state_function,
+    law_function,
+)
 from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer, write_c_statements
 from gnc_opt.control.c_export.export import (
     _escape_comment,
     _make_c_identifier,
-    _read_prefix,
+    _read_identifier_prefix,
     _write_layout_comments,
 )
 from gnc_opt.control.c_export.schedule_table import tabulate_schedule
@@ -140,7 +147,7 @@ def test_refusals(tmp_path):
     solving = replace(
         solving,
         commands=Layout("command", (Variable("u", 1),)),
-        step=law(t, x, ca.MX.sym("r", 0), ca.MX.sym("z", 1), root(0, x), ca.MX(1, 1)),
+        step=law_function(t, x, ca.MX.sym("r", 0), ca.MX.sym("z", 1), root(0, x), ca.MX(1, 1)),
     )
     with pytest.raises(ArgumentError, match="'every operation' is not made of elementary operations"):
         export_c(solving, tmp_path, dt=0.1)
@@ -188,7 +195,8 @@ def test_header_gives_operations_and_stack(tmp_path):
     t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0), ca.SX.sym("z", 0)
     none = Layout("entry")
     by_hand = Controller(
-        "by hand", law(t, x, r, z, -(2.5 * x[0] + 3.5 * x[1]), z), initial_state_function(t, x, r, ca.SX(0, 1)),
+        "by hand", law_function(t, x, r, z, -(2.5 * x[0] + 3.5 * x[1]), z),
+        initial_state_function(t, x, r, ca.SX(0, 1)),
         model.states, model.controls, none, none,
         lambda times, dt: np.zeros((0, times.size)), DesignReport("by hand"), 0.1,
     )  # fmt: skip
@@ -211,7 +219,7 @@ def crane() -> Model:
 
 
 def rows(change=None, states=(), errors=(), lower=(), upper=(), price=()):
-    return Rows(
+    return StepLimits(
         np.array([-1.0, -2.0]),
         np.array([1.0, 4.0]),
         change,
@@ -236,7 +244,7 @@ def test_constants_and_texts_of_c():
         and _make_c_identifier("2nd") == "law_2nd"
         and _make_c_identifier("ä!") == "law_"
     )
-    assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.c_entry(0.1) == "0.1"
+    assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_literal(0.1) == "0.1"
     assert wrap_initializer(["1"] * 3) == "1, 1, 1" and wrap_initializer(["1"] * 40).count("\n") >= 1
     assert _write_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
@@ -244,12 +252,12 @@ def test_constants_and_texts_of_c():
         "[2] n, -",
     ]
     for act in (
-        lambda: DOUBLE.c_entry(INF),
-        lambda: _read_prefix("a b"),
+        lambda: DOUBLE.format_literal(INF),
+        lambda: _read_identifier_prefix("a b"),
     ):
         with pytest.raises(ArgumentError):
             act()
-    assert _read_prefix("law") == "law"
+    assert _read_identifier_prefix("law") == "law"
 
 
 def scheduled(rows, signals=1, span=(0.0, 1.0)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Programme
+from testing.internals import QuadraticProgram
 
 INF = np.inf
 
@@ -14,7 +14,7 @@ def test_a_solution_has_no_residual_and_anything_else_has_one():
     """min |omega|^2 / 2 within omega_1 + omega_2 >= 1: omega = 1/2, multiplier -1/2 at the lower limit."""
 
     def task_of(g, a, low, high):
-        return Programme(ca.DM(g), ca.DM(a), ca.DM(low), ca.DM(high), free=2)
+        return QuadraticProgram(ca.DM(g), ca.DM(a), ca.DM(low), ca.DM(high), free=2)
 
     task = task_of([0.0] * 3, [[1.0, 1.0, 0.0]], [1.0], [INF])
     right = (ca.DM([0.5, 0.5, 0.0]), ca.DM([-0.5]), ca.DM([0.0, 0.0, 0.0]))

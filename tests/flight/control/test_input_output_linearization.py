@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.controller_steps import decoupling_matrix
-from testing.internals import Pair, error_expressions
+from testing.internals import PlantPair, error_expressions
 
 from gnc_opt.control import Reference, lie_derivative, output_errors, zero_dynamics
 from gnc_opt.errors import DesignError, UnknownNameError
@@ -45,8 +45,8 @@ def test_lie_derivatives_of_a_pendulum_that_also_depend_on_time():
 
 def test_relative_degree_and_decoupling_use_the_parameters_of_the_model():
     model = pendulum()
-    assert output_errors(model, rest(model, [0.1, 0.2]), "angle").degrees == (2,)
-    assert output_errors(model, rest(model, [0.1, 0.2]), "rate").degrees == (1,)
+    assert output_errors(model, rest(model, [0.1, 0.2]), "angle").relative_degrees == (2,)
+    assert output_errors(model, rest(model, [0.1, 0.2]), "rate").relative_degrees == (1,)
     assert decoupling_matrix(model.with_parameters(length=0.5), "angle", [0.1, 0.2]) == pytest.approx(4.0)
 
 
@@ -55,7 +55,7 @@ def test_relative_degree_of_a_chain_of_integrators(r):
     model = linear(np.eye(4, k=1), np.eye(4)[:, [3]])
     x = model.symbols("state")
     errors = output_errors(model, rest(model, np.zeros(4)), [x[4 - r]])
-    assert (errors.labels, errors.degrees) == (("y0",), (r,))
+    assert (errors.labels, errors.relative_degrees) == (("y0",), (r,))
 
 
 def test_a_control_that_only_seems_to_enter_does_not_count():
@@ -66,7 +66,7 @@ def test_a_control_that_only_seems_to_enter_does_not_count():
     model.ode({c: -s * u, s: c * u, w: c})
     # d(c^2 + s^2)/dt = -2 c s u + 2 s c u = 0
     radius = c**2 + s**2
-    assert output_errors(model, rest(model, [0.6, 0.8, 0.0]), {"y": w + radius}).degrees == (2,)
+    assert output_errors(model, rest(model, [0.6, 0.8, 0.0]), {"y": w + radius}).relative_degrees == (2,)
 
 
 def test_errors_move_along_plant_and_reference():
@@ -91,10 +91,10 @@ def test_zero_dynamics_are_the_transmission_zeros():
     x = model.symbols("state")
     errors = output_errors(model, rest(model, np.zeros(4)), {"y": 5 * x[0] + 2 * x[1] + x[2]})
     zeros = zero_dynamics(errors, 0.0, np.zeros(4), np.zeros(1))
-    assert errors.degrees == (2,)
+    assert errors.relative_degrees == (2,)
     assert zeros.dimension == 2
     assert np.sort_complex(zeros.eigenvalues) == pytest.approx([-1 - 2j, -1 + 2j], abs=1e-12)
-    assert zeros.growth == pytest.approx(-1.0, abs=1e-12)
+    assert zeros.growth_rate == pytest.approx(-1.0, abs=1e-12)
 
 
 def test_quaternion_output_has_a_neutral_zero_in_r4_and_none_on_the_sphere():
@@ -117,7 +117,7 @@ def test_states_with_a_difference_are_compared_by_it():
     q, w, torque = model.state("q", 4), model.state("w", 3), model.control("torque", 3)
     model.ode({q: quaternion_rate(q, w), w: torque})
     model.difference(q, quaternion_difference)
-    assert error_expressions(Pair.of_plant_and_reference(model), "q")["q"].shape == (3, 1)
+    assert error_expressions(PlantPair.from_model(model), "q")["q"].shape == (3, 1)
 
 
 def test_what_cannot_be_steered_is_refused_by_name():
@@ -137,4 +137,4 @@ def test_what_cannot_be_steered_is_refused_by_name():
     a, u = bent.state("a"), bent.control("u")
     bent.ode({a: ca.sin(u)})
     with pytest.raises(DesignError, match="control 'u' of model 'bent' does not enter its dynamics affinely"):
-        Pair.of_plant_and_reference(bent)
+        PlantPair.from_model(bent)

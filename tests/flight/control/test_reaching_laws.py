@@ -41,7 +41,7 @@ def test_no_rate_is_steeper_than_stated(law, boundary):
     """What the sampling rate is judged by: an equality at the edge of a saturation layer."""
     s = np.linspace(-3 * boundary.phi, 3 * boundary.phi, 60001)
     steepest = np.max(np.diff(rates(law, boundary, s)) / np.diff(s))
-    stated = law.slope(boundary)
+    stated = law.max_slope(boundary)
     assert steepest <= stated * (1 + 1e-9)
     if isinstance(boundary, SaturationLayer) or isinstance(law, (ConstantRate, ExponentialRate)):
         assert steepest == pytest.approx(stated, rel=1e-3)
@@ -49,7 +49,7 @@ def test_no_rate_is_steeper_than_stated(law, boundary):
 
 def test_super_twisting_is_infinitely_steep_at_zero_without_a_layer():
     law = SuperTwisting(1.5, 1.1)
-    assert law.slope(Sign()) == np.inf
+    assert law.max_slope(Sign()) == np.inf
     assert rates(law, Sign(), [1e-12])[0] / 1e-12 > 1e3
 
 
@@ -126,8 +126,14 @@ def test_reaching_times_are_those_of_the_differential_equation(law, bound, start
 
 
 def test_bands_without_a_layer():
-    assert ConstantRate(3.0).band(SIGN, 1.2) == 0.0 and ExponentialRate(3.0, 2.0).band(SAT, 1.5) == 0.25
-    assert SuperTwisting(3.0, 2.0).band(SAT, 1.0) == 0.25 and SuperTwisting(3.0, 2.0).band(SIGN, 1.0) == 0.0
+    assert (
+        ConstantRate(3.0).sliding_band(SIGN, 1.2) == 0.0
+        and ExponentialRate(3.0, 2.0).sliding_band(SAT, 1.5) == 0.25
+    )
+    assert (
+        SuperTwisting(3.0, 2.0).sliding_band(SAT, 1.0) == 0.25
+        and SuperTwisting(3.0, 2.0).sliding_band(SIGN, 1.0) == 0
+    )
 
 
 @pytest.mark.parametrize(

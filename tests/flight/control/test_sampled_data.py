@@ -2,7 +2,7 @@
 
 import casadi as ca
 import pytest
-from testing.internals import advance_phase, count_periods_begun, count_whole_steps, is_period_start
+from testing.internals import advance_step_counter, count_periods_begun, count_whole_steps, is_period_start
 
 from gnc_opt.errors import ArgumentError
 
@@ -33,7 +33,7 @@ def test_a_duration_must_be_whole_steps():
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_phases_begin_anew(count):
     phase = ca.SX.sym("phase")
-    function = ca.Function("f", [phase], [is_period_start(phase), advance_phase(phase, count)])
+    function = ca.Function("f", [phase], [is_period_start(phase), advance_step_counter(phase, count)])
     at, seen = 0.0, []
     for _ in range(3 * count):
         first, after = (float(value) for value in function(at))

@@ -19,7 +19,7 @@ from gnc_opt.control import (
     SuperTwistingObserver,
     design_sliding_mode,
 )
-from gnc_opt.control.sliding_mode import Switching, _surface_coefficients, read_switching
+from gnc_opt.control.sliding_mode import SwitchingControl, _surface_coefficients, build_switching_control
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
 
@@ -334,13 +334,13 @@ SIGN, SAT = Sign(), SaturationLayer(0.5)
 
 
 def switching(reaching, boundary, dt=None, bounds=(0.0,), limits=None):
-    return Switching(reaching, boundary, np.array(bounds), dt, limits)
+    return SwitchingControl(reaching, boundary, np.array(bounds), dt, limits)
 
 
 @pytest.mark.parametrize(
     ("slopes", "message"),
     [
-        ([1.0], "1 slopes are given for 2 surfaces"),
+        ([1.0], "1 slopes for 2 surfaces"),
         ([1.0, [-1.0]], "relative degree 3: give lambda, or 2 poles, not 1"),
         ([1.0, -2.0], "give lambda > 0"),
         ([1.0, [-1.0, 1.0]], "negative"),
@@ -350,7 +350,7 @@ def switching(reaching, boundary, dt=None, bounds=(0.0,), limits=None):
     ],
 )
 def test_slopes_that_make_no_surface_are_refused(slopes, message):
-    errors = SimpleNamespace(labels=("a", "b"), degrees=(1, 3), size=2)
+    errors = SimpleNamespace(labels=("a", "b"), relative_degrees=(1, 3), n_outputs=2)
     with pytest.raises((DesignError, UnknownNameError), match=message):
         _surface_coefficients(errors, slopes)
 
@@ -370,7 +370,7 @@ def test_slopes_that_make_no_surface_are_refused(slopes, message):
 def test_switching_that_cannot_be_is_refused(law, options, message):
     settings = {"bound": 0.0, "limits": None, "dt": None} | options
     with pytest.raises((ArgumentError, DesignError), match=message):
-        read_switching(*law, (chain_model(), ("a",)), **settings)
+        build_switching_control(*law, (chain_model(), ("a",)), **settings)
 
 
 def chain_model(extra: float = 0.0) -> Model:

@@ -216,4 +216,4 @@ def test_refusals():
         design_tvlqr(model, [0, 0], Q=1, R=1)
     sampled = design_tvlqr(model, swing(model), Q=1, R=1, dt=0.1)
     with pytest.raises(ArgumentError, match=r"control steps of 0\.1 s, not 0\.2 s"):
-        sampled.signal(0.0, 0.2)
+        sampled.schedule_row(0.0, 0.2)

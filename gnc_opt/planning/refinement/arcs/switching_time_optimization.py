@@ -139,8 +139,6 @@ Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
 
 @dataclass(frozen=True, eq=False)
 class _Iterate:
-    """One pass: the solution of a structure."""
-
     solution: Solution
     plans: dict[str, ArcMesh]
     record: RefinementIteration
@@ -183,8 +181,6 @@ def _start_from_newton(
 
 @dataclass(frozen=True, eq=False)
 class _StructureLoop:
-    """The iteration on the structure: settings, and all passes so far."""
-
     problem: Problem
     tol: float
     limits: IterationLimits

@@ -55,8 +55,6 @@ NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
 @dataclass(frozen=True, eq=False)
 class _MeshSolution:
-    """Solution with its error estimate."""
-
     solution: Solution
     errors: dict[str, PhaseError]
     record: RefinementIteration
@@ -123,8 +121,6 @@ def refine_mesh(
 
 
 class _Refinement:
-    """Iteration of hp refinement with its records."""
-
     def __init__(
         self,
         solution: Solution,
