@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
@@ -258,7 +258,8 @@ class Verdict:
         if also:
             messages.append(f"also: {also}")
         worst = [(group, worst_condition(found)) for group, found in groups]
-        rows = _condition_rows([(group, c, f"{c.name}: ") for group, c in worst], "group")
+        entries = [(g, replace(c, where=c.where.partition(";")[0]), f"{c.name}: ") for g, c in worst]
+        rows = _condition_rows(entries, "group")
         return "\n".join([*messages, *rows, f"verdict: {self.word}"])
 
     @property
