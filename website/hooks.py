@@ -67,6 +67,13 @@ LONG_LINE = 98
 """Columns that fit beside the navigation at 1280 pixels."""
 
 _CODE = re.compile(r'(<div class="[^"]*highlight)([^"]*">.*?</div>)', re.DOTALL)
+_UNDESCRIBED = re.compile(
+    r'<li class="doc-section-item field-body">(?:(?!</li>).)*?<div class="doc-md-description">\s*</div>\s*</li>\s*',
+    re.DOTALL,
+)
+_NO_ITEMS = re.compile(r'<p><span class="doc-section-title">[^<]*</span></p>\s*<ul>\s*</ul>')
+"""Names without a description stand in the signature alone."""
+
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
@@ -155,12 +162,13 @@ def shown_at(path: str) -> str | None:
 
 
 def on_page_content(content: str, **more: Any) -> str:
-    """Turn formulas into MathML."""
+    """Turn formulas into MathML, and leave out names that have no description."""
 
     def formula(found: re.Match[str]) -> str:
         latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
         return str(convert(latex, display="inline" if found[1] == "span" else "block"))
 
+    content = _NO_ITEMS.sub("", _UNDESCRIBED.sub("", content))
     return _FORMULA.sub(formula, _CODE.sub(_marked_if_long, content))
 
 

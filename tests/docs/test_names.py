@@ -29,7 +29,7 @@ NOT_OURS = {
     "docs/reference/command_line.md": {"report.html"},
     "docs/howto/results.md": {"report.html"},
     "docs/reference/solver_options.md": {"nlpsol"},
-    "docs/stating_problems.md": {"u_rate"},  # of the control u
+    "docs/howto/limits.md": {"u_rate"},  # of the control u
     "docs/start/installation.md": {"cc", "data", "dev", "docs", "report", "test"},
     "docs/learn/campaigns.md": {"plant.mass", "initial.q"},  # what a dispersion is called
     "docs/control/campaigns.md": {"plant.mass", "initial.q", "motor.tau", "SeedSequence([seed, i])"},

@@ -125,6 +125,17 @@ def test_formulas_become_mathml() -> None:
     assert shown.startswith("<p><math") and "arithmatex" not in shown and "<mi>x</mi>" in shown
 
 
+def test_names_without_a_description_are_left_out() -> None:
+    def item(name: str, text: str) -> str:
+        description = f'<div class="doc-md-description"> {text} </div>'
+        return f'<li class="doc-section-item field-body"> <b>{name}</b> – {description} </li>'
+
+    title = '<p><span class="doc-section-title">Attributes:</span></p>'
+    shown = hooks.on_page_content(f"{title} <ul> {item('name', '')} {item('size', '<p>Metres.</p>')} </ul>")
+    assert "name" not in shown and "Metres" in shown and "Attributes" in shown
+    assert not hooks.on_page_content(f"{title} <ul> {item('name', '')} </ul>").strip()
+
+
 def test_nothing_is_loaded_from_elsewhere() -> None:
     """The theme's fonts and the offline search would come from other servers."""
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")

@@ -166,7 +166,7 @@ def test_search_finds(address: str, tab: Tab, word: str) -> None:
 
 PHRASES = {
     "path constraint": "stating_problems",
-    "thrust vector": "stating_problems",
+    "thrust vector": "howto/kinks",
     "mesh refinement": "refinement",
     "costate at any time": "howto/results",
     "sign of the Hamiltonian": "conventions",
