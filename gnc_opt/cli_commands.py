@@ -60,7 +60,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
         file, problem = _load_problem(args)
         solution = solve(
             problem,
-            mesh=args.mesh or file.mesh,
+            mesh=args.mesh or file.default_mesh,
             scheme=args.scheme,
             tol=args.tol,
             structure=args.structure,
@@ -91,7 +91,7 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
             partial(_build_problem_from_file, args.file, options),
             n=args.n,
             seed=args.seed,
-            mesh=args.mesh or file.mesh,
+            mesh=args.mesh or file.default_mesh,
             tol=args.tol,
             structure=args.structure,
             refine=not args.no_refine,

@@ -40,7 +40,7 @@ class Example:
         return self.path.stem
 
     @property
-    def is_system(self) -> bool:
+    def is_package(self) -> bool:
         """Whether the example is a package."""
         return self.path.is_dir()
 
@@ -58,19 +58,19 @@ class Example:
         return import_module(self.import_name)
 
     @cached_property
-    def statement(self) -> str:
+    def docstring(self) -> str:
         """Docstring of the example: problem, purpose and source of the known result."""
-        source = self.path / "__init__.py" if self.is_system else self.path
+        source = self.path / "__init__.py" if self.is_package else self.path
         return ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
 
     @property
     def title(self) -> str:
         """First line of the docstring."""
-        return self.statement.partition("\n")[0].rstrip(".")
+        return self.docstring.partition("\n")[0].rstrip(".")
 
     def run(self, arguments: Sequence[str] = ()) -> int:
         """Solve, verify, compare with the known result and print; return the exit code."""
-        if self.is_system:
+        if self.is_package:
             return int(import_module(f"{self.module.__name__}.__main__").main(arguments))
         return int(self.module.main(arguments))
 
@@ -122,7 +122,7 @@ class ProblemFile:
     module: ModuleType
 
     @property
-    def mesh(self) -> Any:
+    def default_mesh(self) -> Any:
         """Default mesh of the file; None: the default of `solve`."""
         return getattr(self.module, "MESH", None)
 

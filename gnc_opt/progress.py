@@ -25,14 +25,14 @@ def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
     On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
     """
     console = _make_rich_console() if console is None else console
-    meter = _Meter(name, console)
+    meter = _SolveMeter(name, console)
     try:
         yield meter.show
     finally:
         meter.close()
 
 
-class _Meter:
+class _SolveMeter:
     def __init__(self, name: str, console: Console) -> None:
         self._name = name
         self._console = console

@@ -37,7 +37,7 @@ def html_preformatted(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
-class Printed:
+class PrintableResult:
     """Base class of results with equal output in notebooks and by `print`."""
 
     __slots__ = ()

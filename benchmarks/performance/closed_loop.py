@@ -150,7 +150,7 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
     assert serial.flight is not None
     flight = serial.flight
     begin = time.process_time()
-    flight.final(serial.parameters, [[seed, i] for i in range(runs)])
+    flight.final_values(serial.parameters, [[seed, i] for i in range(runs)])
     spent = time.process_time() - begin
 
     rows, seconds, apart = flight.schedule, [], 0.0
@@ -190,7 +190,7 @@ def flying(tracking: Tracking, name: str, runs: int, seed: int) -> tuple[int, Ca
 
     def fly() -> float:
         begin = time.process_time()
-        flight.final(P, [[seed, i] for i in range(P.shape[1])])
+        flight.final_values(P, [[seed, i] for i in range(P.shape[1])])
         return time.process_time() - begin
 
     return P.shape[1], fly

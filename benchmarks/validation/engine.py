@@ -182,7 +182,7 @@ def _cases_of(group: str, set_file: Path) -> Iterator[Case]:
 
 def group_of(problem: Example) -> str:
     """Return the group of a problem file or a system."""
-    if problem.is_system:
+    if problem.is_package:
         return "gallery"
     return next((group for group, names in _MEMBERS.items() if problem.name in names), "further")
 

@@ -28,7 +28,7 @@ _HEADING = "| | problem | objective | reference | CPU s | check |\n|---|---|---|
 def tables(rows: Sequence[Row]) -> str:
     """Return the tables in Markdown, by folder and name."""
     known = {row.problem: row for row in rows}
-    files = sorted((e for e in examples() if not e.is_system), key=lambda e: (e.path.parent.name, e.name))
+    files = sorted((e for e in examples() if not e.is_package), key=lambda e: (e.path.parent.name, e.name))
     lines = [_counts([known[e.name] for e in files if e.name in known])]
     for _, members in groupby(files, key=lambda e: e.path.parent):
         some = list(members)

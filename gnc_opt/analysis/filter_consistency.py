@@ -26,7 +26,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.run import Run
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 from gnc_opt.tolerances import ROUNDING
 
 Band = tuple[float, float]
@@ -63,7 +63,7 @@ class InnovationTest(StrictAttributes):
 
 
 @dataclass(frozen=True)
-class Consistency(StrictAttributes, Printed):
+class Consistency(StrictAttributes, PrintableResult):
     """Consistency test of an estimator's errors and innovations.
 
     Attributes

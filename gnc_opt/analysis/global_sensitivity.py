@@ -29,7 +29,7 @@ from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign_batch import MOST_PER_BATCH
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import draw_parameters
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 
 NOISE = "noise"
 """Factor that contains all random numbers of the control steps."""
@@ -61,7 +61,7 @@ class IntervalEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class SobolIndices(Printed):
+class SobolIndices(PrintableResult):
     """Sobol' indices of a measure; see `sobol_indices`.
 
     Attributes

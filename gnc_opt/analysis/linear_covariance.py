@@ -31,7 +31,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text_formatting import Printed, count_text
+from gnc_opt.text_formatting import PrintableResult, count_text
 from gnc_opt.tolerances import TINY
 
 
@@ -65,7 +65,7 @@ _KINDS = {"command": "commands", "applied": "applied"}
 
 
 @dataclass(frozen=True, eq=False)
-class LinearCovariance(StrictAttributes, Printed):
+class LinearCovariance(StrictAttributes, PrintableResult):
     """Covariances along a nominal run by source; see `linear_covariance`.
 
     A *signal* is the name of a state (its error), ``command(F)`` or ``applied(F)`` (mean over the step).

@@ -25,8 +25,8 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.kalman_filter import COVARIANCE
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
-from gnc_opt.simulation.loop_assembly import Wiring
-from gnc_opt.simulation.signals import Places
+from gnc_opt.simulation.loop_assembly import LoopWiring
+from gnc_opt.simulation.signals import ColumnLayout
 
 OUTPUTS = ("commands", "applied")
 """Parts of the log that are linearised."""
@@ -54,7 +54,7 @@ class Linearization:
     """Loop without events, linearised along its nominal run; ``hold``: constant filter covariance."""
 
     flight: CompiledLoop
-    wiring: Wiring
+    wiring: LoopWiring
     columns: Sequence[int]
     hold: bool = False
 
@@ -70,19 +70,19 @@ class Linearization:
             )
 
     @cached_property
-    def state_layout(self) -> Places:
+    def state_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of X."""
         parts = self.flight.kernel.state.parts
         held = {"memory": len(self.fixed_indices)}
-        return Places(
+        return ColumnLayout(
             tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
         )
 
     @property
-    def output_layout(self) -> Places:
+    def output_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of the log."""
         sizes = dict(self.flight.kernel.log.parts)
-        return Places(tuple((name, sizes[name]) for name in OUTPUTS))
+        return ColumnLayout(tuple((name, sizes[name]) for name in OUTPUTS))
 
     @cached_property
     def noise_slices(self) -> dict[str, slice]:
@@ -198,14 +198,13 @@ class Linearization:
 
     @cached_property
     def _constant_derivatives(self) -> Array:
-        """Derivatives of the constants C in the selected columns of P."""
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
     def _nominal_inputs(self) -> Iterator[Array]:
-        for _, rows in self.flight.legs(
+        for _, rows in self.flight.iterate_legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):
             rows[:, self.noise_indices] = 0.0

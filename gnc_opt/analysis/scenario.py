@@ -15,13 +15,13 @@ from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_batch import Flown, merge_batches
+from gnc_opt.simulation.campaign_batch import RunBatch, merge_batches
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
-from gnc_opt.simulation.monte_carlo import Criteria, MeasureFunction, read_criteria
+from gnc_opt.simulation.monte_carlo import MeasureFunction, SuccessCriteria, read_criteria
 from gnc_opt.simulation.run_outcome import RunStatus
-from gnc_opt.workers import Shared, WorkerPool
+from gnc_opt.workers import SharedObject, WorkerPool
 
 _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
 """Statuses of runs that have not failed."""
@@ -65,7 +65,7 @@ class Scenario:
         set_(self, "seed", read_integer(self.seed, "the seed of a scenario", 0))
         check_dispersions(self.dispersions, self.compiled_loop.layout, self.compiled_loop.nominal)
         set_(self, "dispersions", dict(self.dispersions))
-        self.criteria.goal(self.compiled_loop)
+        self.criteria.target_states(self.compiled_loop)
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -78,7 +78,7 @@ class Scenario:
         return self.loop.compile(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
 
     @cached_property
-    def criteria(self) -> Criteria:
+    def criteria(self) -> SuccessCriteria:
         """Targets of the runs, and user-defined measures."""
         return read_criteria(self.target, self.measures)
 
@@ -97,8 +97,8 @@ class Scenario:
     def simulate_campaign(self, P: Array, seeds: Sequence[Any]) -> Campaign:
         """Simulate runs with parameter columns P (n_parameters, n) and seeds, and return them as a campaign."""
         runs = range(P.shape[1])
-        flown = [Flown(runs, P, self.compiled_loop.final(P, seeds))] if runs else []
-        goal = self.criteria.goal(self.compiled_loop)
+        flown = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
+        goal = self.criteria.target_states(self.compiled_loop)
         campaign = merge_batches(self.compiled_loop, flown, seed=0, asked=len(runs), goal=goal)
         return self.criteria.apply_to_campaign(campaign) if runs else campaign
 
@@ -119,8 +119,8 @@ def run_in_workers(
 ) -> list[Any]:
     """Return the results of a method of ``work`` for all tasks; raise `GncOptError` if one has no result."""
     remedy = 'define measures= functions at the top of a module, or use executor="serial"'
-    with WorkerPool(Shared.picklable(work, name, remedy), executor, name) as pool:
-        done = pool.run(method, tasks, lambda _: None)
+    with WorkerPool(SharedObject.from_picklable(work, name, remedy), executor, name) as pool:
+        done = pool.map(method, tasks, lambda _: None)
     errors = [each.error for each in done if each.answer is None]
     if errors or len(done) < len(tasks):
         raise GncOptError(

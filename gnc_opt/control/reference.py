@@ -14,7 +14,7 @@ from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.errors import ArgumentError, did_you_mean, quote, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory import Trajectory, TrajectoryPhase
-from gnc_opt.model.variables import Layout, as_point
+from gnc_opt.model.variables import Layout, as_state_vector
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 Signal: TypeAlias = Callable[[Array], Array]
@@ -133,11 +133,11 @@ class Reference(StrictAttributes):
             Constant control; default: the trim control of the state.
         """
         expect(model, Model, "the model of a reference", "give the Model of the plant")
-        state = as_point(x, model.states.size, "the state of a constant reference", ArgumentError)
+        state = as_state_vector(x, model.states.size, "the state of a constant reference", ArgumentError)
         control = (
             trim(model, 0.0, state)
             if u is None
-            else as_point(u, model.controls.size, "the control of a constant reference", ArgumentError)
+            else as_state_vector(u, model.controls.size, "the control of a constant reference", ArgumentError)
         )
         return cls.from_functions(model, lambda _: state, lambda _: control, 0.0, 0.0, tail="hold")
 
@@ -313,7 +313,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     >>> print(trim(lift, 0.0, [10.0, 0.0]))
     [19.62]
     """
-    state = as_point(x, model.states.size, "the state to rest at", ArgumentError)
+    state = as_state_vector(x, model.states.size, "the state to rest at", ArgumentError)
     u = np.zeros(model.controls.size)
     for _ in range(20):
         step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
@@ -357,7 +357,7 @@ def _split_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.int
 def _vectorize_function(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
     def evaluate_many(times: Array) -> Array:
         what = f"the {layout.kind}s of a reference"
-        rows = [as_point(function(float(t)), layout.size, what) for t in times]
+        rows = [as_state_vector(function(float(t)), layout.size, what) for t in times]
         return _require_finite_reference(np.array(rows).T, times, layout)
 
     return evaluate_many

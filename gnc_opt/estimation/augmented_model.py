@@ -27,7 +27,7 @@ _MOST_LATE = 200
 
 
 @dataclass(frozen=True)
-class Channel:
+class MeasurementChannel:
     """Measurement with its variable, error space, period and delay (control steps)."""
 
     measurement: Measurement
@@ -41,7 +41,7 @@ class Channel:
         return self.measurement.of
 
     @property
-    def bias(self) -> str:
+    def bias_name(self) -> str:
         """Name of the bias among the estimated states."""
         return f"{self.name}_bias"
 
@@ -66,7 +66,7 @@ class AugmentedModel:
             if channel.measurement.has_bias:
                 parts.append(
                     (
-                        Variable(channel.bias, channel.space.errors, unit),
+                        Variable(channel.bias_name, channel.space.errors, unit),
                         euclidean_space(channel.space.errors),
                     )
                 )
@@ -86,7 +86,7 @@ class AugmentedModel:
         slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
 
-    def augmented_flow(self, h: float) -> Any:
+    def flow_function(self, h: float) -> Any:
         """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, for constant u."""
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
@@ -102,7 +102,7 @@ class AugmentedModel:
         after = own + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
-    def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
+    def discretize(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
         """Return F (n_errors, n_errors) of a step h (s), and noise terms: P becomes F (P + early) F' + late."""
         n = self.model.states.size
         own, end = x[:n], after[:n]
@@ -117,7 +117,7 @@ class AugmentedModel:
         half = ca.diagcat(last @ change @ vehicle.retraction_jacobian(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
-    def direct_slope(self, channel: Channel) -> Any:
+    def constant_jacobian(self, channel: MeasurementChannel) -> Any:
         """Return the constant Jacobian (m, n_errors) of a measurement that is linear in the errors, else ``None``."""
         biased, m = channel.measurement.has_bias, channel.space.errors
         if channel.measurement.difference is not None:
@@ -127,13 +127,13 @@ class AugmentedModel:
         elif channel.name not in self.model.states or (biased and m != channel.space.size):
             return None
         else:
-            names = [channel.name, *([channel.bias] if biased else [])]
+            names = [channel.name, *([channel.bias_name] if biased else [])]
         slope = ca.SX(m, self.errors.size)
         for name in names:
             slope[:, self.errors.slice(name)] = ca.SX.eye(m)
         return slope
 
-    def undelayed_output(self, channel: Channel) -> Any:
+    def undelayed_output(self, channel: MeasurementChannel) -> Any:
         """Return ``(t, x) -> y``: the sensor's output without noise and delay."""
         model = self.model
         time, xs, _, p = model.arguments()
@@ -145,10 +145,10 @@ class AugmentedModel:
             here = ca.vertcat(t, x[: model.states.size], model.parameter_values)
             y = ca.substitute(model.output_expression(name), ca.vertcat(time, xs, p), here)
         if channel.measurement.has_bias:
-            y = channel.space.retraction(y, x[self.states.slice(channel.bias)])
+            y = channel.space.retraction(y, x[self.states.slice(channel.bias_name)])
         return ca.Function("now", [t, x], [y])
 
-    def delayed_output(self, channel: Channel) -> Any:
+    def delayed_output(self, channel: MeasurementChannel) -> Any:
         """Return ``(t, x) -> y``: the sensor's output at t (s) without noise."""
         if not channel.delay:
             return self.undelayed_output(channel)
@@ -177,11 +177,11 @@ class AugmentedModel:
         sigma[: states.size] = states
         for channel in self.channels:
             if channel.measurement.has_bias:
-                place = self.errors.slice(channel.bias)
-                sigma[place] = channel.measurement.values(bias, channel.space.errors)
+                place = self.errors.slice(channel.bias_name)
+                sigma[place] = channel.measurement.as_array(bias, channel.space.errors)
         return sigma
 
-    def first(self, t: float, x: Array) -> Array:
+    def initial_state(self, t: float, x: Array) -> Array:
         """Return the initial augmented state (n_states,): zero bias, delay lines at the initial measurement."""
         found = np.zeros(self.states.size)
         found[: x.size] = x
@@ -211,7 +211,7 @@ def _state_error_space(model: Model, variable: Variable) -> Space:
     return Space(variable.size, errors[variable.name].size, variable_difference, variable_retraction)
 
 
-def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel:
+def _build_channel(model: Model, measurement: Measurement, dt: float) -> MeasurementChannel:
     name = measurement.of
     if name in model.states:
         variable = model.states[name]
@@ -231,7 +231,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel
     if measurement.difference is not None:
         space = _replace_error_difference(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
-        measurement.values(each, space.errors)
+        measurement.as_array(each, space.errors)
     what = f"of the measurement of '{name}'"
     period = (
         1 if measurement.period is None else count_whole_steps(measurement.period, dt, f"the period {what}")
@@ -246,7 +246,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel
             f"the delay {what} is {delay} control steps, and the filter estimates {space.errors} of each: more than "
             f"{_MOST_LATE} take too long; give a longer control step, or a shorter delay."
         )
-    return Channel(measurement, variable, space, period, delay)
+    return MeasurementChannel(measurement, variable, space, period, delay)
 
 
 def _replace_error_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:

@@ -19,10 +19,10 @@ from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation.augmented_model import AugmentedModel
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.estimation.kalman_filter import COVARIANCE, KalmanFilter
-from gnc_opt.estimation.linearization import Approximation, Regression, Tangent
+from gnc_opt.estimation.linearization import Approximation, SigmaRegression, TangentModel
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_options
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, as_point, as_vector
+from gnc_opt.model.variables import Layout, as_state_vector, as_vector
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import EQUAL
 
@@ -74,7 +74,7 @@ def design_ekf(
     """
     told = read_options(options, "EKF")
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
-    return design.estimator(Tangent(), "extended Kalman filter")
+    return design.build_estimator(TangentModel(), "extended Kalman filter")
 
 
 @one_thread()
@@ -110,7 +110,7 @@ def design_ukf(
     """
     told = read_options(options, "UKF")
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
-    return design.estimator(Regression(), "unscented Kalman filter")
+    return design.build_estimator(SigmaRegression(), "unscented Kalman filter")
 
 
 Deviations: TypeAlias = Mapping[str, ArrayLike]
@@ -168,12 +168,12 @@ class FilterDesign:
         )
         self.noise = self.augmented.initial_standard_deviations(noise, "bias_walk")
 
-    def estimator(self, linearization: Approximation, title: str) -> Estimator:
+    def build_estimator(self, linearization: Approximation, title: str) -> Estimator:
         """Return the filter with this linearization."""
         augmented, model = self.augmented, self.model
         filter_ = KalmanFilter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)
         first = np.zeros(filter_.memory.size)
-        first[: augmented.states.size] = augmented.first(self.t0, self.x0)
+        first[: augmented.states.size] = augmented.initial_state(self.t0, self.x0)
         rows, columns = (np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
         first[filter_.memory.slice(COVARIANCE)] = np.diag(self.sigma0**2)[rows, columns]
         for channel in augmented.channels:
@@ -213,7 +213,7 @@ class FilterDesign:
             facts.append(
                 ReportEntry(
                     f"measurement of {channel.name}",
-                    m.values("sigma", channel.space.errors),
+                    m.as_array("sigma", channel.space.errors),
                     channel.variable.unit,
                     f"sigma; {when}{late}{gate}",
                 )
@@ -254,18 +254,18 @@ class FilterDesign:
 
     def _linear_model(self) -> tuple[Array, Array, Array, Array]:
         """Return F and Q of one control step, H and R of all measurements, at the initial state with zero command."""
-        augmented, space, tangent = self.augmented, self.augmented.space, Tangent()
-        x, first = ca.SX.sym("x", space.size), augmented.first(self.t0, self.x0)
+        augmented, space, tangent = self.augmented, self.augmented.space, TangentModel()
+        x, first = ca.SX.sym("x", space.size), augmented.initial_state(self.t0, self.x0)
         u = ca.SX.zeros(self.model.controls.size)
-        shift, after = augmented.shift_delay_lines(), augmented.augmented_flow(self.dt)(self.t0, x, u)
+        shift, after = augmented.shift_delay_lines(), augmented.flow_function(self.dt)(self.t0, x, u)
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
-        F, early, late = augmented.transition(self.t0, x, after, u, self.dt, density)
+        F, early, late = augmented.discretize(self.t0, x, after, u, self.dt, density)
         delays = tangent.fit_linear_model(partial(shift, self.t0), space, space, x, None)[1]
         rows = []
         for channel in augmented.channels:
             observed, direct = (
                 partial(augmented.delayed_output(channel), self.t0),
-                augmented.direct_slope(channel),
+                augmented.constant_jacobian(channel),
             )
             rows.append(
                 tangent.fit_linear_model(observed, space, channel.space, x, None)[1]
@@ -275,19 +275,18 @@ class FilterDesign:
         outputs = [F @ delays, F @ early @ F.T + late, ca.vertcat(*rows)]
         found = ca.Function("linear", [x], outputs)(first)
         matrices = [np.asarray(m.full()) for m in found]
-        sigma = np.concatenate([c.measurement.values("sigma", c.space.errors) for c in augmented.channels])
+        sigma = np.concatenate([c.measurement.as_array("sigma", c.space.errors) for c in augmented.channels])
         return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 
 
 def _read_initial_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:
-    """Return the expected state (n_states,)."""
     what = f"the initial state of '{name}'"
     if isinstance(x0, Mapping):
         for key in x0:
             model.states.slice(key)
         x = model.states.stack(x0)
     else:
-        x = as_point(x0, model.states.size, what, ArgumentError)
+        x = as_state_vector(x0, model.states.size, what, ArgumentError)
     if not np.all(np.isfinite(x)):
         label = model.states.labels[int(np.flatnonzero(~np.isfinite(x))[0])]
         raise ArgumentError(f"{what} has no finite '{label}': give every state.")

@@ -39,11 +39,11 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, saturate
-from gnc_opt.estimation.augmented_model import AugmentedModel, Channel
+from gnc_opt.estimation.augmented_model import AugmentedModel, MeasurementChannel
 from gnc_opt.estimation.linearization import (
     Approximation,
     Map,
-    Tangent,
+    TangentModel,
     cholesky_semidefinite,
     solve_lower_left,
 )
@@ -54,7 +54,7 @@ LOST = "lost_steps"
 """Memory entry that counts consecutive control steps with missing samples."""
 
 
-def sample_counter_variables(channels: Sequence[Channel]) -> list[Variable]:
+def sample_counter_variables(channels: Sequence[MeasurementChannel]) -> list[Variable]:
     """Return the counters in the memory, `LOST` last."""
     entries = []
     for channel in channels:
@@ -71,14 +71,14 @@ class SampleCount:
         self.entries = {name: z[memory.slice(name)] for name in memory.names}
         self._any_due, self._any_taken = ca.SX(0), ca.SX(0)
 
-    def is_sample_due(self, channel: Channel) -> Any:
+    def is_sample_due(self, channel: MeasurementChannel) -> Any:
         return self.entries[f"{channel.name}_next"] < 0.5 if channel.is_sample_counted else ca.SX(1)
 
-    def is_sample_valid(self, channel: Channel, sample: Any) -> Any:
+    def is_sample_valid(self, channel: MeasurementChannel, sample: Any) -> Any:
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
         return ca.logic_and(whole, self.is_sample_due(channel)) if channel.is_sample_counted else whole
 
-    def count_sample(self, channel: Channel, good: Any, nis: Any) -> Any:
+    def count_sample(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
         """Count a sample with its normalised innovation squared; return whether it passes the gate."""
         name, gate = channel.name, channel.measurement.gate
         taken = good
@@ -142,7 +142,7 @@ class KalmanFilter:
             ca.SX.sym("x", augmented.space.size),
             ca.SX.sym("u", augmented.model.controls.size),
         )
-        F, early, late = augmented.transition(t, x, x, u, augmented.dt, self.density)
+        F, early, late = augmented.discretize(t, x, x, u, augmented.dt, self.density)
         maps = [_structural_nonzeros(F)]
         if augmented.has_delay_lines:
             maps.append(_structural_nonzeros(self._linearize_delay_shift(t, x)[1]))
@@ -174,7 +174,7 @@ class KalmanFilter:
 
     def _linearize_delay_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
         shift, space = self.augmented.shift_delay_lines(), self.augmented.space
-        return Tangent().fit_linear_model(lambda own: shift(t, own), space, space, x, None)[:2]
+        return TangentModel().fit_linear_model(lambda own: shift(t, own), space, space, x, None)[:2]
 
     # --- update -------------------------------------------------------------------------------------------
 
@@ -203,20 +203,20 @@ class KalmanFilter:
         outputs = ca.cse([told, self._pack_memory(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
-    def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_View]:
+    def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_LinearizedMeasurement]:
         augmented, views = self.augmented, []
         for channel in augmented.channels:
             observed, space = augmented.delayed_output(channel), channel.space
-            slope = augmented.direct_slope(channel)
+            slope = augmented.constant_jacobian(channel)
             if slope is None:
                 y, slope, left = self.linearization.fit_linear_model(
                     partial(observed, t), augmented.space, space, x, P
                 )
             else:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
-            noise = ca.SX(ca.diag(ca.DM(channel.measurement.values("sigma", space.errors) ** 2)))
+            noise = ca.SX(ca.diag(ca.DM(channel.measurement.as_array("sigma", space.errors) ** 2)))
             root = cholesky_semidefinite(noise + left)
-            views.append(_View(y, solve_lower_left(root, slope), root))
+            views.append(_LinearizedMeasurement(y, solve_lower_left(root, slope), root))
         return views
 
     # --- prediction ---------------------------------------------------------------------------------------
@@ -237,11 +237,11 @@ class KalmanFilter:
                 lambda own: shift(t, own), space, x, P, *self._linearize_delay_shift(t, x)
             )
         h = augmented.dt / self.substeps
-        flow = augmented.augmented_flow(h)
+        flow = augmented.flow_function(h)
         for i in range(self.substeps):
             begin = t + i * h
             after = flow(begin, x, u)
-            F, early, late = augmented.transition(begin, x, after, u, h, self.density)
+            F, early, late = augmented.discretize(begin, x, after, u, h, self.density)
             x, P = self.linearization.propagate_covariance(
                 _flow_with_held_command(flow, begin, u), space, x, P + early, after, F
             )
@@ -251,9 +251,7 @@ class KalmanFilter:
 
 
 @dataclass(frozen=True)
-class _View:
-    """Linearised measurement: prediction y, slope and square root of the covariance that whitens it."""
-
+class _LinearizedMeasurement:
     y: Any
     slope: Any
     root: Any

@@ -33,7 +33,7 @@ Map: TypeAlias = Callable[[Any], Any]
 
 
 @dataclass(frozen=True)
-class Tangent:
+class TangentModel:
     """Linearisation by the Jacobian at the mean; f maps SX columns, x and P are SX symbols."""
 
     @property
@@ -55,7 +55,7 @@ class Tangent:
 
 
 @dataclass(frozen=True)
-class Regression:
+class SigmaRegression:
     """Statistical linear regression with 2 n + 1 sigma points."""
 
     @property
@@ -93,7 +93,7 @@ class Regression:
         return target.retraction(centre, mean), spread, remainder, root
 
 
-Approximation: TypeAlias = Tangent | Regression
+Approximation: TypeAlias = TangentModel | SigmaRegression
 
 
 def cholesky_semidefinite(P: Any) -> Any:

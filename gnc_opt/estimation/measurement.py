@@ -119,7 +119,7 @@ class Measurement:
         """Whether a constant or drifting bias is estimated."""
         return bool(np.any(np.asarray(self.bias) > 0) or np.any(np.asarray(self.bias_walk) > 0))
 
-    def values(self, name: str, size: int) -> Array:
+    def as_array(self, name: str, size: int) -> Array:
         """Return ``sigma``, ``bias`` or ``bias_walk`` as an array with one number per error component, (size,)."""
         return as_vector(
             getattr(self, name), size, f"the {name} of the measurement of '{self.of}'", ArgumentError

@@ -36,7 +36,7 @@ class RegulatedEnd:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PlanPrediction:
     """Symbolic prediction of a switching plan, with ``steps`` Runge-Kutta steps per arc."""
 
     plan: SwitchingPlan
@@ -47,10 +47,10 @@ class Prediction:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_unknowns", self.plan.times.size)
 
-    def controls(self, s: Any, tau: Any) -> Any:
+    def controls_at(self, s: Any, tau: Any) -> Any:
         """Return the controls (SX) at time s, for s before the end."""
         late = s > tau[-1] - self.ending.length
-        return self.plan.control(s, tau) * (1 - self.ending.reserve * late)
+        return self.plan.controls_at(s, tau) * (1 - self.ending.reserve * late)
 
     def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
         """Return the mean controls (SX) over a step; after the end the trim control of the final state."""
@@ -67,18 +67,20 @@ class Prediction:
         nu, after = ca.SX.sym("nu", model.errors.size), x
         for begin, end in itertools.pairwise(self._arc_boundaries(t, tau)):
             after = self._arc_propagation_function(
-                begin, after, self.controls(0.5 * (begin + end), tau), end - begin
+                begin, after, self.controls_at(0.5 * (begin + end), tau), end - begin
             )
-        psi = model.error_expression(after, ca.SX(self.plan.final))
+        psi = model.error_expression(after, ca.SX(self.plan.final_state))
         return ca.Function("ends", [t, x, tau, nu], [psi, ca.jtimes(psi, tau, nu, True)])
 
     @cached_property
-    def reference(self) -> Any:
+    def planned_state_function(self) -> Any:
         """Return ``(t, tau) -> x``: planned state at t, by backward integration; the final state after the end."""
         t, tau = ca.SX.sym("t"), ca.SX.sym("tau", self._unknowns)
-        x = ca.SX(self.plan.final)
+        x = ca.SX(self.plan.final_state)
         for begin, end in reversed(list(itertools.pairwise(self._arc_boundaries(t, tau)))):
-            x = self._arc_propagation_function(end, x, self.controls(0.5 * (begin + end), tau), begin - end)
+            x = self._arc_propagation_function(
+                end, x, self.controls_at(0.5 * (begin + end), tau), begin - end
+            )
         return ca.Function("reference", [t, tau], [x])
 
     def _arc_boundaries(self, t: Any, tau: Any) -> list[Any]:
@@ -125,16 +127,16 @@ class SwitchingPlan:
         return self.reference.initial_time
 
     @property
-    def initial(self) -> Array:
+    def initial_state(self) -> Array:
         """Planned initial state (n_states,)."""
         return self.reference.x(self.reference.initial_time)
 
     @property
-    def final(self) -> Array:
+    def final_state(self) -> Array:
         """Planned final state (n_states,)."""
         return self.reference.x(self.reference.final_time)
 
-    def control(self, s: Any, times: Any) -> Any:
+    def controls_at(self, s: Any, times: Any) -> Any:
         """Return the controls (SX) at time s for given switching times; each is right-continuous."""
         u = ca.vertsplit(ca.SX(self.first))
         for k, (channel, jump) in enumerate(zip(self.channels, self.jumps, strict=True)):

@@ -4,8 +4,8 @@ At each control step, with start t and state x, the remaining switching times an
 
 .. math:: (S^T W S + \epsilon H + \lambda) \, \delta\tau = -(S^T W \psi + \epsilon \nabla_\tau L),
 
-with :math:`\psi` and :math:`\nabla_\tau L` of `Prediction` at the current :math:`\tau` and x, and S, H, :math:`\nu` of
-the plan (`Optimum`). This is a Newton step towards the neighbouring extremal, which satisfies the end conditions in
+with :math:`\psi`, :math:`\nabla_\tau L` of `PlanPrediction` at the current :math:`\tau` and x, and S, H, :math:`\nu`
+of the plan (`PlanOptimum`). This is a Newton step to the neighbouring extremal, which satisfies the end conditions in
 minimum time (Bryson and Ho, Applied Optimal Control, section 6.4). If fewer switches than conditions remain, the
 weights W distribute the error; :math:`\lambda` fixes switches with little effect. In the final part of the trajectory a
 regulator tracks the remaining plan, integrated backward from the end.
@@ -37,7 +37,7 @@ from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
 from gnc_opt.errors import ArgumentError, DesignError, quote
-from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
+from gnc_opt.guidance.bang_bang_plan import PlanPrediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.runtime_environment import one_thread
@@ -52,7 +52,7 @@ _STATIONARY = 1e-3
 
 
 @dataclass(frozen=True)
-class Optimum:
+class PlanOptimum:
     """Optimal tau (s), nu (n_errors,), S, H; ``curvature``: smallest eigenvalue of H on the null space of S."""
 
     tau: Array
@@ -62,7 +62,7 @@ class Optimum:
     curvature: float
 
 
-def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
+def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
     """Return the optimum next to the plan; raise `DesignError` if its conditions fail."""
     plan = prediction.plan
     name, tau = plan.reference.model.name, plan.times.copy()
@@ -73,7 +73,7 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
             f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
             "neighbouring-optimal guidance does not apply; use design_tvlqr()."
         )
-    first, _, _ = _terminal_condition_derivatives(prediction, tau)
+    first, _, _ = _end_condition_derivatives(prediction, tau)
     if not _has_full_row_rank(first.S):
         raise DesignError(
             f"the switch times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
@@ -82,13 +82,13 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
     def conditions(y: Array) -> Array:
         """Return the gradient of L, and psi as changes of switching times that correct it, as shares of t_f."""
         psi, slope = prediction.terminal_conditions_function(
-            plan.initial_time, plan.initial, y[: tau.size] * duration, y[tau.size :]
+            plan.initial_time, plan.initial_state, y[: tau.size] * duration, y[tau.size :]
         )
         stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
         return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
 
     found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
-    optimum, gradient, psi = _terminal_condition_derivatives(prediction, found.x[: tau.size] * duration)
+    optimum, gradient, psi = _end_condition_derivatives(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
@@ -119,12 +119,12 @@ def _has_full_row_rank(S: Array) -> bool:
     return bool(sizes[-1] > RANK * sizes[0])
 
 
-def _terminal_condition_derivatives(prediction: Prediction, tau: Array) -> tuple[Optimum, Array, Array]:
+def _end_condition_derivatives(prediction: PlanPrediction, tau: Array) -> tuple[PlanOptimum, Array, Array]:
     """Return S, H and the least-squares multipliers at these times, with the gradient of L and psi."""
     plan, g = prediction.plan, np.eye(tau.size)[-1]
 
     times, nu = ca.SX.sym("tau", tau.size), ca.SX.sym("nu", plan.reference.model.errors.size)
-    psi, slope = prediction.terminal_conditions_function(plan.initial_time, plan.initial, times, nu)
+    psi, slope = prediction.terminal_conditions_function(plan.initial_time, plan.initial_state, times, nu)
     outputs = [psi, slope, ca.jacobian(psi, times), ca.jacobian(slope, times)]
     function = ca.Function("derivatives", [times, nu], outputs)
 
@@ -137,7 +137,7 @@ def _terminal_condition_derivatives(prediction: Prediction, tau: Array) -> tuple
     kernel = scipy.linalg.null_space(S)
     curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)
     least = float(curvatures[0]) * (tau[-1] - plan.initial_time) if curvatures.size else np.inf
-    return Optimum(tau.copy(), nu, S, H, least), g + slope, psi
+    return PlanOptimum(tau.copy(), nu, S, H, least), g + slope, psi
 
 
 OFF = 0.1
@@ -220,7 +220,7 @@ def design_neighbouring_optimal(
     ending = _read_regulated_end(last, reserve, plan)
     prediction = _refine_prediction(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
-    guidance = _Guidance(prediction, optimum, weight, inner, step, delay)
+    guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
     signals = build_reference_layout(plan.reference)
     law_, start = guidance.law_functions(signals.size)
     own = (
@@ -241,7 +241,9 @@ def design_neighbouring_optimal(
         dt=step,
         alarms=inner.alarms,
         span=(plan.reference.initial_time, plan.reference.final_time),
-        explanation=DesignReport(f"{name} of '{plan.reference.model.name}'", tuple(guidance.facts())),
+        explanation=DesignReport(
+            f"{name} of '{plan.reference.model.name}'", tuple(guidance.report_entries())
+        ),
     )
     return with_dropout_handling(controller)
 
@@ -274,16 +276,16 @@ def _read_regulated_end(last: float, reserve: float, plan: SwitchingPlan) -> Reg
     return RegulatedEnd(length, reserve)
 
 
-def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Prediction:
+def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
     """Return the prediction with enough steps per arc to reproduce the end of the plan."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:
-        psi = Prediction(plan, RegulatedEnd(0.0, 0.0), steps).terminal_conditions_function(
-            plan.initial_time, plan.initial, plan.times, nothing
+        psi = PlanPrediction(plan, RegulatedEnd(0.0, 0.0), steps).terminal_conditions_function(
+            plan.initial_time, plan.initial_state, plan.times, nothing
         )[0]
         off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))
         if off <= OFF:
-            return Prediction(plan, ending, steps)
+            return PlanPrediction(plan, ending, steps)
         if steps >= MAX_SUBSTEPS:
             raise DesignError(
                 f"the plan of '{plan.reference.model.name}' with its switching times misses its end by {off:.2g} "
@@ -293,9 +295,9 @@ def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array)
 
 
 @dataclass(frozen=True, eq=False)
-class _Guidance:
-    prediction: Prediction
-    optimum: Optimum
+class _NeighbouringGuidance:
+    prediction: PlanPrediction
+    optimum: PlanOptimum
     weight: Array
     regulator: Controller
     dt: float
@@ -309,7 +311,7 @@ class _Guidance:
     def correction_function(self) -> Any:
         """Return ``(t, x, tau) -> (tau, miss)``: one correction of the times after t + delay."""
         plan, best = self.plan, self.optimum
-        t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial.size), ca.SX.sym("tau", best.tau.size)
+        t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial_state.size), ca.SX.sym("tau", best.tau.size)
         psi, slope = self.prediction.terminal_conditions_function(t, x, tau, best.nu)
         duration = plan.times[-1] - plan.initial_time
         price = _TIME / duration
@@ -337,14 +339,14 @@ class _Guidance:
 
     def law_functions(self, n_signals: int) -> tuple[Any, Any]:
         n, inner = self.optimum.tau.size, self.regulator
-        t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial.size), ca.SX.sym("r", n_signals)
+        t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial_state.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
         planned, tracked, own = z[:n], z[n], z[n + 2 :]
         tau, miss = self.correction_function(t, x, planned)
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
         means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
-        row = ca.vertcat(self.prediction.reference(t, tau), means)
+        row = ca.vertcat(self.prediction.planned_state_function(t, tau), means)
         command, memory = inner.step(t, x, row, own)
         u = ca.if_else(tracking, command, means)
         after = ca.vertcat(tau, tracking, miss, ca.if_else(tracking, memory, own))
@@ -353,7 +355,7 @@ class _Guidance:
 
     # --- design report ------------------------------------------------------------------------------------
 
-    def facts(self) -> list[ReportEntry]:
+    def report_entries(self) -> list[ReportEntry]:
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
         return [

@@ -100,7 +100,7 @@ _PREDICTED = 4
 """Number of integration steps of the prediction per control step."""
 
 
-class Solver(Protocol):
+class VariationSolver(Protocol):
     """Interface of a solver of problem variations, see `gnc_opt.Resolver`."""
 
     @property
@@ -111,7 +111,7 @@ class Solver(Protocol):
         """Return the solution of a problem variation."""
 
 
-def follow_plan(plan: Solution) -> Schedule:
+def build_tracking_schedule(plan: Solution) -> Schedule:
     """Return the schedule of a law with constant gains that tracks a plan and then holds its final state."""
     with contextlib.suppress(ArgumentError):
         return ReferenceSchedule(Reference(plan))
@@ -151,11 +151,11 @@ class Replanner:
     2.098
     """
 
-    resolver: Callable[[], Solver]
+    resolver: Callable[[], VariationSolver]
     every: float
     latency: float = field(default=0.0, kw_only=True)
     last: float = field(default=0.0, kw_only=True)
-    follow: Callable[[Solution], Schedule] = field(default=follow_plan, kw_only=True)
+    follow: Callable[[Solution], Schedule] = field(default=build_tracking_schedule, kw_only=True)
 
     def __post_init__(self) -> None:
         if not callable(self.resolver):
@@ -175,7 +175,7 @@ class Replanner:
         vars(self).update(state)
 
     @property
-    def solver(self) -> Solver:
+    def solver(self) -> VariationSolver:
         """Resolver, created at first use."""
         if "_solver" not in vars(self):
             made = self.resolver()
@@ -217,7 +217,7 @@ class Replanner:
         (leg,) = self.plan.need_problem("solve again").phases.values()
         return leg.model
 
-    def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
+    def check_law(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
         """Raise an error if a controller does not follow the plan.
 
         Parameters
@@ -249,7 +249,7 @@ class Replanner:
         for share in (0.0, 0.5):
             t = leg.initial_time + share * leg.duration
             try:
-                own, found = row(t), self.rows(self.plan, np.array([t]), dt, signals.size)
+                own, found = row(t), self.schedule_rows(self.plan, np.array([t]), dt, signals.size)
             except GncOptError:
                 raise
             except Exception as error:
@@ -263,7 +263,7 @@ class Replanner:
                     "this plan, and give follow= a function that returns the schedule of a plan."
                 )
 
-    def rows(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
+    def schedule_rows(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
         """Return the schedule (size, n_times) of a plan at times (s)."""
         rows = np.asarray(self.follow(plan)(times, dt), dtype=float)
         if rows.shape != (size, times.size):
@@ -277,14 +277,14 @@ class Replanner:
             )
         return rows
 
-    def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
+    def predict_state(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
         """Return the state (n_states,) predicted at time ``until`` (s) from x at t with the controls of a plan."""
         for begin in t + dt * np.arange(round((until - t) / dt)):
             u = plan.mean_control([begin], dt)
             x = np.asarray(self._propagation_function(float(begin), x, u, dt).full()[:, 0])
         return x
 
-    def solved(self, begin: float, x: Array, near: Solution) -> Solution:
+    def solve_plan(self, begin: float, x: Array, near: Solution) -> Solution:
         """Return the plan from time ``begin`` (s) and state ``x`` (n_states,), warm-started from ``near``."""
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}

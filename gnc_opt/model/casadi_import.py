@@ -13,7 +13,7 @@ from gnc_opt.errors import ModelError, quote, unknown_name
 
 
 @dataclass(frozen=True)
-class Declared:
+class DeclaredVariable:
     """Variable to declare: name, number of components and, if any, the user's symbol."""
 
     name: str
@@ -21,7 +21,7 @@ class Declared:
     symbol: Any = None
 
 
-def read_variables(given: Any, what: str) -> list[Declared]:
+def read_variables(given: Any, what: str) -> list[DeclaredVariable]:
     """Return the variables from symbols, a sequence of them, or a mapping from names to symbols or sizes.
 
     Symbols without a mapping keep their names. ``what`` is the subject of the `ModelError`.
@@ -92,11 +92,11 @@ def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> Non
             )
 
 
-def _describe_input(name: str, value: Any, what: str) -> Declared:
+def _describe_input(name: str, value: Any, what: str) -> DeclaredVariable:
     if isinstance(value, Integral):
-        return Declared(name, int(value))
+        return DeclaredVariable(name, int(value))
     column = _stack_input(value, what)
-    return Declared(name, column.shape[0], column)
+    return DeclaredVariable(name, column.shape[0], column)
 
 
 def _stack_input(value: Any, what: str) -> Any:
@@ -105,10 +105,10 @@ def _stack_input(value: Any, what: str) -> Any:
     return value
 
 
-def _named_variables(column: Any) -> Iterator[Declared]:
+def _named_variables(column: Any) -> Iterator[DeclaredVariable]:
     if isinstance(column, ca.MX):
         for part in column.primitives():
-            yield Declared(part.name(), part.shape[0], part)
+            yield DeclaredVariable(part.name(), part.shape[0], part)
         return
     names = [element.name() for element in ca.vertsplit(column)] if column.shape[0] else []
     first = 0
@@ -117,5 +117,5 @@ def _named_variables(column: Any) -> Iterator[Declared]:
         last = first + 1
         while last < len(names) and names[last] == f"{stem}_{last - first}":
             last += 1
-        yield Declared(stem if last > first + 1 else names[first], last - first, column[first:last])
+        yield DeclaredVariable(stem if last > first + 1 else names[first], last - first, column[first:last])
         first = last

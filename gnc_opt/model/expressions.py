@@ -44,7 +44,7 @@ def rebuild_node(expression: Any, replacement: Callable[[Any], Any | None]) -> A
                 if missing:
                     waiting += missing
                     continue
-                new = _is_same_operation(node, operands, [done[o.element_hash()] for o in operands])
+                new = _apply_operation(node, operands, [done[o.element_hash()] for o in operands])
             done[place] = new
         waiting.pop()
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
@@ -55,7 +55,7 @@ def replace_nodes(expression: Any, instead: Mapping[int, Any]) -> Any:
     return rebuild_node(expression, lambda node: instead.get(node.element_hash()))
 
 
-def _is_same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
+def _apply_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
     if all(a.element_hash() == b.element_hash() for a, b in zip(old, new, strict=True)):
         return node
     return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)

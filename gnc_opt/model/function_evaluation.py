@@ -43,7 +43,7 @@ _ACCESSES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
 
 
 @dataclass(frozen=True)
-class Operations:
+class VectorizedFunction:
     """Operations of a CasADi function of column vectors whose first output is one dense column.
 
     Attributes
@@ -60,7 +60,7 @@ class Operations:
     steps: tuple[tuple[int, Sequence[int], Sequence[Any]], ...]
 
     @classmethod
-    def from_function(cls, function: Any) -> Operations | None:
+    def from_function(cls, function: Any) -> VectorizedFunction | None:
         """Return the operations of a function; None if it is too long or has unsupported operations."""
         if not function.is_a("SXFunction") or not function.sparsity_out(0).is_dense():
             return None
@@ -111,7 +111,7 @@ def evaluate_function(
     t: ArrayLike,
     x: ArrayLike,
     *others: ArrayLike,
-    programme: Callable[[], Operations | None] | None = None,
+    programme: Callable[[], VectorizedFunction | None] | None = None,
 ) -> Array:
     """Evaluate a CasADi function of (t, x, ...) at one time or many.
 

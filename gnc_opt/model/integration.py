@@ -28,15 +28,15 @@ MOST_RATES = 500_000
 """Largest number of evaluations of the dynamics; an explicit method may need any number for stiff dynamics."""
 
 
-class EndedError(Exception):
+class OdeError(Exception):
     """Error: the integration cannot continue; the message contains cause and time."""
 
 
-class SpentError(EndedError):
+class LimitError(OdeError):
     """Error: the permitted number of evaluations is exceeded."""
 
 
-class Budget:
+class CallLimit:
     """Counter of at most ``most`` evaluations, and of the earliest time with a rate that is not finite."""
 
     def __init__(self, labels: Sequence[str], most: int | None = None) -> None:
@@ -45,8 +45,8 @@ class Budget:
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
-    def count_calls(self, rate: Rate) -> Rate:
-        """Return the rate function with a counter; it raises `EndedError` when the limit is exceeded."""
+    def limit_calls(self, rate: Rate) -> Rate:
+        """Return the rate function with a counter; it raises `OdeError` when the limit is exceeded."""
 
         def counted(t: float, x: Array) -> Array:
             values = rate(t, x)
@@ -58,10 +58,10 @@ class Budget:
         return counted
 
     def spend_evaluations(self, t: float, evaluations: int = 1) -> None:
-        """Count evaluations up to time t; raise `SpentError` when the limit is exceeded."""
+        """Count evaluations up to time t; raise `LimitError` when the limit is exceeded."""
         self.count += evaluations
         if self.count > self.most:
-            raise SpentError(f"{self.most:,} evaluations of the dynamics reached only t = {t:.4g} s")
+            raise LimitError(f"{self.most:,} evaluations of the dynamics reached only t = {t:.4g} s")
 
     def _record_step(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
@@ -70,7 +70,7 @@ class Budget:
             self.earliest = t
             self.edge = f"the rate of state '{self.labels[i]}' is {values[i]} at t = {round(t, 15):.4g} s"
         if self.not_finite > MOST_NOT_FINITE:
-            raise EndedError(self.edge or "the state is NaN")
+            raise OdeError(self.edge or "the state is NaN")
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def integrate(
     span: tuple[float, float],
     *,
     tolerance: Tolerance,
-    budget: Budget,
+    budget: CallLimit,
     stop: Callable[[float, Array], float] | None = None,
     dense: bool = False,
 ) -> Integration:
@@ -146,7 +146,7 @@ def integrate(
     try:
         with np.errstate(all="ignore"):
             run = scipy.integrate.solve_ivp(
-                budget.count_calls(rate),
+                budget.limit_calls(rate),
                 span,
                 x,
                 method="Radau" if tolerance.stiff else "DOP853",
@@ -155,14 +155,14 @@ def integrate(
                 events=events,
                 dense_output=dense,
             )
-    except SpentError:
+    except LimitError:
         if budget.edge:
-            raise EndedError(budget.edge) from None
+            raise OdeError(budget.edge) from None
         raise
-    except EndedError as error:
-        raise EndedError(budget.edge or str(error)) from None
+    except OdeError as error:
+        raise OdeError(budget.edge or str(error)) from None
     if run.t_events is not None and run.t_events[0].size:
-        raise EndedError(f"the states diverge at t = {run.t[-1]:.4g} s")
+        raise OdeError(f"the states diverge at t = {run.t[-1]:.4g} s")
     if run.status < 0 or not np.all(np.isfinite(run.y[:, -1])):
-        raise EndedError(budget.edge or f"the integrator finds no step at t = {run.t[-1]:.4g} s")
+        raise OdeError(budget.edge or f"the integrator finds no step at t = {run.t[-1]:.4g} s")
     return Integration(run.t, run.y, run.sol)

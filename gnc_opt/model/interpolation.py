@@ -20,7 +20,7 @@ Method: TypeAlias = Literal["bspline", "linear", "pchip"]
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class AxisPolynomials:
     """Piecewise polynomials of one axis.
 
     Attributes
@@ -38,24 +38,24 @@ class Pieces:
     stride: int
 
     @property
-    def windows(self) -> Indices:
+    def coefficient_windows(self) -> Indices:
         """Indices of the coefficients of each interval, (n, window)."""
         n, window, _ = self.matrices.shape
         return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))
 
-    def localised(self, coefficients: Array) -> tuple[Pieces, Array]:
+    def to_power_basis(self, coefficients: Array) -> tuple[AxisPolynomials, Array]:
         """Return the same polynomials with coefficients (n_coefficients,) of the powers of u per interval."""
         n, _, powers = self.matrices.shape
-        own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.windows])
-        return Pieces(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()
+        own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.coefficient_windows])
+        return AxisPolynomials(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()
 
 
-def linear(x: Array, values: Array) -> tuple[Pieces, Array]:
+def linear(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
     """Return pieces and coefficients of the linear interpolation at points x (n,) with values (n, ...)."""
-    return Pieces(x, np.tile([[1.0, -1.0], [0.0, 1.0]], (x.size - 1, 1, 1)), 1), values
+    return AxisPolynomials(x, np.tile([[1.0, -1.0], [0.0, 1.0]], (x.size - 1, 1, 1)), 1), values
 
 
-def bspline(x: Array, values: Array) -> tuple[Pieces, Array]:
+def bspline(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
     """Return pieces and coefficients of the cubic spline with not-a-knot ends; arguments as in `linear`.
 
     Three points give a parabola, two a straight line. C. de Boor, A Practical Guide to Splines, Springer 2001, ch. IV.
@@ -70,10 +70,10 @@ def bspline(x: Array, values: Array) -> tuple[Pieces, Array]:
         series = unit(knots[:-1], nu=power) * widths[:, None] ** power / math.factorial(power)
         for j in range(widths.size):
             matrices[j, :, power] = series[j, j : j + degree + 1]
-    return Pieces(knots, matrices, 1), spline.c
+    return AxisPolynomials(knots, matrices, 1), spline.c
 
 
-def pchip(x: Array, values: Array) -> tuple[Pieces, Array]:
+def pchip(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
     """Return pieces and coefficients of the monotone cubic interpolation; arguments as in `linear`.
 
     F. N. Fritsch and J. Butland, A method for constructing local monotone piecewise cubic interpolants, SIAM J. Sci.
@@ -84,10 +84,10 @@ def pchip(x: Array, values: Array) -> tuple[Pieces, Array]:
     first = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], dtype=float)
     matrices = np.tile(first, (x.size - 1, 1, 1))
     matrices[:, 1::2] *= np.diff(x)[:, None, None]
-    return Pieces(x, matrices, 2), both
+    return AxisPolynomials(x, matrices, 2), both
 
 
-METHODS: dict[Method, Callable[[Array, Array], tuple[Pieces, Array]]] = {
+METHODS: dict[Method, Callable[[Array, Array], tuple[AxisPolynomials, Array]]] = {
     "bspline": bspline,
     "linear": linear,
     "pchip": pchip,

@@ -16,12 +16,12 @@ from gnc_opt.errors import ModelError, quote, suggest_symbol
 from gnc_opt.model.casadi_import import read_derivative, read_parameter_values, read_variables
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.function_evaluation import check_arguments, evaluate_function
-from gnc_opt.model.table import TableUse
+from gnc_opt.model.table import TableCall
 from gnc_opt.model.variables import (
     Layout,
     Symbol,
     Variable,
-    Variables,
+    VariableSet,
     VectorSymbols,
     as_expression,
     as_vector,
@@ -30,7 +30,7 @@ from gnc_opt.model.variables import (
 from gnc_opt.text_formatting import count_text
 
 
-class Differences:
+class StateDifferences:
     """Declared differences and retractions of a model's states, by name; see `Model.difference`."""
 
     def __init__(self, owner: str) -> None:
@@ -38,7 +38,7 @@ class Differences:
         self._functions: dict[str, Callable[[Any, Any], Any]] = {}
         self._retractions: dict[str, Callable[[Any, Any], Any]] = {}
 
-    def declare(
+    def declare_difference(
         self,
         name: str,
         function: Callable[[Any, Any], Any],
@@ -118,11 +118,11 @@ class Model(StrictAttributes):
 
     def __init__(self, name: str) -> None:
         self.name: str = expect(name, str, "the name of a model", 'write Model("cart")')
-        self._variables = Variables(f"model '{self.name}'")
+        self._variables = VariableSet(f"model '{self.name}'")
         self._parameter_values: dict[str, Array] = {}
         self._equations: dict[str, Any] = {}
         self._outputs: dict[str, tuple[Variable, Any]] = {}
-        self._differences = Differences(f"model '{self.name}'")
+        self._differences = StateDifferences(f"model '{self.name}'")
         self._time = Symbol(Variable("t", unit="s"))
         self._in_use_by: str | None = None
         self._composed_controls: dict[str, ComposedControl] = {}
@@ -355,7 +355,7 @@ class Model(StrictAttributes):
         for key, value in expect(
             equations, Mapping, f"the argument of ode() of model '{self.name}'", remedy
         ).items():
-            name = self._variables.state_name(key)
+            name = self._variables.read_state_name(key)
             if name in self._equations:
                 raise ModelError(
                     f"model '{self.name}' defines the dynamics of state '{name}' twice: keep one."
@@ -394,8 +394,8 @@ class Model(StrictAttributes):
             The result is not an SX column, uses other symbols, or the retraction has another size.
         """
         self._refuse_if_in_use("difference")
-        name = self._variables.state_name(state)
-        self._differences.declare(name, function, retraction)
+        name = self._variables.read_state_name(state)
+        self._differences.declare_difference(name, function, retraction)
         self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
         if retraction is not None:
             own = self.symbols("state")[self.states.slice(name)]
@@ -526,7 +526,7 @@ class Model(StrictAttributes):
             )
         return ca.vertcat(*[self._equations[name] for name in self.states.names])
 
-    def table_uses(self) -> list[TableUse]:
+    def table_uses(self) -> list[TableCall]:
         """Return the table calls with expressions of the model's symbols."""
         return [use for symbol in (self._time, *self._variables.symbols) for use in symbol.table_uses]
 

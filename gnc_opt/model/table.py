@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import StrictAttributes, read_label, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, quote
-from gnc_opt.model.interpolation import METHODS, Method, Pieces
-from gnc_opt.model.tabular_data import read_columns
-from gnc_opt.model.variables import find_owners
+from gnc_opt.model.interpolation import METHODS, AxisPolynomials, Method
+from gnc_opt.model.tabular_data import read_csv_columns
+from gnc_opt.model.variables import find_declared_symbols
 
 Outside: TypeAlias = Literal["linear", "hold", "error"]
 
@@ -26,7 +26,7 @@ MOST_VALUES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
-class TableUse:
+class TableCall:
     """Call of a table: argument column, interval comparisons and value; all SX."""
 
     table: Table
@@ -35,7 +35,7 @@ class TableUse:
     value: Any
 
     @cached_property
-    def hashes(self) -> frozenset[int]:
+    def node_hashes(self) -> frozenset[int]:
         return frozenset(node.element_hash() for node in ca.vertsplit(self.comparisons))
 
 
@@ -54,7 +54,7 @@ class Table(StrictAttributes):
     Examples
     --------
     >>> thrust = go.table([0.0, 10.0, 20.0], [5.0, 6.0, 8.0], method="linear", name="thrust")
-    >>> print(thrust(15.0), thrust.lower, thrust.upper)
+    >>> print(thrust(15.0), thrust.lower_limits, thrust.upper_limits)
     7.0 [0.] [20.]
     """
 
@@ -74,12 +74,12 @@ class Table(StrictAttributes):
         return f"Table({self.name!r}: {sizes} values, {self.method}, {self.outside} outside)"
 
     @property
-    def lower(self) -> Array:
+    def lower_limits(self) -> Array:
         """Lower ends of the axes (n_axes,)."""
         return np.array([grid[0] for grid in self.grids])
 
     @property
-    def upper(self) -> Array:
+    def upper_limits(self) -> Array:
         """Upper ends of the axes (n_axes,)."""
         return np.array([grid[-1] for grid in self.grids])
 
@@ -150,8 +150,8 @@ class Table(StrictAttributes):
         for i in range(rows):
             point = ca.vertcat(*(column[i if column.shape[0] > 1 else 0] for column in columns))
             value, comparisons = self._interpolate(point)
-            use = TableUse(self, point, comparisons, value)
-            for symbol in find_owners(ca.symvar(point)):
+            use = TableCall(self, point, comparisons, value)
+            for symbol in find_declared_symbols(ca.symvar(point)):
                 symbol.table_uses.append(use)
             values.append(value)
         return ca.vertcat(*values)
@@ -162,7 +162,7 @@ class Table(StrictAttributes):
         return ca.Function("table", ca.vertsplit(point), [self._interpolate(point)[0]])
 
     @cached_property
-    def _axis_pieces(self) -> tuple[list[Pieces], Array]:
+    def _axis_pieces(self) -> tuple[list[AxisPolynomials], Array]:
         """Pieces of each axis, and the coefficients (c_1, c_2, ...)."""
         axes, coefficients = [], self.values
         for k, grid in enumerate(self.grids):
@@ -170,14 +170,14 @@ class Table(StrictAttributes):
             coefficients = np.moveaxis(first, 0, k)
             axes.append(pieces)
         if len(axes) == 1:
-            own, coefficients = axes[0].localised(coefficients)
+            own, coefficients = axes[0].to_power_basis(coefficients)
             axes = [own]
         return axes, coefficients
 
     def _interpolate(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
         axes, coefficients = self._axis_pieces
-        found = [_Found.locate(pieces, point[k]) for k, pieces in enumerate(axes)]
+        found = [_LocatedInterval.locate(pieces, point[k]) for k, pieces in enumerate(axes)]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
@@ -190,7 +190,7 @@ class Table(StrictAttributes):
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _LocatedInterval:
     """Interval and local coordinate of a number on an axis, SX."""
 
     inside: Any
@@ -199,7 +199,7 @@ class _Found:
     comparisons: Any
 
     @classmethod
-    def locate(cls, pieces: Pieces, x: Any) -> _Found:
+    def locate(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
         breaks = pieces.breaks
         below, above = x < breaks[0], x > breaks[-1]
         steps = [x >= b for b in breaks[1:-1]]
@@ -211,7 +211,7 @@ class _Found:
         comparisons = ca.vertcat(below, above, *steps)
         return cls(inside, (held - start) / width, (x - held) / width, comparisons)
 
-    def compute_weights(self, pieces: Pieces, *, continued: bool) -> Any:
+    def compute_weights(self, pieces: AxisPolynomials, *, continued: bool) -> Any:
         """Return the weights of the window (window, 1); outside constant or linear extrapolation."""
         n, window, powers = pieces.matrices.shape
         matrix = ca.SX(pieces.matrices[0])
@@ -228,10 +228,10 @@ class _Found:
 
 
 def _window_of_axis(
-    window: Any, places: Indices, axis: int, pieces: Pieces, inside: Any
+    window: Any, places: Indices, axis: int, pieces: AxisPolynomials, inside: Any
 ) -> tuple[Any, Indices]:
     """Return the window of one axis and the indices of its coefficients, from those remaining."""
-    candidates = np.moveaxis(np.take(places, pieces.windows, axis=axis), axis, 0)
+    candidates = np.moveaxis(np.take(places, pieces.coefficient_windows, axis=axis), axis, 0)
     n, *shape = candidates.shape
     flat = candidates.reshape(n, -1)
     chosen = ca.mtimes(inside.T, ca.reshape(window[flat.ravel(order="F").tolist()], n, flat.shape[1]))
@@ -355,7 +355,7 @@ def table_from_csv(
     8.0
     """
     names = [x] if isinstance(x, str) else list(x)
-    columns = read_columns(Path(path), [*names, values])
+    columns = read_csv_columns(Path(path), [*names, values])
     rows = [columns[name] for name in [*names, values]]
     axes, where = zip(*(np.unique(column, return_inverse=True) for column in rows[:-1]), strict=True)
     data = np.full([axis.size for axis in axes], np.nan)

@@ -18,7 +18,7 @@ from gnc_opt.runtime_environment import import_optional
 from gnc_opt.text_formatting import json_text
 
 
-def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:
+def read_csv_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:
     """Return columns (n_rows,) of a CSV file by their names in its first row; those in ``others`` are optional.
 
     Raises
@@ -50,7 +50,7 @@ def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) 
 
 
 @dataclass(frozen=True)
-class Records:
+class TabularData:
     """Quantities with a value at each point of an axis: times, or indices of runs.
 
     Attributes
@@ -119,7 +119,7 @@ class Records:
         return target
 
 
-def name_variable_rows(
+def label_variable_rows(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
     missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)
@@ -128,7 +128,7 @@ def name_variable_rows(
         yield replace(variable, name=f"{prefix}{variable.name}"), whole[layout.slice(variable.name)]
 
 
-def _write_csv(records: Records, path: Path) -> None:
+def _write_csv(records: TabularData, path: Path) -> None:
     rows = zip(records.points, *records.columns.values(), strict=True)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -136,7 +136,7 @@ def _write_csv(records: Records, path: Path) -> None:
         writer.writerows(map(_format_csv_value, row) for row in rows)
 
 
-def _write_json(records: Records, path: Path) -> None:
+def _write_json(records: TabularData, path: Path) -> None:
     content = {
         **records.about,
         "units": records.units,
@@ -146,7 +146,7 @@ def _write_json(records: Records, path: Path) -> None:
     path.write_text(json_text(content, indent=None), encoding="utf-8")
 
 
-def _write_mat(records: Records, path: Path) -> None:
+def _write_mat(records: TabularData, path: Path) -> None:
     content: dict[str, Any] = {_matlab_identifier(records.axis.name): np.asarray(records.points)[:, None]}
     units = {_matlab_identifier(records.axis.name): records.axis.unit}
     for variable, values in records.quantities:
@@ -158,7 +158,7 @@ def _write_mat(records: Records, path: Path) -> None:
     scipy.io.savemat(path, {**content, "units": units}, long_field_names=True)
 
 
-_WRITERS: dict[str, Callable[[Records, Path], None]] = {
+_WRITERS: dict[str, Callable[[TabularData, Path], None]] = {
     ".csv": _write_csv,
     ".json": _write_json,
     ".mat": _write_mat,

@@ -133,7 +133,7 @@ def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Problem
     return array
 
 
-def as_point(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+def as_state_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return `as_vector` of a state or measurement; a list of one number is not accepted for several components."""
     if size != 1 and np.shape(read_numbers(value, what, error)) == (1,):
         raise error(f"{what} is given 1 value in a list: give {size} values.")
@@ -203,7 +203,7 @@ _OWNERS: WeakValueDictionary[int, Symbol] = WeakValueDictionary()
 """Declared symbol of each scalar symbol."""
 
 
-def find_owners(scalars: Iterable[Any]) -> list[Symbol]:
+def find_declared_symbols(scalars: Iterable[Any]) -> list[Symbol]:
     """Return the declared symbols of scalar SX symbols, without duplicates."""
     found = (_OWNERS.get(scalar.element_hash()) for scalar in scalars)
     return list({id(symbol): symbol for symbol in found if symbol is not None}.values())
@@ -282,25 +282,25 @@ def find_foreign_symbols(expression: Any, known: list[Any]) -> list[str]:
 KINDS = ("state", "control", "parameter")
 
 
-class Variables:
+class VariableSet:
     """Symbols by kind and name, in order of declaration."""
 
     def __init__(self, owner: str, symbols: dict[str, dict[str, Symbol]] | None = None) -> None:
         self._owner = owner
         self._symbols = symbols or {kind: {} for kind in KINDS}
 
-    def with_controls(self, controls: Sequence[Symbol]) -> Variables:
+    def with_controls(self, controls: Sequence[Symbol]) -> VariableSet:
         """Return the same states and parameters with other controls."""
-        return Variables(self._owner, {**self._symbols, "control": {c.variable.name: c for c in controls}})
+        return VariableSet(self._owner, {**self._symbols, "control": {c.variable.name: c for c in controls}})
 
-    def with_states(self, states: Sequence[Symbol], controls: Sequence[Symbol]) -> Variables:
+    def with_states(self, states: Sequence[Symbol], controls: Sequence[Symbol]) -> VariableSet:
         """Return variables with additional states (no longer controls) and additional controls."""
         own = {
             "state": {**self._symbols["state"], **{s.variable.name: s for s in states}},
             "control": {**self._symbols["control"], **{c.variable.name: c for c in controls}},
         }
         own["control"] = {name: c for name, c in own["control"].items() if name not in own["state"]}
-        return Variables(self._owner, {**self._symbols, **own})
+        return VariableSet(self._owner, {**self._symbols, **own})
 
     def declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
         """Add a variable with a new name; see `Model.state`."""
@@ -339,7 +339,7 @@ class Variables:
                 return self._symbols[kind][name]
         raise unknown_name("variable", name, self._owner, self.names)
 
-    def state_name(self, key: Symbol | str) -> str:
+    def read_state_name(self, key: Symbol | str) -> str:
         """Return the name of a state given by symbol or name; raise `ModelError` otherwise."""
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", None)
         if name is None:

@@ -68,7 +68,7 @@ def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
 
 
-def label_times(figure: Figure, unit: str) -> None:
+def label_time_axes(figure: Figure, unit: str) -> None:
     """Add a time label to the lowest axes of each column."""
     columns: dict[int, list[Axes]] = {}
     for ax in figure.axes:

@@ -25,7 +25,7 @@ from gnc_opt.plot.axes import (
     draw_phase_boundaries,
     find_zero_crossings,
     hamiltonian_unit,
-    label_times,
+    label_time_axes,
     sample_densely,
     select_phases,
     select_variable_names,
@@ -111,7 +111,7 @@ def plot_controls(
                 ax.remove()
         for ax in figure.axes:
             draw_phase_boundaries(ax, legs)
-        label_times(figure, time_unit(solution))
+        label_time_axes(figure, time_unit(solution))
         legend_on_top(figure, _control_legend_handles(columns == 2))
     return figure
 

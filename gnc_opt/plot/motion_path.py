@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.plot.motion_view import (
     AXIS,
     VEHICLE_HALF_EDGES,
-    Motion,
+    MotionSamples,
     Moved,
     View,
     ellipsoid_points,
@@ -110,7 +110,7 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 
 """Corner indices of each face, in the order of `itertools.product`."""
 
 
-def _set_equal_scales(ax: Any, points: Array, path: Motion, down: bool) -> None:
+def _set_equal_scales(ax: Any, points: Array, path: MotionSamples, down: bool) -> None:
     """Set equal scales on all axes, limits around all points, labels with units; a plane is viewed from its front."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))

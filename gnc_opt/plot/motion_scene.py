@@ -22,7 +22,7 @@ from gnc_opt.plot.motion_view import (
     AXIS,
     PLUME,
     VEHICLE_HALF_EDGES,
-    Motion,
+    MotionSamples,
     Moved,
     View,
     ellipsoid_points,
@@ -104,7 +104,7 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
     }
 
 
-def _serialise_motion(each: Motion, digits: int) -> dict[str, Any]:
+def _serialise_motion(each: MotionSamples, digits: int) -> dict[str, Any]:
     """Return the data of one motion; of the body axes the first two, since the third is their cross product."""
     axes = [] if each.dcm_BL is None else np.round(each.dcm_BL[:2], _DIGITS).tolist()
     return {

@@ -82,7 +82,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionSamples:
     """Samples at times (n,): position (3, n), body axes as rows (3, 3, n), force (3, n) relative to its largest.
 
     ``labels`` are the names of the axes, "" for axes without a component.
@@ -102,7 +102,7 @@ def motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     return parts[0].begin, parts[-1].end
 
 
-def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
+def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
     """Return samples of a motion at times (n,), s; constant before its start and after its end."""
     parts = _split_trajectory(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
@@ -134,16 +134,14 @@ def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
             stack_values(view.force), f"the force {', '.join(_format_names(view.force))}"
         )
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
-    return Motion(times, position, dcm, force, unit, labels)
+    return MotionSamples(times, position, dcm, force, unit, labels)
 
 
 # --- sources ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _Part:
-    """Phase or run: start and end (s), with states and controls by name."""
-
+class _MotionLeg:
     begin: float
     end: float
     source: Any
@@ -177,13 +175,13 @@ class _Part:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
-def _split_trajectory(moved: Moved, view: View) -> list[_Part]:
+def _split_trajectory(moved: Moved, view: View) -> list[_MotionLeg]:
     if isinstance(moved, Run):
         layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
-        parts = [_Part(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
+        parts = [_MotionLeg(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
     else:
         parts = [
-            _Part(leg.initial_time, leg.final_time, leg, {"state": leg.states, "control": leg.controls})
+            _MotionLeg(leg.initial_time, leg.final_time, leg, {"state": leg.states, "control": leg.controls})
             for leg in moved.phases.values()
         ]
     names = view.position if view.position is not None else view.attitude or ()

@@ -18,7 +18,7 @@ from gnc_opt.plot.style import (
     new_figure,
     variable_name_text,
 )
-from gnc_opt.simulation.run import Logged, Run
+from gnc_opt.simulation.run import LoggedSignal, Run
 
 Kind: TypeAlias = Literal["states", "controls", "errors"]
 
@@ -51,7 +51,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
     known = {
         "states": run.layouts["state"].names,
         "controls": run.layouts["applied"].names,
-        "errors": [n for n in run.followed.names if n in run.layouts["error"]],
+        "errors": [n for n in run.reference_layout.names if n in run.layouts["error"]],
     }
     if kind not in known:
         raise ArgumentError(f"a run has no {quote(kind)} to draw: {did_you_mean(str(kind), known)}")
@@ -78,13 +78,13 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
 
 
 def _draw_reference(ax: Axes, run: Run, name: str) -> None:
-    if run.reference is None or name not in run.followed:
+    if run.reference is None or name not in run.reference_layout:
         return
-    for i, row in enumerate(run.reference[run.followed.slice(name)]):
+    for i, row in enumerate(run.reference[run.reference_layout.slice(name)]):
         ax.plot(run.times, row, label="reference" if i == 0 else "_", **_FOLLOWED)
 
 
-def _draw_signal(ax: Axes, signal: Logged, looks: Sequence[dict[str, Any]]) -> None:
+def _draw_signal(ax: Axes, signal: LoggedSignal, looks: Sequence[dict[str, Any]]) -> None:
     """Draw the components of a signal; the last style is used for all further components."""
     for i, row in enumerate(signal.values):
         look = {"label": "_", **looks[min(i, len(looks) - 1)]}

@@ -24,7 +24,7 @@ from gnc_opt.plot.axes import (
     draw_components,
     draw_phase_boundaries,
     hamiltonian_unit,
-    label_times,
+    label_time_axes,
     sample_densely,
     select_phases,
     select_variable_names,
@@ -188,7 +188,7 @@ def _draw_state_axes(
             draw_phase_boundaries(ax, legs)
             if max(leg.states[name].size for leg in legs if name in leg.states) > 1:
                 legend_above(ax)
-        label_times(figure, time_unit(solution))
+        label_time_axes(figure, time_unit(solution))
     return figure
 
 

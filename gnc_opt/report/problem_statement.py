@@ -275,7 +275,6 @@ def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interv
 
 
 def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
-    """Return equations; each right side is an expression or MathML."""
     expressions = ca.vertcat(*[value for _, value in rows if not isinstance(value, str)])
     if expressions.numel() and not writer.is_short_enough(expressions):
         return _note_omitted_expressions(rows)

@@ -46,7 +46,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
     DesignError
         The remaining actuators cannot produce every command; the message gives the direction and the singular value.
     """
-    effects = effect_matrix(matrix, failed, what)
+    effects = read_effect_matrix(matrix, failed, what)
     left, sizes, _ = np.linalg.svd(effects)
     rank = int(np.sum(sizes > RANK * float(sizes[0])))
     if rank < effects.shape[0]:
@@ -69,7 +69,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
     DesignError
         The null space has more than one dimension.
     """
-    effects = effect_matrix(matrix, failed, what)
+    effects = read_effect_matrix(matrix, failed, what)
     alive = [i for i in range(effects.shape[1]) if i not in failed]
     basis = scipy.linalg.null_space(effects[:, alive], rcond=RANK)
     if basis.shape[1] == 0:
@@ -93,7 +93,7 @@ def minimise_output_cost(
     DesignError
         A component cannot be produced; the message names it.
     """
-    effects = effect_matrix(matrix, failed, what)
+    effects = read_effect_matrix(matrix, failed, what)
     columns = []
     for i, unit in enumerate(sign * np.eye(effects.shape[0])):
         found = scipy.optimize.linprog(np.ones(effects.shape[1]), A_eq=effects, b_eq=unit, bounds=(0, None))
@@ -326,14 +326,14 @@ class WheelArray(Block):
             null_vector(self.axes, self.failed, f"wheel array '{self.name}'")
 
     @property
-    def n(self) -> int:
+    def n_wheels(self) -> int:
         """Number of wheels."""
         return int(np.shape(self.axes)[1])
 
     def outputs(
         self, sizes: Mapping[str, int], units: Mapping[str, str]
     ) -> dict[str, tuple[int, str]] | None:
-        return None if self.to is None else {self.to: (self.n, "N m")}
+        return None if self.to is None else {self.to: (self.n_wheels, "N m")}
 
     def check(self, size: int, h: float, dt: float) -> None:
         check_effect_rows(self.axes, size, self.name)
@@ -341,18 +341,18 @@ class WheelArray(Block):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
             "max_torque": (
-                read_block_values(self.max_torque, self.n, f"the torque limit of '{self.name}'"),
+                read_block_values(self.max_torque, self.n_wheels, f"the torque limit of '{self.name}'"),
                 "N m",
             ),
             "max_momentum": (
-                read_block_values(self.max_momentum, self.n, f"the momentum limit of '{self.name}'"),
+                read_block_values(self.max_momentum, self.n_wheels, f"the momentum limit of '{self.name}'"),
                 "N m s",
             ),
             "momentum": (
-                read_block_values(self.initial, self.n, f"the initial momenta of '{self.name}'"),
+                read_block_values(self.initial, self.n_wheels, f"the initial momenta of '{self.name}'"),
                 "N m s",
             ),
-            "health": (np.ones(self.n), ""),
+            "health": (np.ones(self.n_wheels), ""),
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
@@ -389,8 +389,10 @@ class WheelArray(Block):
                 f"have: {did_you_mean(self.momenta, tick.x)}"
             )
         momenta = tick.x[self.momenta]
-        if momenta.shape[0] != self.n:
-            raise DesignError(f"state '{self.momenta}' holds {momenta.shape[0]} momenta for {self.n} wheels.")
+        if momenta.shape[0] != self.n_wheels:
+            raise DesignError(
+                f"state '{self.momenta}' holds {momenta.shape[0]} momenta for {self.n_wheels} wheels."
+            )
         return momenta
 
 
@@ -406,7 +408,7 @@ def _clip_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any
     return shift
 
 
-def effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
+def read_effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
     """Return the effects (k, n) as an array, with zero columns for failed actuators."""
     effects = read_numbers(matrix, f"the matrix of {what}", DesignError)
     if effects.ndim != 2 or not np.all(np.isfinite(effects)):

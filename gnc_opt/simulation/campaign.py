@@ -15,7 +15,7 @@ from gnc_opt.archive import DataclassPacking, FileFormat
 from gnc_opt.arguments import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.model.tabular_data import Records, name_variable_rows
+from gnc_opt.model.tabular_data import TabularData, label_variable_rows
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.campaign_measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.compiled_loop import CompiledLoop
@@ -28,11 +28,11 @@ from gnc_opt.simulation.confidence_intervals import (
 )
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
-from gnc_opt.text_formatting import Printed, json_text
+from gnc_opt.text_formatting import PrintableResult, json_text
 
 
 @dataclass(frozen=True, eq=False)
-class Campaign(StrictAttributes, Printed):
+class Campaign(StrictAttributes, PrintableResult):
     """Results of many runs of a closed loop; arrays have one column for each of the m available runs.
 
     Attributes
@@ -248,30 +248,30 @@ class Campaign(StrictAttributes, Printed):
 
     def to_pandas(self) -> Any:
         """Return a DataFrame with one row per run and one column per component; ``attrs["units"]`` has the units."""
-        return self._records().to_pandas()
+        return self._tabular_data().to_pandas()
 
     def to_xarray(self) -> Any:
         """Return a Dataset with units; vector variables have a dimension for their components."""
-        return self._records().to_xarray()
+        return self._tabular_data().to_xarray()
 
     def export(self, path: str | Path) -> Path:
         """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
-        return self._records().write(path)
+        return self._tabular_data().write(path)
 
-    def _records(self) -> Records:
+    def _tabular_data(self) -> TabularData:
         outcomes = [outcome.status.value for outcome in self.outcomes]
         measures = [
             (Variable(name, unit=self.unit(name)), self.measure(name)[None, :]) for name in self.measures
         ]
         quantities = (
             (Variable("outcome"), np.array([outcomes], dtype=object)),
-            *name_variable_rows(self.layouts["parameter"], self.parameters),
-            *name_variable_rows(self.layouts["state"], self.states, "final."),
-            *name_variable_rows(self.layouts["error"], self.errors, "error."),
+            *label_variable_rows(self.layouts["parameter"], self.parameters),
+            *label_variable_rows(self.layouts["state"], self.states, "final."),
+            *label_variable_rows(self.layouts["error"], self.errors, "error."),
             *measures,
         )
         about = {"seed": self.seed, "asked": self.asked, "fingerprint": self.fingerprint}
-        return Records(Variable("run"), np.asarray(self.indices), quantities, about)
+        return TabularData(Variable("run"), np.asarray(self.indices), quantities, about)
 
     # --- files --------------------------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
 from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
-from gnc_opt.workers import Done, WorkerDied
+from gnc_opt.workers import TaskResult, WorkerDiedError
 
 MOST_PER_BATCH = 25
 """Largest number of runs in a batch, which are lost if the process is killed."""
@@ -38,7 +38,7 @@ _STORED = (
 """Arrays of a campaign with one column per run, named as in `FinalValues`."""
 
 
-def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
+def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[RunBatch]:
     """Return the stored runs with index below ``runs``; creates the folder if it is missing.
 
     Raises
@@ -53,7 +53,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Flo
         _require_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
-            found.append(_find_first_runs(part, count))
+            found.append(_take_first_runs(part, count))
     return found
 
 
@@ -80,14 +80,14 @@ def _require_same_campaign(part: Campaign, mission: CampaignTask, path: Path) ->
     elif part.seed != mission.seed:
         why = f"the seed {part.seed}, not {mission.seed}"
     elif not np.array_equal(
-        part.parameters[:, 0], mission.parameters(range(first, first + 1))[:, 0], equal_nan=True
+        part.parameters[:, 0], mission.draw_parameters(range(first, first + 1))[:, 0], equal_nan=True
     ):
         why = "other dispersions, initial states or parameters"
     if why:
         raise GncOptError(f"the checkpoint '{path}' is of a campaign with {why}: give another folder.")
 
 
-def _find_first_runs(part: Campaign, count: int) -> Flown:
+def _take_first_runs(part: Campaign, count: int) -> RunBatch:
     first = int(part.indices[0])
     ending = FinalValues(
         errors=None,
@@ -95,11 +95,11 @@ def _find_first_runs(part: Campaign, count: int) -> Flown:
         outcomes=part.outcomes[:count],
         **{name: getattr(part, name)[..., :count] for name in _STORED},
     )
-    return Flown(range(first, first + count), part.parameters[:, :count], ending)
+    return RunBatch(range(first, first + count), part.parameters[:, :count], ending)
 
 
 def merge_batches(
-    flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array
+    flight: CompiledLoop, flown: Sequence[RunBatch], *, seed: int, asked: int, goal: Array
 ) -> Campaign:
     """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
@@ -166,7 +166,7 @@ class CampaignTask:
     dispersions: Dispersions
     seed: int
 
-    def parameters(self, batch: Batch) -> Array:
+    def draw_parameters(self, batch: Batch) -> Array:
         """Return the parameter columns P (n_parameters, n) of runs."""
         flight = self.flight
         columns = [
@@ -175,19 +175,19 @@ class CampaignTask:
         ]
         return np.stack(columns, axis=1)
 
-    def simulate_runs(self, batch: Batch) -> list[Flown]:
+    def simulate_runs(self, batch: Batch) -> list[RunBatch]:
         """Simulate a batch of runs; runs that raise an exception are returned separately."""
         try:
-            P = self.parameters(batch)
-            return [Flown(batch, P, self.flight.final(P, [[self.seed, index] for index in batch]))]
+            P = self.draw_parameters(batch)
+            return [RunBatch(batch, P, self.flight.final_values(P, [[self.seed, index] for index in batch]))]
         except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:
-                return [Flown(batch, None, None, format_error(error))]
+                return [RunBatch(batch, None, None, format_error(error))]
             return [flown for half in split_batch(batch) for flown in self.simulate_runs(half)]
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class RunBatch:
     """Batch of runs with parameters (n_parameters, n) and final values, or the error that prevented the simulation."""
 
     batch: Batch
@@ -215,11 +215,11 @@ def split_batch(batch: Batch) -> tuple[Batch, ...]:
     return range(batch.start, middle), range(middle, batch.stop)
 
 
-def collect_batch_results(done: Done[Batch, list[Flown]]) -> list[Flown]:
+def collect_batch_results(done: TaskResult[Batch, list[RunBatch]]) -> list[RunBatch]:
     """Return the results of a finished batch, or of one that could not be simulated."""
     if done.answer is not None:
         return done.answer
     assert done.error is not None
-    died = isinstance(done.error, WorkerDied)
+    died = isinstance(done.error, WorkerDiedError)
     why = str(done.error) if died else format_error(done.error)
-    return [Flown(done.item, None, None, why, died)]
+    return [RunBatch(done.item, None, None, why, died)]

@@ -15,14 +15,14 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, as_point, as_vector
+from gnc_opt.model.variables import Layout, as_state_vector, as_vector
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step import list_alarm_labels, list_watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
-from gnc_opt.simulation.loop_assembly import Blocks, Wiring, wire_loop
-from gnc_opt.simulation.loop_kernel import Kernel, build_kernel
+from gnc_opt.simulation.loop_assembly import LoopBlocks, LoopWiring, wire_loop
+from gnc_opt.simulation.loop_kernel import LoopKernel, build_kernel
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
 from gnc_opt.simulation.run import Run
@@ -95,8 +95,8 @@ class ClosedLoop:
     accuracy: float = field(default=1e-9, kw_only=True)
     substeps: int | None = field(default=None, kw_only=True)
     divergence_limits: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
-    wiring: Wiring = field(init=False, repr=False)
-    _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
+    wiring: LoopWiring = field(init=False, repr=False)
+    _kernels: dict[int, LoopKernel] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         expect(self.plant, Model, "the plant of a closed loop", "give a Model")
@@ -116,7 +116,7 @@ class ClosedLoop:
         set_(self, "events", _as_tuple(self.events, Event, "events", "write Event(name, expression)"))
         quantities = _as_tuple(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
         set_(self, "quantities", quantities)
-        blocks = Blocks(
+        blocks = LoopBlocks(
             tuple(self.actuators),
             tuple(self.sensors),
             tuple(self.disturbances),
@@ -131,7 +131,7 @@ class ClosedLoop:
                 "write Replanner(resolver, every=...)",
             )
             followed, signals = self.controller.reference_layout, self.controller.signals
-            self.replanner.check(
+            self.replanner.check_law(
                 followed, signals, self.dt, lambda t: self.controller.schedule_row(t, self.dt)
             )
         divergence_limits = _read_divergence_limits(self.divergence_limits, self.plant.states)
@@ -152,14 +152,14 @@ class ClosedLoop:
         return self.wiring.layout
 
     @property
-    def defaults(self) -> Array:
+    def default_parameters(self) -> Array:
         """Default values of `layout`, shape (n,); NaN for initial states."""
-        return self.wiring.defaults
+        return self.wiring.default_parameters
 
     @property
-    def ranges(self) -> tuple[Array, Array]:
+    def parameter_ranges(self) -> tuple[Array, Array]:
         """Smallest and largest permitted values of `layout`, each of shape (n,)."""
-        return self.wiring.ranges
+        return self.wiring.parameter_ranges
 
     def parameters(
         self,
@@ -175,7 +175,7 @@ class ClosedLoop:
         changes : mapping
             E.g. ``{"plant.mass": 3100.0, "initial.r_L": [20.0, 0.0, 0.0], "thrusters.tau": 0.05}``.
         """
-        P = self.defaults.copy()
+        P = self.default_parameters.copy()
         states = self.plant.states
         expect(
             {} if changes is None else changes, Mapping, "the changes of parameters", 'write {"plant.m": 2.0}'
@@ -183,7 +183,7 @@ class ClosedLoop:
         if isinstance(x0, Mapping):
             changes = {**{f"initial.{n}": v for n, v in x0.items()}, **(changes or {})}
         elif x0 is not None:
-            x = as_point(x0, states.size, "the initial state of a run", ArgumentError)
+            x = as_state_vector(x0, states.size, "the initial state of a run", ArgumentError)
             for name in states.names:
                 P[self.layout.slice(f"initial.{name}")] = x[states.slice(name)]
         for name, value in (changes or {}).items():
@@ -278,7 +278,7 @@ class ClosedLoop:
         flight = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every)
 
-    def kernel(self, substeps: int) -> Kernel:
+    def kernel(self, substeps: int) -> LoopKernel:
         """Return the symbolic control step with ``substeps`` integration steps per minor step."""
         if substeps * self.minor_steps > _MAX_UNROLLED:
             raise ArgumentError(
@@ -296,7 +296,7 @@ class ClosedLoop:
             substeps=substeps,
             nominal=nominal,
             layout=self.layout,
-            ranges=self.ranges,
+            ranges=self.parameter_ranges,
             times=times,
             schedule=rows,
             dt=self.dt,
@@ -313,7 +313,7 @@ class ClosedLoop:
             quantities=self.wiring.quantities.layout,
             classifier=self._outcome_classifier(),
             minor_steps=self.minor_steps,
-            estimates=self._estimate_entries(),
+            estimates=self._estimate_indices(),
         )
 
     def _outcome_classifier(self) -> OutcomeClassifier:
@@ -365,7 +365,7 @@ class ClosedLoop:
             return np.r_[signals.slice("x_ref")]
         return None
 
-    def _estimate_entries(self) -> Any:
+    def _estimate_indices(self) -> Any:
         """Return the indices of the estimated states in the memory; None without an estimator."""
         memory, states = self.controller.memory, self.controller.estimated
         if states is None:

@@ -19,7 +19,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, build_step_library
 from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
 from gnc_opt.simulation.final_values import FinalValues, estimate_integration_errors
-from gnc_opt.simulation.loop_kernel import Kernel
+from gnc_opt.simulation.loop_kernel import LoopKernel
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.replanned_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.run import Run
@@ -58,8 +58,8 @@ class CompiledLoop:
     80 ('initial.q', 'initial.v', 'gauge.sigma')
     """
 
-    kernel: Kernel
-    companion: Kernel
+    kernel: LoopKernel
+    companion: LoopKernel
     substeps: int
     nominal: Array
     layout: Layout
@@ -137,14 +137,14 @@ class CompiledLoop:
             return self
         first, second = (build_step_library(folded.machine_code_step) for folded in self._step_executors)
         quick = replace(self, libraries=(first, second))
-        _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
+        _, rows = next(self.iterate_legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
         X, C = self._initial_memory_columns(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
             flight._propagate_time_span(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
-    def final(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
+    def final_values(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
         """Return the final values of n runs, including failed ones with their status.
 
         Parameters
@@ -188,7 +188,7 @@ class CompiledLoop:
         return replace(ending, sums=record[: 3 * self.quantities.size], samples=samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1) -> Run:
-        """Return one run with all signals; its final state is bitwise identical to that of `final`.
+        """Return one run with all signals; its final state is bitwise identical to that of `final_values`.
 
         Parameters
         ----------
@@ -265,7 +265,7 @@ class CompiledLoop:
         i = int(bad[0])
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
-    def legs(
+    def iterate_legs(
         self, seed: Any, known: Array, course: ActiveReference | None = None, *, again: bool = False
     ) -> Iterator[tuple[int, Array]]:
         """Yield, for each leg, its first step and the known and drawn values of its steps (n_steps, n_known).
@@ -339,7 +339,7 @@ class CompiledLoop:
         return np.stack([X, other]), (C, others)
 
     def _propagate_time_span(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
-        """Write the states of a run and its companion after a leg to ``final`` (2, n_state)."""
+        """Write the states of a run and its companion after a leg to ``final_values`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
             folded.execute_steps(x, rows, c, end)
 
@@ -354,7 +354,7 @@ class CompiledLoop:
         logged: bool = False,
     ) -> Iterator[tuple[int, Array, tuple[Array, Array] | None]]:
         """Yield, for each leg, its last step, the final states (2, n_state), and the logged states and logs."""
-        for first, rows in self.legs(seed, known, course, again=again):
+        for first, rows in self.iterate_legs(seed, known, course, again=again):
             if first == 0:
                 X, C = self._initial_memory_columns(rows[0], P)
             else:

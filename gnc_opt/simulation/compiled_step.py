@@ -25,13 +25,13 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.simulation.loop_kernel import Kernel
+from gnc_opt.simulation.loop_kernel import LoopKernel
 
 
 class StepExecutor:
     """Repeated step of a kernel; ``library`` is the path of the compiled `machine_code_step`, or ""."""
 
-    def __init__(self, kernel: Kernel, library: str = "") -> None:
+    def __init__(self, kernel: LoopKernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library
         self._buffers: dict[Any, Any] = {}
 
@@ -58,7 +58,7 @@ class StepExecutor:
     def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
 
         def leg() -> Any:
-            return self._leg_function(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
+            return self._leg_function(lambda x, w, c, n: [self.step_without_log.fold(n)(x, w, c)], len(rows))
 
         self._evaluate_into(len(rows), leg, (X, rows, C), final)
 
@@ -67,7 +67,7 @@ class StepExecutor:
     ) -> None:
         """Write the results of a function of contiguous arrays to ``results``, without conversions."""
         if key not in self._buffers:
-            legs = self.kernel.legs
+            legs = self.kernel.leg_functions
             if key not in legs:
                 legs[key] = function()
             self._buffers[key] = legs[key].buffer()
@@ -98,10 +98,10 @@ class StepExecutor:
 
     @property
     def machine_code_step(self) -> Any:
-        return self.kernel.easy or self.step
+        return self.kernel.easy or self.step_without_log
 
     @cached_property
-    def step(self) -> Any:
+    def step_without_log(self) -> Any:
         """Step without log, so that quantities that only the log contains are not computed."""
         step = self.kernel.step
         symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()

@@ -9,19 +9,19 @@ import casadi as ca
 
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Step, Tick
-from gnc_opt.simulation.dormand_prince import Taken, integrate_dormand_prince
-from gnc_opt.simulation.event_location import Watch, event_note_layout, event_record_layout
+from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
+from gnc_opt.simulation.event_location import EventWatch, event_note_layout, event_record_layout
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
-from gnc_opt.simulation.loop_assembly import Wiring
+from gnc_opt.simulation.loop_assembly import LoopWiring
 from gnc_opt.simulation.recorded_quantities import Extremes
-from gnc_opt.simulation.signals import Link, Places, replace_signals, replace_waves, stack_signals
+from gnc_opt.simulation.signals import BlockLink, ColumnLayout, replace_signals, replace_waves, stack_signals
 from gnc_opt.tolerances import SAME_TIME
 
 
 class ControlStep:
     """Symbols and expressions of a control step; ``substeps`` are integration steps per minor step."""
 
-    def __init__(self, wiring: Wiring, substeps: int) -> None:
+    def __init__(self, wiring: LoopWiring, substeps: int) -> None:
         self.wiring, self.substeps = wiring, substeps
         self.h = wiring.h
         self.P = ca.SX.sym("P", wiring.layout.size)
@@ -40,7 +40,7 @@ class ControlStep:
             for k, links in groups
         }
         controls, commands = wiring.plant.controls.size, wiring.controller.commands.size
-        self.state = Places(
+        self.state = ColumnLayout(
             (
                 ("plant", wiring.plant.states.size),
                 *((f"{k} {i}", n) for k, sizes in zero.items() for i, n in enumerate(sizes)),
@@ -64,14 +64,14 @@ class ControlStep:
                 ),
             )
         )
-        self.known = Places(
+        self.known = ColumnLayout(
             (
                 ("t", 1),
                 ("r", wiring.controller.signals.size),
                 *((f"{k} {i}", n) for k, sizes in noises.items() for i, n in enumerate(sizes)),
             )
         )
-        self.log = Places(
+        self.log = ColumnLayout(
             (
                 ("measured", self.measured.size),
                 ("commands", commands),
@@ -83,7 +83,7 @@ class ControlStep:
     def _event_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
-    def _memory_sizes(self, links: Sequence[Link], kind: str) -> list[int]:
+    def _memory_sizes(self, links: Sequence[BlockLink], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
         tick = Tick(0.0, length, self.wiring.dt, self.split_state(x))
@@ -92,7 +92,7 @@ class ControlStep:
             for link in links
         ]
 
-    def split_parameters(self, link: Link) -> dict[str, Any]:
+    def split_parameters(self, link: BlockLink) -> dict[str, Any]:
         prefix = f"{link.block.name}."
         return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
 
@@ -193,7 +193,7 @@ class ControlStep:
         waves: list[Wave],
         state: dict[str, Any],
         span: tuple[Any, Any] | None = None,
-        watches: Sequence[Callable[[Taken, Callable[[Any], Any]], None]] = (),
+        watches: Sequence[Callable[[IntegrationStep, Callable[[Any], Any]], None]] = (),
     ) -> Any:
         """Return the state after a minor step that starts at t, or after a ``span`` (s) within it."""
         f, n, wave = self._plant_rate_function(state), self.substeps, concatenate_waves(waves)
@@ -203,7 +203,7 @@ class ControlStep:
         def applied_control(late: Any) -> Any:
             return wave.evaluate_at(lambda tau: ca.exp(-(begin + late) / tau))
 
-        def notify_watches(taken: Taken) -> None:
+        def notify_watches(taken: IntegrationStep) -> None:
             for watch in watches:
                 watch(taken, lambda nu: applied_control((taken.number + nu) * taken.length))
 
@@ -262,8 +262,8 @@ class ControlStep:
         panels = 1 if all(wave.at is None for wave in waves) else 2
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 
-    def build_event_watch(self, state: dict[str, Any], begin: Any) -> Watch:
-        return Watch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
+    def build_event_watch(self, state: dict[str, Any], begin: Any) -> EventWatch:
+        return EventWatch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
 
     def _record_first_faults(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any
@@ -288,13 +288,13 @@ class ControlStep:
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
 
 
-def select_watched_measurements(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
+def select_watched_measurements(wiring: LoopWiring, measured: Any) -> tuple[Any, ...]:
     """Return the measurement, or nothing if the controller or its estimator handles lost samples."""
     controller = wiring.controller
     return (measured,) if controller.unbridged is None and controller.estimated is None else ()
 
 
-def list_watched_labels(wiring: Wiring) -> list[str]:
+def list_watched_labels(wiring: LoopWiring) -> list[str]:
     """Return the labels of the codes of non-finite quantities, starting at code 1."""
     groups = (
         *select_watched_measurements(wiring, ("measured", wiring.controller.states)),
@@ -307,14 +307,14 @@ def list_watched_labels(wiring: Wiring) -> list[str]:
     return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
 
 
-def list_alarm_labels(wiring: Wiring) -> list[str]:
+def list_alarm_labels(wiring: LoopWiring) -> list[str]:
     """Return the labels of the alarm codes, starting at code 1."""
     memory = wiring.controller.memory
     return [label for name in wiring.controller.alarms for label in memory[name].labels]
 
 
 def _detect_saturation(
-    saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]
+    saturated: dict[str, Any], step: Step, link: BlockLink, origin: Mapping[str, set[str]]
 ) -> None:
     """Mark saturated components: the same component, or all input components of the block."""
     if step.saturated is None:

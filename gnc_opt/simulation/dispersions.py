@@ -30,7 +30,7 @@ _UNIT = 1e-6
 class Dispersion:
     """Base class of dispersions."""
 
-    def check(self, name: str, nominal: Array) -> None:
+    def check_nominal(self, name: str, nominal: Array) -> None:
         """Raise `ArgumentError` if the dispersion is invalid for this nominal value (size,)."""
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
@@ -78,7 +78,7 @@ class Normal(Dispersion):
         if self.truncate is not None:
             read_positive(self.truncate, "truncate of Normal()")
 
-    def check(self, name: str, nominal: Array) -> None:
+    def check_nominal(self, name: str, nominal: Array) -> None:
         _check_size(self.std, nominal, f"the standard deviation of '{name}'")
         _check_size(self.mean, nominal, f"the mean deviation of '{name}'")
         _check_relative_dispersion(self.relative, name, nominal)
@@ -128,7 +128,7 @@ class Uniform(Dispersion):
                 f"Uniform() has the range {quote(self.low)} to {quote(self.high)}: give the lower end first."
             )
 
-    def check(self, name: str, nominal: Array) -> None:
+    def check_nominal(self, name: str, nominal: Array) -> None:
         _check_size(self.low, nominal, f"the lower end of '{name}'")
         _check_size(self.high, nominal, f"the upper end of '{name}'")
         _check_relative_dispersion(self.relative, name, nominal)
@@ -164,7 +164,7 @@ class Choice(Dispersion):
         if len(self.values) == 0:
             raise ArgumentError("Choice() has no values: give some.")
 
-    def check(self, name: str, nominal: Array) -> None:
+    def check_nominal(self, name: str, nominal: Array) -> None:
         for value in self.values:
             as_vector(value, nominal.size, f"a choice of '{name}'", ArgumentError)
 
@@ -260,7 +260,7 @@ class RandomRotation(Dispersion):
     def __post_init__(self) -> None:
         _check_magnitude(self.angle, "the angle of Turn()")
 
-    def check(self, name: str, nominal: Array) -> None:
+    def check_nominal(self, name: str, nominal: Array) -> None:
         if nominal.size not in (3, 4):
             raise ArgumentError(
                 f"'{name}' cannot be turned: {nominal.size} component(s) are neither a quaternion nor modified "
@@ -307,7 +307,7 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
         expect(
             dispersion, Dispersion, f"the dispersion of '{name}'", "give Normal(...), Uniform(...) or another"
         )
-        dispersion.check(name, nominal[layout.slice(name)])
+        dispersion.check_nominal(name, nominal[layout.slice(name)])
 
 
 def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
@@ -347,7 +347,7 @@ def _add_deviation(nominal: Array, deviation: Array, relative: bool) -> Array:
 
 def _check_magnitude(value: Any, what: str) -> None:
     if isinstance(value, (Normal, Uniform)):
-        value.check(what, np.ones(1))
+        value.check_nominal(what, np.ones(1))
         if value.relative:
             raise ArgumentError(f"{what} is relative to nothing: drop relative=True.")
     else:

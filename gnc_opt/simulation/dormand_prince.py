@@ -40,7 +40,7 @@ DENSE_WEIGHTS = (
 """Weights of the polynomial nu^2 (1 - nu)^2 in the dense output."""
 
 
-class Taken(NamedTuple):
+class IntegrationStep(NamedTuple):
     """Integration step: index, length (s), start (s), states at both ends, and rates at its stages."""
 
     number: int
@@ -63,7 +63,7 @@ class Taken(NamedTuple):
         return self.x + self.length * (nu * outer), outer + nu * outer_slope
 
 
-Stepped: TypeAlias = Callable[[Taken], None]
+Stepped: TypeAlias = Callable[[IntegrationStep], None]
 
 
 def integrate_dormand_prince(
@@ -85,7 +85,7 @@ def integrate_dormand_prince(
             after = _build_stage_function(row, x.shape[0])(x, h, *k)
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
         if stepped is not None:
-            stepped(Taken(i, h, start, x, after, k))
+            stepped(IntegrationStep(i, h, start, x, after, k))
         x, rate = after, k[-1] if u is None else None
     return x
 

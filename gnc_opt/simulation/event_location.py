@@ -1,7 +1,7 @@
 r"""Location of events within a minor step, and integration through them.
 
 A row (see `Events`) is *armed* if it has been >= 0 since the last occurrence of its event. An armed row is a candidate
-in an integration step (`Watch`) if it ends below zero, or if the cubic through its values and slopes, or the tangents
+in an integration step (`EventWatch`) if it ends below zero, or if the cubic through its values and slopes, or tangents
 at both ends, become negative. The minor step is then repeated up to the crossing, which Newton's method locates inside
 a bracket (`build_event_passage`); the resets are applied, and the integration continues.
 
@@ -17,17 +17,17 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.simulation.dormand_prince import Taken
+from gnc_opt.simulation.dormand_prince import IntegrationStep
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
 from gnc_opt.simulation.recorded_quantities import join_quantity_records
-from gnc_opt.simulation.signals import Places
+from gnc_opt.simulation.signals import ColumnLayout
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 RATE_SHARE_OF_STEP = 1e-4
 """Interval of rate differences, as a share of the minor step."""
 
 
-class Watch:
+class EventWatch:
     """Search for zero crossings of the event rows during the integration; SX."""
 
     def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
@@ -37,7 +37,7 @@ class Watch:
         self.lost = self.lost_inside = ca.SX.zeros(len(events))
         self._now, self._heeded = ca.SX(begin), begin + moment
 
-    def __call__(self, taken: Taken, _: Any = None) -> None:
+    def __call__(self, taken: IntegrationStep, _: Any = None) -> None:
         """Update the crossing flags after an integration step."""
         length, time, x = taken.length, taken.time + taken.length, taken.after
         y0, d0 = self.events.rows(taken.time, taken.x, taken.stages[0], self.parameters)
@@ -83,18 +83,18 @@ def event_record_layout(events: Events, n_states: int) -> tuple[tuple[str, int],
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
-def build_event_passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
+def build_event_passage(events: Events, leg: Any, h: float) -> tuple[Any, ColumnLayout]:
     """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
-    way = _Passage(events, leg, h)
+    way = _EventPassage(events, leg, h)
     return way.build_function(), way.places
 
 
-class _Passage:
+class _EventPassage:
     def __init__(self, events: Events, leg: Any, h: float) -> None:
         self.events, self.leg, self.h = events, leg, h
         n = leg.size1_in(0)
         self.n_rows = leg.size1_in(1)
-        self.places = Places(
+        self.places = ColumnLayout(
             (
                 ("x", n),
                 ("armed", self.n_rows),
@@ -311,7 +311,7 @@ class _Passage:
             v["number"] += happens
             v["first"] = _replace_vector_entry(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
             v["count"] = _replace_vector_entry(v["count"], j, happens, v["count"][j] + 1)
-            if event.ends:
+            if event.ends_run:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
         v["x"] = x

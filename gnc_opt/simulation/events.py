@@ -94,13 +94,13 @@ class Event:
             remedy = "write reset={v: -v}, states with their new values"
             expect(self.reset, Mapping, f"the reset of event '{self.name}'", remedy)
         expect(self.failure, bool, f"failure of event '{self.name}'", "write True or False")
-        if self.failure and not self.ends:
+        if self.failure and not self.ends_run:
             raise ArgumentError(
                 f"event '{self.name}' is a failure and does not end the run: leave out reset= or failure=."
             )
 
     @property
-    def ends(self) -> bool:
+    def ends_run(self) -> bool:
         """Whether the event ends the run."""
         return self.reset is None
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation.run_outcome import Outcome
-from gnc_opt.simulation.signals import Places
+from gnc_opt.simulation.signals import ColumnLayout
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class FinalValues:
     Examples
     --------
     >>> flight = loop.compile([1.0, 0.0], tf=8.0)
-    >>> ending = flight.final(np.tile(flight.nominal[:, None], 3), [1, 2, 3])
+    >>> ending = flight.final_values(np.tile(flight.nominal[:, None], 3), [1, 2, 3])
     >>> print(ending.states.shape, np.abs(ending.errors).max() < 0.01)
     (2, 3) True
     """
@@ -76,7 +76,7 @@ RICHARDSON_FACTOR = 4 / 3
 
 
 def estimate_integration_errors(
-    places: Places, final: Array, companions: Array, end: float
+    places: ColumnLayout, final: Array, companions: Array, end: float
 ) -> tuple[Array, Array]:
     """Return the relative errors (n,) of runs, relative to max(1, \\|x\\|): of all entries, and of the states only."""
     one, two = places.split(final), places.split(companions)

@@ -20,7 +20,7 @@ from gnc_opt.simulation.block import Block, Tick
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event, Events
 from gnc_opt.simulation.recorded_quantities import Quantities, Quantity
-from gnc_opt.simulation.signals import Kinds, Link, link_blocks, list_sizes_and_units
+from gnc_opt.simulation.signals import BlockLink, Kinds, link_blocks, list_sizes_and_units
 
 
 def check_measured_signals(plant: Model, controller: Controller) -> None:
@@ -85,7 +85,7 @@ def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) 
 
 
 @dataclass(frozen=True, eq=False)
-class Wiring:
+class LoopWiring:
     """Components of a closed loop and their connections; see `ClosedLoop`.
 
     Attributes
@@ -100,9 +100,9 @@ class Wiring:
 
     plant: Model
     controller: Controller
-    actuators: tuple[Link, ...]
-    sensors: tuple[Link, ...]
-    disturbances: tuple[Link, ...]
+    actuators: tuple[BlockLink, ...]
+    sensors: tuple[BlockLink, ...]
+    disturbances: tuple[BlockLink, ...]
     dt: float
     minor_steps: int
     divergence_limits: Array
@@ -115,7 +115,7 @@ class Wiring:
         return self.dt / self.minor_steps
 
     @property
-    def link_step_lengths(self) -> list[tuple[Link, float]]:
+    def link_step_lengths(self) -> list[tuple[BlockLink, float]]:
         """All links with the lengths (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
@@ -140,14 +140,14 @@ class Wiring:
         )
 
     @cached_property
-    def defaults(self) -> Array:
+    def default_parameters(self) -> Array:
         """Default values of `layout`, shape (n,); NaN for initial states."""
         return np.concatenate([value for _, value in self._parameter_entries])
 
     @cached_property
-    def ranges(self) -> tuple[Array, Array]:
+    def parameter_ranges(self) -> tuple[Array, Array]:
         """Smallest and largest permitted values of `layout`, each of shape (n,)."""
-        lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
+        lower, upper = (np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf))
         for link, step in self.link_step_lengths:
             for name, (least, largest) in link.block.limits(step, self.dt).items():
                 place = self.layout.slice(f"{link.block.name}.{name}")
@@ -172,7 +172,7 @@ class Wiring:
 
 
 @dataclass(frozen=True)
-class Blocks:
+class LoopBlocks:
     """Blocks of a loop in the order of the signal flow, with events and quantities."""
 
     actuators: tuple[Block, ...]
@@ -185,11 +185,11 @@ class Blocks:
 def wire_loop(
     plant: Model,
     controller: Controller,
-    blocks: Blocks,
+    blocks: LoopBlocks,
     dt: float,
     minor_steps: int,
     divergence_limits: Array,
-) -> Wiring:
+) -> LoopWiring:
     """Return the connected loop; raise `ArgumentError` or `UnknownNameError` for inconsistent parts."""
     check_measured_signals(plant, controller)
     for block in (*blocks.actuators, *blocks.sensors):
@@ -210,7 +210,7 @@ def wire_loop(
         Events.from_declarations(plant, blocks.events),
         Quantities.from_declarations(plant, blocks.quantities),
     )
-    wiring = Wiring(
+    wiring = LoopWiring(
         plant,
         controller,
         tuple(actuators),
@@ -229,7 +229,7 @@ def wire_loop(
     return wiring
 
 
-def _check_sensor_functions(wiring: Wiring) -> None:
+def _check_sensor_functions(wiring: LoopWiring) -> None:
     """Evaluate every sensor once, so that invalid user functions raise an error here."""
     states, dt = wiring.plant.states, wiring.dt
     tick = Tick(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
@@ -243,7 +243,7 @@ def _check_sensor_functions(wiring: Wiring) -> None:
         block.step(tick, signal, block.start(signal, p, tick), p, noise)
 
 
-def _check_trim(wiring: Wiring) -> None:
+def _check_trim(wiring: LoopWiring) -> None:
     begun = [link.block.name for link in wiring.actuators if link.block.starts_at_trim]
     for name in wiring.controller.commands.names if begun else ():
         if f"{name}_ff" not in wiring.controller.signals:
@@ -253,7 +253,7 @@ def _check_trim(wiring: Wiring) -> None:
             )
 
 
-def _link_sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:
+def _link_sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
     states = list_sizes_and_units(controller.states)
     links, seen = link_blocks(blocks, states, "measured state")
     if seen != states:

@@ -1,7 +1,7 @@
 r"""Kernel: CasADi function of one control step of the closed loop.
 
 The sensors sample the plant and the controller computes the command (zero-order hold). In each of m minor steps the
-actuators are updated and the plant is integrated. Column X (`Places`) is the state, P the parameters of the run
+actuators are updated and the plant is integrated. Column X (`ColumnLayout`) is the state, P the parameters of the run
 (`ClosedLoop.layout`), w the known or drawn inputs: time, schedule, random numbers. A control step in which an event may
 occur is repeated with event location (`gnc_opt.simulation.event_location`).
 """
@@ -17,9 +17,9 @@ import casadi as ca
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.event_location import build_event_passage, event_note_layout
-from gnc_opt.simulation.loop_assembly import Wiring
+from gnc_opt.simulation.loop_assembly import LoopWiring
 from gnc_opt.simulation.recorded_quantities import create_empty_record, join_quantity_records
-from gnc_opt.simulation.signals import Places, stack_signals
+from gnc_opt.simulation.signals import ColumnLayout, stack_signals
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:
@@ -69,10 +69,10 @@ class _EventfulStep:
         return list(self._closing_function()(x, now, notes, w, y, u, z))
 
     @property
-    def event_notes(self) -> Places:
+    def event_notes(self) -> ColumnLayout:
         """Layout of the event notes of a control step, stored next to the state."""
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
-        return Places((*sums, *event_note_layout(self.wiring.plant.states.size)))
+        return ColumnLayout((*sums, *event_note_layout(self.wiring.plant.states.size)))
 
     def _minor_step_functions(self, i: int) -> tuple[Any, Any]:
         """Return ``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and its inactive version."""
@@ -138,7 +138,7 @@ class _EventfulStep:
 
 
 @dataclass(frozen=True)
-class Kernel:
+class LoopKernel:
     """Functions of a loop, and the layouts of its columns X, w and log.
 
     Attributes
@@ -156,9 +156,9 @@ class Kernel:
     step: Any
     easy: Any
     measure: Any
-    state: Places
-    known: Places
-    log: Places
+    state: ColumnLayout
+    known: ColumnLayout
+    log: ColumnLayout
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if k != "legs"}
@@ -167,22 +167,22 @@ class Kernel:
         vars(self).update(state)
 
     @cached_property
-    def legs(self) -> dict[Any, Any]:
+    def leg_functions(self) -> dict[Any, Any]:
         """Functions of many steps, shared by all compiled loops; with log they take 0.2 s to build."""
         return {}
 
 
-def build_kernel(wiring: Wiring, substeps: int) -> Kernel:
+def build_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
     """Return the kernel with ``substeps`` integration steps per minor step."""
-    return _Builder(wiring, substeps).kernel()
+    return _KernelBuilder(wiring, substeps).build()
 
 
-class _Builder(ControlStep):
-    def kernel(self) -> Kernel:
+class _KernelBuilder(ControlStep):
+    def build(self) -> LoopKernel:
         constants, act = self._act_functions()
         step, easy = self._step_function(constants, act), self._fast_step_function(constants, act)
         measure = self._measure_function(constants)
-        return Kernel(
+        return LoopKernel(
             constants, self._start_function(), step, easy, measure, self.state, self.known, self.log
         )
 

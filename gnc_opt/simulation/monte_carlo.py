@@ -20,7 +20,7 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import (
     Batch,
     CampaignTask,
-    Flown,
+    RunBatch,
     collect_batch_results,
     find_remaining_batches,
     load_stored_runs,
@@ -31,21 +31,21 @@ from gnc_opt.simulation.campaign_batch import (
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
-from gnc_opt.workers import Done, Shared, WorkerPool
+from gnc_opt.workers import SharedObject, TaskResult, WorkerPool
 
 MeasureFunction = Callable[[Campaign], ArrayLike]
 """A user-defined measure: returns a number per run, (m,)."""
 
 
 @dataclass(frozen=True)
-class Criteria:
+class SuccessCriteria:
     """Target, limits and user-defined measures; see `monte_carlo`."""
 
     target: Mapping[str, ArrayLike] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
     measures: Mapping[str, MeasureFunction] = field(default_factory=dict)
 
-    def goal(self, flight: CompiledLoop) -> Array:
+    def target_states(self, flight: CompiledLoop) -> Array:
         """Return the target final states (n_states,); NaN without a target."""
         goal = np.full(flight.states.size, np.nan)
         if flight.reference is not None:
@@ -62,7 +62,7 @@ class Criteria:
             goal[place] = numbers
         return goal
 
-    def check(self, empty: Campaign) -> None:
+    def check_measures(self, empty: Campaign) -> None:
         """Raise an error for limits of unknown measures, and for invalid limits or measures."""
         for name, value in self.limits.items():
             if name not in self.measures:
@@ -88,9 +88,9 @@ class Criteria:
         )
 
 
-def read_criteria(target: Any, measures: Any, limits: Any = None) -> Criteria:
+def read_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCriteria:
     """Return the criteria from optional mappings; raise an error for invalid ones."""
-    return Criteria(
+    return SuccessCriteria(
         read_mapping(target, "the target of runs", 'write {"q": 0.0}'),
         read_mapping(limits, "the limits of runs", 'write {"q": 0.05}'),
         read_mapping(measures, "the measures of runs", 'write {"miss": lambda campaign: ...}'),
@@ -187,8 +187,8 @@ def monte_carlo(
     flight = flight.with_machine_code(n)
     criteria = read_criteria(target, measures, limits)
     mission = CampaignTask(flight, dict(dispersions), int(seed))
-    empty = merge_batches(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))
-    criteria.check(empty)
+    empty = merge_batches(flight, [], seed=mission.seed, asked=n, goal=criteria.target_states(flight))
+    criteria.check_measures(empty)
     folder = None if checkpoint is None else Path(checkpoint)
     before = [] if folder is None else load_stored_runs(folder, mission, n)
     with (
@@ -196,7 +196,7 @@ def monte_carlo(
         WorkerPool(_share_campaign_task(mission, executor), executor, "monte_carlo()") as pool,
     ):
 
-        def store_batch(batch: Done[Batch, list[Flown]]) -> None:
+        def store_batch(batch: TaskResult[Batch, list[RunBatch]]) -> None:
             for part in collect_batch_results(batch):
                 if folder is not None and part.ending is not None:
                     store_runs(
@@ -207,7 +207,7 @@ def monte_carlo(
         if before:
             show(*_count_failures(before))
         todo = find_remaining_batches(n, [part.batch for part in before])
-        done = pool.run(CampaignTask.simulate_runs, todo, store_batch, split_batch)
+        done = pool.map(CampaignTask.simulate_runs, todo, store_batch, split_batch)
     flown = sorted(
         [*before, *(part for batch in done for part in collect_batch_results(batch))],
         key=lambda part: part.batch.start,
@@ -228,21 +228,21 @@ def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callabl
 
 def _share_campaign_task(
     mission: CampaignTask, executor: Executor | Literal["serial"] | None
-) -> Shared[CampaignTask]:
+) -> SharedObject[CampaignTask]:
     remedy = 'define custom dispersions at the top level of a module, or use executor="serial"'
-    shared = Shared.picklable(mission, "the campaign", remedy)
+    shared = SharedObject.from_picklable(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):
         shared.pack_parcel()  # also checked for inherited memory, so that the campaign runs on any executor
     return shared
 
 
-def _count_failures(parts: Sequence[Flown]) -> tuple[int, int]:
+def _count_failures(parts: Sequence[RunBatch]) -> tuple[int, int]:
     runs = sum(len(part.batch) for part in parts)
     endings = [part.ending for part in parts if part.ending is not None]
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)
 
 
-def _require_one_completed_run(flown: Sequence[Flown]) -> None:
+def _require_one_completed_run(flown: Sequence[RunBatch]) -> None:
     if not flown or any(part.ending is not None for part in flown):
         return
     remedy = "simulate() one of them to see why"
@@ -254,14 +254,14 @@ def _require_one_completed_run(flown: Sequence[Flown]) -> None:
     raise GncOptError(f"no run could be simulated ({flown[0].mishap}): {remedy}.")
 
 
-def _restore_parameters(flown: Sequence[Flown], mission: CampaignTask) -> list[Flown]:
+def _restore_parameters(flown: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
     """Return the batches, with the parameters of lost batches drawn again."""
     found = []
     for part in flown:
         P = part.parameters
         if P is None:
             try:
-                P = mission.parameters(part.batch)
+                P = mission.draw_parameters(part.batch)
             except Exception:  # the draw itself is what failed
                 P = np.full((mission.flight.layout.size, len(part.batch)), np.nan)
         found.append(replace(part, parameters=P))

@@ -18,7 +18,7 @@ from gnc_opt.arguments import read_label, require_distinct_names
 from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.simulation.dormand_prince import Taken
+from gnc_opt.simulation.dormand_prince import IntegrationStep
 from gnc_opt.simulation.events import plant_expression
 
 SAMPLES = 101
@@ -107,7 +107,7 @@ class Extremes:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
         self.record = ca.SX(create_empty_record(len(quantities)))
 
-    def __call__(self, taken: Taken, applied: Callable[[float], Any]) -> None:
+    def __call__(self, taken: IntegrationStep, applied: Callable[[float], Any]) -> None:
         """Add an integration step to the record."""
         if not len(self.quantities):
             return
@@ -124,7 +124,7 @@ class Extremes:
             self.record, ca.if_else(flown, step, ca.SX(create_empty_record(len(self.quantities))))
         )
 
-    def _evaluate_rows(self, taken: Taken, nu: float, u: Any) -> Any:
+    def _evaluate_rows(self, taken: IntegrationStep, nu: float, u: Any) -> Any:
         x = taken.x if nu == 0 else taken.after if nu == 1 else taken.interpolate_state(nu)[0]
         return self.quantities.rows(taken.time + nu * taken.length, x, u, self.parameters)
 

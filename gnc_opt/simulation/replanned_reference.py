@@ -83,16 +83,16 @@ class PlanUpdater(Protocol):
     def description(self) -> str:
         """Text that determines the plans, part of the fingerprint of a compiled loop."""
 
-    def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
+    def check_law(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
         """Raise `ArgumentError` if the controller does not follow the plan."""
 
-    def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
+    def predict_state(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
         """Return the state (n_states,) predicted at time ``until`` (s) from x at t with the controls of a plan."""
 
-    def solved(self, begin: float, x: Array, near: Any) -> Any:
+    def solve_plan(self, begin: float, x: Array, near: Any) -> Any:
         """Return the plan from a time (s) and a state (n_states,), warm-started from a known plan."""
 
-    def rows(self, plan: Any, times: Array, dt: float, size: int) -> Array:
+    def schedule_rows(self, plan: Any, times: Array, dt: float, size: int) -> Array:
         """Return the schedule (size, n_times) of a plan at the given times (s)."""
 
 
@@ -146,9 +146,9 @@ class ActiveReference:
         try:
             if not np.isfinite(x).all():
                 raise GncOptError("the estimated state is not a number")
-            state = planner.predicted(self._path, t, x, begin, self.dt)
-            plan = planner.solved(begin, state, self._plan)
-            rows = planner.rows(plan, self.times[first:], self.dt, self.schedule.shape[0])
+            state = planner.predict_state(self._path, t, x, begin, self.dt)
+            plan = planner.solve_plan(begin, state, self._plan)
+            rows = planner.schedule_rows(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
         except Exception as error:  # any failure of a solver or design keeps the old plan
             return Replan(t, begin, time.perf_counter() - begun, format_error(error))

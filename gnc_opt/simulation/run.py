@@ -14,14 +14,14 @@ from gnc_opt.archive import DataclassPacking, FileFormat
 from gnc_opt.arguments import StrictAttributes, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.tabular_data import Records, name_variable_rows
+from gnc_opt.model.tabular_data import TabularData, label_variable_rows
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.campaign_tables import LISTED
 from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.replanned_reference import Replan
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.spacecraft.attitude import attitude_angle
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 
@@ -36,7 +36,7 @@ def compute_settling_time(times: Array, distance: Array, band: float) -> float:
 
 
 @dataclass(frozen=True)
-class Logged:
+class LoggedSignal:
     """Logged signal.
 
     Attributes
@@ -71,7 +71,7 @@ class Logged:
 
 
 @dataclass(frozen=True)
-class Run(StrictAttributes, Printed):
+class Run(StrictAttributes, PrintableResult):
     """Closed-loop run over N control steps.
 
     Attributes
@@ -89,7 +89,7 @@ class Run(StrictAttributes, Printed):
     memory : array (n_memory, N + 1)
         Memory of the controller.
     reference : array (n, N + 1) or None
-        Reference of the controller, see `followed`.
+        Reference of the controller, see `reference_layout`.
     errors : array (n_errors, N + 1) or None
         State errors relative to the reference, with the plant's difference function; NaN for states without reference.
     parameters : array (n_parameters,)
@@ -155,33 +155,33 @@ class Run(StrictAttributes, Printed):
         return f"<{str(self).splitlines()[0]}>"
 
     @property
-    def followed(self) -> Layout:
+    def reference_layout(self) -> Layout:
         """Layout of the states of the reference."""
         return self.layouts.get("followed", self.layouts["measured"])  # files before estimators
 
     # --- signals ------------------------------------------------------------------------------------------
 
-    def state(self, name: str) -> Logged:
+    def state(self, name: str) -> LoggedSignal:
         """Return a state of the plant."""
         return self._logged_signal("state", name, self.states, False)
 
-    def measurement(self, name: str) -> Logged:
+    def measurement(self, name: str) -> LoggedSignal:
         """Return the controller's measurement of a state."""
         return self._logged_signal("measured", name, self.measured, True)
 
-    def command(self, name: str) -> Logged:
+    def command(self, name: str) -> LoggedSignal:
         """Return a command of the controller."""
         return self._logged_signal("command", name, self.commands, True)
 
-    def control(self, name: str) -> Logged:
+    def control(self, name: str) -> LoggedSignal:
         """Return an applied control of the plant, as the mean over each control step."""
         return self._logged_signal("applied", name, self.applied, True)
 
-    def controller_state(self, name: str) -> Logged:
+    def controller_state(self, name: str) -> LoggedSignal:
         """Return an entry of the controller's memory."""
         return self._logged_signal("memory", name, self.memory, False)
 
-    def error(self, name: str) -> Logged:
+    def error(self, name: str) -> LoggedSignal:
         """Return the error of a state relative to the reference."""
         return self._logged_signal("error", name, self._require_errors(), False)
 
@@ -189,11 +189,11 @@ class Run(StrictAttributes, Printed):
         """Return a parameter of the run by its dotted name, (size,)."""
         return self.parameters[self.layouts["parameter"].slice(name)]
 
-    def _logged_signal(self, kind: str, name: str, values: Array, held: bool) -> Logged:
+    def _logged_signal(self, kind: str, name: str, values: Array, held: bool) -> LoggedSignal:
         layout = self.layouts[kind]
         place = layout.slice(name)
         variable = layout[name]
-        return Logged(
+        return LoggedSignal(
             name, variable.unit, self.times[: values.shape[1]], values[place], held, variable.labels
         )
 
@@ -225,7 +225,7 @@ class Run(StrictAttributes, Printed):
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
         self._require_errors()
         assert self.reference is not None
-        place = self.followed.slice(name)
+        place = self.reference_layout.slice(name)
         return float(attitude_angle(self.state(name).values[:, index], self.reference[place, index]))
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
@@ -262,19 +262,19 @@ class Run(StrictAttributes, Printed):
         States have their names, other signals a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
         ``error.q``, ``reference.q``. Values of a control step are listed at its start.
         """
-        return self._records().to_pandas()
+        return self._tabular_data().to_pandas()
 
     def to_xarray(self) -> Any:
         """Return a Dataset with units; vector variables have a dimension for their components."""
-        return self._records().to_xarray()
+        return self._tabular_data().to_xarray()
 
     def export(self, path: str | Path) -> Path:
         """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
-        return self._records().write(path)
+        return self._tabular_data().write(path)
 
-    def _records(self) -> Records:
+    def _tabular_data(self) -> TabularData:
         n = self.times.size
-        quantities = [*name_variable_rows(self.layouts["state"], self.states)]
+        quantities = [*label_variable_rows(self.layouts["state"], self.states)]
         steps = {
             "measured": self.measured,
             "command": self.commands,
@@ -282,13 +282,13 @@ class Run(StrictAttributes, Printed):
             "memory": self.memory,
         }
         for kind, values in steps.items():
-            quantities += name_variable_rows(self.layouts[kind], values, f"{kind}.", n)
+            quantities += label_variable_rows(self.layouts[kind], values, f"{kind}.", n)
         if self.errors is not None:
-            quantities += name_variable_rows(self.layouts["error"], self.errors, "error.")
+            quantities += label_variable_rows(self.layouts["error"], self.errors, "error.")
         if self.reference is not None:
-            quantities += name_variable_rows(self.layouts["measured"], self.reference, "reference.")
+            quantities += label_variable_rows(self.layouts["measured"], self.reference, "reference.")
         about = {"outcome": str(self.outcome), "seed": self.seed}
-        return Records(Variable("time", unit="s"), self.times, tuple(quantities), about)
+        return TabularData(Variable("time", unit="s"), self.times, tuple(quantities), about)
 
     # --- files --------------------------------------------------------------------------------------------
 

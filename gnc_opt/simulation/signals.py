@@ -16,7 +16,7 @@ from gnc_opt.simulation.intersample_input import Wave
 
 
 @dataclass(frozen=True)
-class Places:
+class ColumnLayout:
     """Layout of a column: names and sizes of its consecutive parts."""
 
     parts: tuple[tuple[str, int], ...]
@@ -47,7 +47,7 @@ Kinds = dict[str, tuple[int, str]]
 
 
 @dataclass(frozen=True)
-class Link:
+class BlockLink:
     """Block with the names, size and unit of its input signals, and its output signals."""
 
     block: Block
@@ -61,7 +61,7 @@ def list_sizes_and_units(layout: Layout) -> Kinds:
     return {v.name: (v.size, v.unit) for v in layout.variables}
 
 
-def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[Link], Kinds]:
+def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[BlockLink], Kinds]:
     """Return the links of a chain of blocks, and the signals after the last block.
 
     Raises
@@ -80,7 +80,7 @@ def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[lis
         new = block.outputs(sizes, units)
         outputs = {n: signals[n] for n in on} if new is None else new
         links.append(
-            Link(
+            BlockLink(
                 block, on, sum(sizes.values()), units[on[0]] if len(set(units.values())) == 1 else "", outputs
             )
         )
@@ -98,7 +98,7 @@ def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
     return ca.vertcat(*[signals[n] for n in names])
 
 
-def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
+def replace_signals(signals: Mapping[str, Any], link: BlockLink, column: Any) -> dict[str, Any]:
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
         rest = {n: s for n, s in signals.items() if n not in link.on}
@@ -109,7 +109,7 @@ def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict
     return rest
 
 
-def replace_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
+def replace_waves(waves: Mapping[str, Wave], link: BlockLink, wave: Wave) -> dict[str, Wave]:
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():

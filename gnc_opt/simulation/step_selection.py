@@ -98,7 +98,7 @@ class StepSelection:
         best, least, stalled = flight, np.inf, 0
         while True:
             flight = flight_with(substeps)
-            ending = flight.final(flight.nominal[:, None], [0])
+            ending = flight.final_values(flight.nominal[:, None], [0])
             error, outcome = float(ending.state_error[0]), ending.outcomes[0]
             if np.isnan(error) or outcome.status is RunStatus.NOT_FINITE or error <= 0.1 * self.asked:
                 return flight

@@ -1,6 +1,6 @@
 """Parallel execution of tasks: a worker pool for campaigns and searches, on any executor."""
 
-from gnc_opt.workers.pool import Done, WorkerDied, WorkerPool
-from gnc_opt.workers.processes import Shared
+from gnc_opt.workers.pool import TaskResult, WorkerDiedError, WorkerPool
+from gnc_opt.workers.processes import SharedObject
 
-__all__ = ["Done", "Shared", "WorkerDied", "WorkerPool"]
+__all__ = ["SharedObject", "TaskResult", "WorkerDiedError", "WorkerPool"]

@@ -22,7 +22,7 @@ from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from gnc_opt.arguments import expect
 from gnc_opt.errors import GncOptError
-from gnc_opt.workers.processes import Object, OwnProcesses, Parcel, Shared, open_parcel
+from gnc_opt.workers.processes import Object, Parcel, SharedObject, WorkerProcesses, open_parcel
 
 MOST_CRASHES = 8
 """Number of consecutive items that killed their own process, after which no more items are tried."""
@@ -43,12 +43,12 @@ Place: TypeAlias = tuple[int, ...]
 """Index of an item; a part of a split item has the index of the item and of the part."""
 
 
-class WorkerDied(GncOptError):
+class WorkerDiedError(GncOptError):
     """Error of a task whose process died, or for which no worker is left."""
 
 
 @dataclass(frozen=True, eq=False)
-class Done(Generic[Item, Answer]):
+class TaskResult(Generic[Item, Answer]):
     """Item with its answer or its error.
 
     Attributes
@@ -56,14 +56,14 @@ class Done(Generic[Item, Answer]):
     item : object
     answer : object or None
     error : BaseException or None
-        Exception of the task, or `WorkerDied`.
+        Exception of the task, or `WorkerDiedError`.
 
     Examples
     --------
     >>> def shares(whole, item):
     ...     return whole / item
-    >>> with WorkerPool(Shared.picklable(6, "the whole", ""), "serial", "shares()") as pool:
-    ...     half, lost = pool.run(shares, [2, 0], show=lambda done: None)
+    >>> with WorkerPool(SharedObject.from_picklable(6, "the whole", ""), "serial", "shares()") as pool:
+    ...     half, lost = pool.map(shares, [2, 0], show=lambda done: None)
     >>> print(half.answer, type(lost.error).__name__)
     3.0 ZeroDivisionError
     """
@@ -80,7 +80,7 @@ class WorkerPool(Generic[Object]):
 
     Parameters
     ----------
-    shared : Shared
+    shared : SharedObject
     executor : Executor, "serial" or None
         None: one process per processor.
     caller : str
@@ -93,23 +93,23 @@ class WorkerPool(Generic[Object]):
 
     Examples
     --------
-    >>> with WorkerPool(Shared.picklable(10, "the base", ""), "serial", "powers()") as pool:
-    ...     powers = pool.run(pow, [1, 2, 3], show=lambda done: print(done.item, done.answer))
+    >>> with WorkerPool(SharedObject.from_picklable(10, "the base", ""), "serial", "powers()") as pool:
+    ...     powers = pool.map(pow, [1, 2, 3], show=lambda done: print(done.item, done.answer))
     1 10
     2 100
     3 1000
     """
 
     def __init__(
-        self, shared: Shared[Object], executor: Executor | Literal["serial"] | None, caller: str
+        self, shared: SharedObject[Object], executor: Executor | Literal["serial"] | None, caller: str
     ) -> None:
         self.interrupted = False
         self._shared = shared
-        self._own: OwnProcesses | None = None
-        self._parcel: Parcel[Object] = shared.here
-        self._executor: Executor = _Serial()
+        self._own: WorkerProcesses | None = None
+        self._parcel: Parcel[Object] = shared.parcel
+        self._executor: Executor = _SerialExecutor()
         if executor is None:
-            self._own = OwnProcesses(shared)
+            self._own = WorkerProcesses(shared)
         elif not (isinstance(executor, str) and executor == "serial"):
             remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
             self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
@@ -128,13 +128,13 @@ class WorkerPool(Generic[Object]):
         if self._own is not None:
             self._own.end_processes(at_once=self.interrupted or kind is not None)
 
-    def run(
+    def map(
         self,
         task: Task[Object, Item, Answer],
         items: Iterable[Item],
-        show: Callable[[Done[Item, Answer]], None],
+        show: Callable[[TaskResult[Item, Answer]], None],
         split: Split[Item] = lambda item: (),
-    ) -> list[Done[Item, Answer]]:
+    ) -> list[TaskResult[Item, Answer]]:
         """Return the results of a task for all items, in order, without those cancelled by Ctrl-C (`interrupted`).
 
         Items whose process died run again, each in a new process; an item that kills it too is split. If the given
@@ -150,11 +150,11 @@ class WorkerPool(Generic[Object]):
             Returns parts of an item that together give the same result.
         """
         items = list(items)
-        ledger = _Ledger(items, show)
+        ledger = _TaskLedger(items, show)
         try:
             left = self._run_parallel(task, list(enumerate(items)), ledger)
             if left and self._own is None:
-                self._own = OwnProcesses(self._shared)
+                self._own = WorkerProcesses(self._shared)
                 left = self._run_parallel(task, left, ledger)
             again: list[tuple[Place, Item]] = [((number,), item) for number, item in left]
             self._rerun_items(task, again, split, ledger)
@@ -171,7 +171,7 @@ class WorkerPool(Generic[Object]):
         self,
         task: Task[Object, Item, Answer],
         items: Sequence[tuple[int, Item]],
-        ledger: _Ledger[Item, Answer],
+        ledger: _TaskLedger[Item, Answer],
     ) -> list[tuple[int, Item]]:
         """Execute numbered items in parallel; return those whose process died."""
         left: list[tuple[int, Item]] = []
@@ -216,7 +216,7 @@ class WorkerPool(Generic[Object]):
         task: Task[Object, Item, Answer],
         left: Sequence[tuple[Place, Item]],
         split: Split[Item],
-        ledger: _Ledger[Item, Answer],
+        ledger: _TaskLedger[Item, Answer],
     ) -> None:
         """Execute items again, each in a new process, and split those that kill it."""
         waiting, crashes = list(reversed(left)), 0
@@ -224,12 +224,12 @@ class WorkerPool(Generic[Object]):
             place, item = waiting.pop()
             if crashes == MOST_CRASHES:
                 why = f"not tried, since the {crashes} previous items killed their process"
-                ledger.store_result(place, Done(item, error=WorkerDied(why)))
+                ledger.store_result(place, TaskResult(item, error=WorkerDiedError(why)))
                 continue
             self._own.restart_processes(1)
             future = self._submit_task(task, item)
             done = _make_result(item, future, _get_error(future))
-            died = isinstance(done.error, WorkerDied)
+            died = isinstance(done.error, WorkerDiedError)
             parts = split(item) if died else ()
             if parts:
                 waiting += [((*place, i), part) for i, part in reversed(list(enumerate(parts)))]
@@ -253,13 +253,13 @@ class WorkerPool(Generic[Object]):
 
 
 @dataclass(eq=False)
-class _Ledger(Generic[Item, Answer]):
+class _TaskLedger(Generic[Item, Answer]):
     items: Sequence[Item]
-    show: Callable[[Done[Item, Answer]], None]
+    show: Callable[[TaskResult[Item, Answer]], None]
     futures: dict[int, Future[Answer]] = field(default_factory=dict)
-    done: dict[Place, Done[Item, Answer]] = field(default_factory=dict)
+    done: dict[Place, TaskResult[Item, Answer]] = field(default_factory=dict)
 
-    def store_result(self, place: Place, done: Done[Item, Answer]) -> None:
+    def store_result(self, place: Place, done: TaskResult[Item, Answer]) -> None:
         self.done[place] = done
         self.show(done)
 
@@ -271,13 +271,13 @@ class _Ledger(Generic[Item, Answer]):
         """Store answers that have not been read."""
         for number, future in self.futures.items():
             if (number,) not in self.done and future.done() and _get_error(future) is None:
-                self.done[number,] = Done(self.items[number], future.result())
+                self.done[number,] = TaskResult(self.items[number], future.result())
 
-    def sorted_results(self) -> list[Done[Item, Answer]]:
+    def sorted_results(self) -> list[TaskResult[Item, Answer]]:
         return [self.done[place] for place in sorted(self.done)]
 
 
-class _Serial(Executor):
+class _SerialExecutor(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         try:
@@ -287,13 +287,13 @@ class _Serial(Executor):
         return future
 
 
-def _make_result(item: Item, future: Future[Answer], error: BaseException | None) -> Done[Item, Answer]:
+def _make_result(item: Item, future: Future[Answer], error: BaseException | None) -> TaskResult[Item, Answer]:
     if isinstance(error, KeyboardInterrupt):  # Ctrl-C in the task itself
         raise error
     if error is None:
-        return Done(item, future.result())
+        return TaskResult(item, future.result())
     died = isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"  # Dask's
-    return Done(item, error=WorkerDied("its process died") if died else error)
+    return TaskResult(item, error=WorkerDiedError("its process died") if died else error)
 
 
 def _get_error(future: Future[Any]) -> BaseException | None:
@@ -310,7 +310,7 @@ def _make_failed_future(error: BaseException) -> Future[Any]:
 
 
 def _worker_died_result() -> Future[Any]:
-    return _make_failed_future(WorkerDied("the cluster has no workers left"))
+    return _make_failed_future(WorkerDiedError("the cluster has no workers left"))
 
 
 def _has_lost_workers(executor: Executor) -> bool:

@@ -21,12 +21,12 @@ from gnc_opt.errors import GncOptError
 
 Object = TypeVar("Object")
 
-Parcel: TypeAlias = "Here[Object] | bytes"
+Parcel: TypeAlias = "LocalParcel[Object] | bytes"
 """Shared object as sent to a worker: the object itself, or a pickled function that creates it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Shared(Generic[Object]):
+class SharedObject(Generic[Object]):
     """Object shared by all tasks.
 
     Attributes
@@ -39,7 +39,7 @@ class Shared(Generic[Object]):
 
     Examples
     --------
-    >>> shared = Shared.picklable([1.0, 2.0], "the table", "give numbers")
+    >>> shared = SharedObject.from_picklable([1.0, 2.0], "the table", "give numbers")
     """
 
     value: Object
@@ -48,14 +48,14 @@ class Shared(Generic[Object]):
     maker: Callable[[], Object] | None = None
 
     @classmethod
-    def picklable(cls, value: Object, name: str, remedy: str) -> Shared[Object]:
+    def from_picklable(cls, value: Object, name: str, remedy: str) -> SharedObject[Object]:
         """Return a shared object that is pickled itself."""
         return cls(value, name, remedy, partial(_return_unchanged, value))
 
     @property
-    def here(self) -> Here[Object]:
+    def parcel(self) -> LocalParcel[Object]:
         """Parcel for this process and processes that inherit its memory."""
-        return Here(self.value, self._make_pickle_error(""))
+        return LocalParcel(self.value, self._make_pickle_error(""))
 
     def pack_parcel(self) -> bytes:
         """Return the parcel for other processes.
@@ -77,7 +77,7 @@ class Shared(Generic[Object]):
 
 
 @dataclass(frozen=True, eq=False)
-class Here(Generic[Object]):
+class LocalParcel(Generic[Object]):
     """Parcel that cannot be pickled; the attempt raises the stored error."""
 
     value: Object
@@ -89,7 +89,7 @@ class Here(Generic[Object]):
 
 def open_parcel(parcel: Parcel[Any]) -> Any:
     """Return the object of a parcel; a pickled one is created once per process."""
-    return parcel.value if isinstance(parcel, Here) else _unpickle_once(parcel)
+    return parcel.value if isinstance(parcel, LocalParcel) else _unpickle_once(parcel)
 
 
 @lru_cache(maxsize=4)
@@ -112,15 +112,17 @@ def is_fork_default() -> bool:
     return os.name == "posix" and os.uname().sysname == "Linux"
 
 
-class OwnProcesses:
+class WorkerProcesses:
     """Worker processes with a shared object; processes that died are replaced."""
 
-    def __init__(self, shared: Shared[Any]) -> None:
+    def __init__(self, shared: SharedObject[Any]) -> None:
         self._context: Any = multiprocessing.get_context("fork" if is_fork_default() else None)
-        self._parcel: Here[Any] | Path = shared.here if is_fork_default() else self._write_parcel(shared)
+        self._parcel: LocalParcel[Any] | Path = (
+            shared.parcel if is_fork_default() else self._write_parcel(shared)
+        )
         self._executor: ProcessPoolExecutor | None = None
 
-    def _write_parcel(self, shared: Shared[Any]) -> Path:
+    def _write_parcel(self, shared: SharedObject[Any]) -> Path:
         """Return a file with the pickled object; process arguments of more than 64 kB may block."""
         packed = shared.pack_parcel()
         try:
@@ -172,7 +174,7 @@ def _kill_processes(executor: Any) -> None:
 # --- in the processes -------------------------------------------------------------------------------------
 
 
-def _initialise_process(parcel: Here[Any] | Path) -> None:
+def _initialise_process(parcel: LocalParcel[Any] | Path) -> None:
     """Get the object, ignore Ctrl-C (handled by the parent), and limit the threads to one."""
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -455,7 +455,7 @@ def test_a_package_is_a_problem_whatever_the_current_folder_is(
     file = load_problem_file(f"{package.parent}/{named}")
     assert file.build({"far": 2.0}).name == "package"
     if not named.endswith("model.py"):
-        assert file.mesh == "4x3"
+        assert file.default_mesh == "4x3"
         assert file.module is sys.modules[f"{package.parent.name}.cow"]
 
 
@@ -473,8 +473,8 @@ def test_program_solves_a_package_from_another_folder(package: Path, tmp_path: P
 
 def test_an_existing_file_goes_before_a_package_of_its_name(package: Path) -> None:
     (package.parent / "cow.py").write_text("MESH = '7x7'\ndef build(): ...")
-    assert load_problem_file(package.parent / "cow.py").mesh == "7x7"
-    assert load_problem_file(package.parent / "cow").mesh == "4x3"
+    assert load_problem_file(package.parent / "cow.py").default_mesh == "7x7"
+    assert load_problem_file(package.parent / "cow").default_mesh == "4x3"
 
 
 def test_errors_in_a_package_name_its_file_and_line(

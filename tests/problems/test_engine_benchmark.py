@@ -42,7 +42,7 @@ def test_independent_program_finds_known_optima(name: str, relative: float) -> N
 
 
 def test_every_file_has_a_group() -> None:
-    names = {each.name for each in examples() if not each.is_system}
+    names = {each.name for each in examples() if not each.is_package}
     groups = {name: engine.group_of(example(name)) for name in names}
     assert sum(group == "flagship" for group in groups.values()) == 26
     assert sum(group == "gallery" for group in groups.values()) == 30
@@ -65,7 +65,7 @@ def test_the_page_shows_every_problem_with_picture_and_result() -> None:
     for each in examples():
         place = f"problems/{each.path.parent.name}/{each.path.name})"
         rows = [line for line in written.splitlines() if place in line]
-        assert len(rows) == (not each.is_system), each.name
+        assert len(rows) == (not each.is_package), each.name
         for row in rows:
             assert f"(pictures/{each.name}.png)" in row
             assert (engine_page.PAGE.parent / "pictures" / f"{each.name}.png").exists()

@@ -31,7 +31,7 @@ from problems.robots import robot_arm
 Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[2]
-NAMES = [each.name for each in examples() if not each.is_system]
+NAMES = [each.name for each in examples() if not each.is_package]
 """The basic problems, of one file each; systems are folders with tests of their own."""
 COARSE = {
     # Deviation from the reference on 10x3, in shares of it: what such a mesh is worth, no more.

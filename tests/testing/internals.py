@@ -29,7 +29,7 @@ from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import compute_riccati_gains
 from gnc_opt.estimation.error_retraction import euclidean_space
 from gnc_opt.estimation.linearization import (
-    Regression,
+    SigmaRegression,
     cholesky_semidefinite,
     solve_lower_left,
     solve_lower_right,
@@ -124,9 +124,9 @@ from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
     compute_min_max_shift,
-    effect_matrix,
     null_vector,
     pseudo_inverse,
+    read_effect_matrix,
 )
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.campaign_measures import compute_envelope
@@ -137,13 +137,13 @@ from gnc_opt.simulation.confidence_intervals import (
     share_below_maximum,
 )
 from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
-from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, integrate_dormand_prince
-from gnc_opt.simulation.event_location import Watch
+from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
+from gnc_opt.simulation.event_location import EventWatch
 from gnc_opt.simulation.final_values import estimate_integration_errors
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
-from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
+from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
-from gnc_opt.simulation.run import Logged, compute_settling_time
-from gnc_opt.simulation.signals import Places, link_blocks
+from gnc_opt.simulation.run import LoggedSignal, compute_settling_time
+from gnc_opt.simulation.signals import ColumnLayout, link_blocks
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import derivative_unit

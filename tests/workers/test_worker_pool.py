@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.workers import Done, Shared, WorkerDied, WorkerPool, pool, processes
+from gnc_opt.workers import SharedObject, TaskResult, WorkerDiedError, WorkerPool, pool, processes
 
 pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 
@@ -47,15 +47,15 @@ def last(values: Any, index: int) -> int:
     return int(values[-1]) + index
 
 
-def shared(value: Any = 10) -> Shared[Any]:
-    return Shared.picklable(value, "the number", "take another one")
+def shared(value: Any = 10) -> SharedObject[Any]:
+    return SharedObject.from_picklable(value, "the number", "take another one")
 
 
 def workers(kind: Any = None, value: Any = 10) -> WorkerPool[Any]:
     return WorkerPool(shared(value), kind, "try_it()")
 
 
-def ignore(done: Done[Any, Any]) -> None:
+def ignore(done: TaskResult[Any, Any]) -> None:
     pass
 
 
@@ -72,7 +72,7 @@ def times(number: int, item: int) -> int:
 def test_answers_and_errors_come_in_the_order_of_the_items_and_are_shown_once(kind: str) -> None:
     shown: list[int] = []
     with executor(kind) as given, workers(given) as force:
-        done = force.run(times, range(20), lambda each: shown.append(each.item))
+        done = force.map(times, range(20), lambda each: shown.append(each.item))
     assert [each.item for each in done] == list(range(20)) == sorted(shown)
     for each in done:
         if each.item % 5 == 3:
@@ -92,7 +92,7 @@ def test_where_the_work_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {}
     for kind in KINDS:
         with executor(kind) as given, workers(given) as force:
-            found[kind] = [each.answer for each in force.run(whereabouts, range(8), ignore)]
+            found[kind] = [each.answer for each in force.map(whereabouts, range(8), ignore)]
     assert {(pid, thread) for pid, thread, _ in found["serial"]} == {(os.getpid(), threading.get_ident())}
     assert {pid for pid, _, _ in found["threads"]} == {os.getpid()}
     assert threading.get_ident() not in {thread for _, thread, _ in found["threads"]}
@@ -102,12 +102,12 @@ def test_where_the_work_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_show_may_end_the_run(tmp_path: Path) -> None:
-    def refuse(done: Done[int, int]) -> None:
+    def refuse(done: TaskResult[int, int]) -> None:
         raise GncOptError("enough")
 
     unfinished = tmp_path / "finished"
     with pytest.raises(GncOptError, match="enough"), workers(value=unfinished) as force:
-        force.run(_first_at_once, range(2), refuse)
+        force.map(_first_at_once, range(2), refuse)
     assert not multiprocessing.active_children()
     assert not unfinished.exists()  # nobody waits for what is no longer wanted
 
@@ -141,12 +141,12 @@ class Counted:
 
 def test_the_object_is_made_once_per_process() -> None:
     Counted.made = 0
-    counted = Shared(Counted(), "it", "do not", Counted)
+    counted = SharedObject(Counted(), "it", "do not", Counted)
     with (
         ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as given,
         WorkerPool(counted, given, "try_it()") as force,
     ):
-        answers = {each.answer for each in force.run(Counted.tell, range(6), ignore)}
+        answers = {each.answer for each in force.map(Counted.tell, range(6), ignore)}
     ((pid, made),) = answers
     assert pid != os.getpid() and made == 1
 
@@ -156,21 +156,21 @@ def plus(function: Any, item: int) -> Any:
 
 
 def test_what_cannot_travel_is_named_with_a_remedy() -> None:
-    local = Shared.picklable(lambda x: x + 1, "the function", "write def")
+    local = SharedObject.from_picklable(lambda x: x + 1, "the function", "write def")
     with ProcessPoolExecutor(1) as given:
         with pytest.raises(
             GncOptError, match=r"^the function cannot be sent to another process \(.*\): write def\.$"
         ):
             WorkerPool(local, given, "try_it()")
-        stuck = Shared(lambda x: x + 1, "the function", "write def")
+        stuck = SharedObject(lambda x: x + 1, "the function", "write def")
         refused = r"^the function cannot be sent to another process: write def\.$"
         with pytest.raises(GncOptError, match=refused):
             WorkerPool(stuck, given, "try_it()")
         with pytest.raises(GncOptError, match=refused):  # by other executors, which may stay in this process
-            pickle.dumps(stuck.here)
+            pickle.dumps(stuck.parcel)
     for kind in ("serial", "threads"):  # where nothing is sent, nothing has to be picklable
         with executor(kind) as given, WorkerPool(local, given, "try_it()") as force:
-            assert [each.answer for each in force.run(plus, [1, 2], ignore)] == [2, 3]
+            assert [each.answer for each in force.map(plus, [1, 2], ignore)] == [2, 3]
 
 
 @pytest.mark.parametrize("forks", [True, False])
@@ -180,15 +180,15 @@ def test_own_processes_inherit_the_object_where_they_fork(
     if forks and not processes.is_fork_default():
         pytest.skip("processes do not fork here")
     monkeypatch.setattr(processes, "is_fork_default", lambda: forks)
-    local = Shared.picklable(lambda x: x + 1, "the function", "write def")
+    local = SharedObject.from_picklable(lambda x: x + 1, "the function", "write def")
     if forks:
         with WorkerPool(local, None, "try_it()") as force:
-            assert [each.answer for each in force.run(plus, [1, 2], ignore)] == [2, 3]
+            assert [each.answer for each in force.map(plus, [1, 2], ignore)] == [2, 3]
     else:
         with pytest.raises(GncOptError, match="cannot be sent"):
             WorkerPool(local, None, "try_it()")
         with workers() as force:  # but what can be sent is
-            assert [each.answer for each in force.run(times, [1, 2], ignore)] == [10, 20]
+            assert [each.answer for each in force.map(times, [1, 2], ignore)] == [10, 20]
 
 
 @pytest.mark.parametrize("numbers", [10, 100_000])
@@ -199,7 +199,7 @@ def test_a_shared_object_larger_than_a_pipe_reaches_spawned_processes_and_leaves
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with WorkerPool(shared(np.arange(numbers)), None, "try_it()") as force:
         assert len(list(tmp_path.iterdir())) == 1
-        (done,) = force.run(last, [0], ignore)
+        (done,) = force.map(last, [0], ignore)
         assert done.answer == numbers - 1
     del force
     gc.collect()
@@ -241,24 +241,24 @@ def test_items_that_kill_their_process_are_found_and_the_others_done(monkeypatch
     monkeypatch.setattr(os, "cpu_count", lambda: 3)
     with workers(value={5, 41, 42}) as force:
         shown: list[Any] = []
-        done = force.run(survive, BATCHES, shown.append, halves)
+        done = force.map(survive, BATCHES, shown.append, halves)
         lost = [each for each in done if each.error is not None]
         assert [list(each.item) for each in lost] == [[5], [41], [42]]
         assert all(
-            isinstance(each.error, WorkerDied) and str(each.error) == "its process died" for each in lost
+            isinstance(each.error, WorkerDiedError) and str(each.error) == "its process died" for each in lost
         )
         assert [number for each in done for number in each.item] == list(range(64))  # in order
         assert all(each.answer == list(each.item) for each in done if each.error is None)
         assert sorted(id(each) for each in shown) == sorted(id(each) for each in done)
         # and the pool is as wide as before
-        assert [each.answer for each in force.run(survive, [range(43, 45)], ignore)] == [[43, 44]]
+        assert [each.answer for each in force.map(survive, [range(43, 45)], ignore)] == [[43, 44]]
         assert len(multiprocessing.active_children()) == 3
     assert not multiprocessing.active_children()
 
 
 def test_an_item_that_kills_once_is_done_the_second_time(tmp_path: Path) -> None:
     with workers(value=str(tmp_path / "flag")) as force:
-        done = force.run(_die_once, range(6), ignore)
+        done = force.map(_die_once, range(6), ignore)
     assert [each.answer for each in done] == list(range(6))
 
 
@@ -271,25 +271,25 @@ def _die_once(flag: str, item: int) -> int:
 
 def test_what_a_broken_executor_leaves_is_done_by_processes_of_our_own() -> None:
     with ProcessPoolExecutor(1) as given, workers(given, {9}) as force:
-        done = force.run(survive, BATCHES, ignore, halves)
+        done = force.map(survive, BATCHES, ignore, halves)
         assert [list(each.item) for each in done if each.error is not None] == [[9]]
         assert [number for each in done for number in each.item] == list(range(64))
         assert all(each.answer == list(each.item) for each in done if each.error is None)
-        again = force.run(survive, BATCHES[:1], ignore, halves)
+        again = force.map(survive, BATCHES[:1], ignore, halves)
         assert again[0].answer == list(BATCHES[0])
     assert not multiprocessing.active_children()
 
 
 ORPHANS = """
 import os, sys, time
-from gnc_opt.workers import Shared, WorkerPool
+from gnc_opt.workers import SharedObject, WorkerPool
 def nap(folder, item):
     open(os.path.join(folder, str(os.getpid())), "w").close()
     time.sleep(60)
 os.cpu_count = lambda: 3
-shared = Shared.picklable(sys.argv[1], "a folder", "")
+shared = SharedObject.from_picklable(sys.argv[1], "a folder", "")
 with WorkerPool(shared, None, "me") as pool:
-    pool.run(nap, range(6), print)
+    pool.map(nap, range(6), print)
 """
 
 
@@ -337,7 +337,7 @@ class Deserted(Executor):
 def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
     with workers(Deserted()) as force:
-        done = force.run(times, range(3), ignore)
+        done = force.map(times, range(3), ignore)
     assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3
 
 
@@ -366,7 +366,7 @@ class Returning(Deserted):
 def test_workers_on_their_way_back_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
     with workers(Returning()) as force:
-        done = force.run(times, range(3), ignore)
+        done = force.map(times, range(3), ignore)
     assert [each.answer for each in done] == [0, 10, 20]
 
 
@@ -399,7 +399,7 @@ def test_an_executor_holds_no_more_tasks_than_it_needs(
     monkeypatch.setattr(pool.os, "cpu_count", lambda: 2)
     executor = Counting(threads)
     with workers(executor) as force:
-        done = force.run(pow, range(30), ignore)
+        done = force.map(pow, range(30), ignore)
     assert [each.answer for each in done] == [10**k for k in range(30)]
     assert 1 < executor.most <= most
     assert executor.alive <= 2 * most + 2  # some that are done are still held by those who did them
@@ -412,13 +412,13 @@ def test_an_executor_holds_no_more_tasks_than_it_needs(
 def test_ctrl_c_keeps_what_is_done(kind: str) -> None:
     shown: list[int] = []
 
-    def show(done: Done[int, int]) -> None:
+    def show(done: TaskResult[int, int]) -> None:
         shown.append(done.item)
         if len(shown) == 4:
             signal.raise_signal(signal.SIGINT)
 
     with executor(kind) as given, workers(given) as force:
-        done = force.run(partial(_slowly, 0.01), range(500), show)
+        done = force.map(partial(_slowly, 0.01), range(500), show)
     assert force.interrupted and 4 <= len(done) < 500
     assert kind != "serial" or len(done) == 4  # also the one that was being shown
     assert set(shown) <= {each.item for each in done}
@@ -435,7 +435,7 @@ def _slowly(pause: float, number: int, item: int) -> int:
 def test_ctrl_c_is_the_parents_business() -> None:
     """At a terminal all processes get the signal: those that work must not fail over it."""
     with workers() as force:
-        done = force.run(_signalled, range(4), ignore)
+        done = force.map(_signalled, range(4), ignore)
     assert not force.interrupted and [each.answer for each in done] == list(range(4))
 
 
@@ -450,7 +450,7 @@ def test_ctrl_c_ends_workers_whatever_they_are_at(ctrl_c_when: Any, tmp_path: Pa
         lambda: len(list(tmp_path.iterdir())) == crew
     )  # CPython loses a Ctrl-C that comes while it forks
     with workers() as force:
-        done = force.run(partial(_endless, tmp_path), range(3), ignore)
+        done = force.map(partial(_endless, tmp_path), range(3), ignore)
     assert force.interrupted and not done and not multiprocessing.active_children()
 
 

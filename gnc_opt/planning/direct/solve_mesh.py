@@ -149,8 +149,6 @@ def solve_mesh(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """Problem on meshes with solver options; see `solve_mesh`."""
-
     problem: Problem
     meshes: Mapping[str, Mesh]
     scheme: Scheme

@@ -73,7 +73,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
             )
     if not find_operations(stack_expressions(leg)) & _KINKS.keys():
         return
-    looked_up = frozenset[int]().union(*(use.hashes for use in uses))
+    looked_up = frozenset[int]().union(*(use.node_hashes for use in uses))
     for operation, (kind, where) in _find_first_kink_of_each_kind(problem, leg, looked_up):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:

@@ -14,7 +14,7 @@ from gnc_opt.errors import ProblemError, suggest_symbol
 from gnc_opt.model.expressions import list_nodes
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.model import Model
-from gnc_opt.model.table import Table, TableUse
+from gnc_opt.model.table import Table, TableCall
 from gnc_opt.model.variables import Layout, find_foreign_symbols
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -57,15 +57,15 @@ def build_phase_function(problem: Statement, leg: Phase, name: str, column: Any)
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
 
-def list_table_calls(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
+def list_table_calls(problem: Statement, leg: Phase) -> tuple[TableCall, ...]:
     """Return the table calls in the expressions along a phase."""
 
-    def find() -> tuple[TableUse, ...]:
+    def find() -> tuple[TableCall, ...]:
         known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
         if not known:
             return ()
         present = {node.element_hash() for node in list_nodes(stack_expressions(leg))}
-        return tuple({id(use): use for use in known if use.hashes & present}.values())
+        return tuple({id(use): use for use in known if use.node_hashes & present}.values())
 
     return problem.cache(("tables", leg.name), find)
 
@@ -92,7 +92,7 @@ def find_table_exits(
     return found
 
 
-def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
+def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableCall, ...]) -> Any:
     """Return the function (t, x, u, p, q) -> arguments of all table calls."""
     stacked = ca.vertcat(*(use.arguments for use in uses))
     return problem.cache(

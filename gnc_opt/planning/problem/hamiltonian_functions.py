@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.function_evaluation import Operations, evaluate_function, make_buffered_call
+from gnc_opt.model.function_evaluation import VectorizedFunction, evaluate_function, make_buffered_call
 from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
@@ -206,11 +206,11 @@ class PhaseFunctions:
         others = costate, multiplier, self.weights, self.p, self.q
         return evaluate_function(function, t, x, u, *others, programme=lambda: self._compiled_program(name))
 
-    def _compiled_program(self, name: str) -> Operations | None:
+    def _compiled_program(self, name: str) -> VectorizedFunction | None:
         key = f"{name} by NumPy"
         if key not in self.functions:
-            self.functions[key] = Operations.from_function(self.functions[name])
-        known: Operations | None = self.functions[key]
+            self.functions[key] = VectorizedFunction.from_function(self.functions[name])
+        known: VectorizedFunction | None = self.functions[key]
         return known
 
 

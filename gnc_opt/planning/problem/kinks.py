@@ -55,7 +55,7 @@ def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
         expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
         if not has_kinks(expression):
             return None
-        looked_up = frozenset[int]().union(*(use.hashes for use in list_table_calls(problem, leg)))
+        looked_up = frozenset[int]().union(*(use.node_hashes for use in list_table_calls(problem, leg)))
         found: dict[int, tuple[str, Any]] = {}
         for node in list_nodes(expression):
             operation = node.op()

@@ -446,7 +446,7 @@ class Phase(StrictAttributes):
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {
-            v.length: Interval(np.ones(1), np.ones(1))
+            v.length_path: Interval(np.ones(1), np.ones(1))
             for v in self.vector_controls
             if self.has_unit_direction(v)
         }
@@ -469,7 +469,7 @@ class Phase(StrictAttributes):
 
     def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
         """Record that model, constraints, integrands use a vector control; see `has_unit_direction`, None decides."""
-        lengths = {v.length for v in self.vector_controls}
+        lengths = {v.length_path for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vectors(expression)
@@ -480,7 +480,7 @@ class Phase(StrictAttributes):
     def _limit_direction_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"
-        self.paths[vector.length] = make_constraint(vector.length, square, None, 1.0, None, what)
+        self.paths[vector.length_path] = make_constraint(vector.length_path, square, None, 1.0, None, what)
 
     def _record_nonaffine_vectors(self, expression: Any) -> None:
         for vector in self.vector_controls:

@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arguments import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.table import TableUse
+from gnc_opt.model.table import TableCall
 from gnc_opt.model.variables import Layout, Symbol
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
@@ -117,7 +117,7 @@ class Statement(StrictAttributes):
         """Return the guesses of the stacked free parameters."""
         return np.concatenate([np.zeros(0), *self.parameter_guess.values()])
 
-    def parameter_table_uses(self) -> list[TableUse]:
+    def parameter_table_uses(self) -> list[TableCall]:
         """Return the calls of tables with expressions in the free parameters."""
         return [use for symbol in self._parameters.values() for use in symbol.table_uses]
 

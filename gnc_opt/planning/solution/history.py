@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.renamed import StatusWord
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class RefinementIteration:
 
 
 @dataclass(frozen=True)
-class History(Printed):
+class History(PrintableResult):
     """History and result of a refinement.
 
     Attributes

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.model.integration import Budget, Controls, EndedError, Tolerance, integrate
+from gnc_opt.model.integration import CallLimit, Controls, OdeError, Tolerance, integrate
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import nonzero_magnitude
@@ -82,7 +82,7 @@ def compute_segment_errors(leg: PhaseSolution, functions: PhaseFunctions, segmen
     Infinite where the integration fails, and after `integration.MOST_RATES` evaluations for all segments together.
     """
     misses, jumps = np.empty((leg.states.size, segments.size)), leg.applied.jump_times
-    budget = Budget(leg.states.labels)
+    budget = CallLimit(leg.states.labels)
     for column, k in enumerate(segments):
         left, right = leg.breaks[k : k + 2]
         edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
@@ -97,14 +97,15 @@ def _integrate_pieces(
     edges: Array,
     signal: Callable[..., Array],
     rtol: float = RELATIVE_TOLERANCE,
-    budget: Budget | None = None,
+    budget: CallLimit | None = None,
 ) -> tuple[Array, str]:
     """Return the states at the edges of pieces with smooth control, and the cause of an early end.
 
     The integration starts at the trajectory's state at the first edge; states (n_states, n_edges) are NaN after an
     early end.
     """
-    tolerance, budget = Tolerance(rtol, compute_state_magnitudes(leg)), budget or Budget(leg.states.labels)
+    tolerance = Tolerance(rtol, compute_state_magnitudes(leg))
+    budget = budget or CallLimit(leg.states.labels)
     states = np.full((leg.states.size, edges.size), np.nan)
     states[:, 0] = leg.x(edges[0])
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
@@ -112,7 +113,7 @@ def _integrate_pieces(
         rate = _build_controlled_rates(functions, controls)
         try:
             run = integrate(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
-        except EndedError as why:
+        except OdeError as why:
             return states, str(why)
         states[:, k + 1] = run.states[:, -1]
     return states, ""

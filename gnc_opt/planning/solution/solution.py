@@ -46,11 +46,11 @@ from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.point_families import Scheme
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution(Printed):
+class Solution(PrintableResult):
     """Trajectory with costates and multipliers.
 
     For a single phase, the phase argument of all methods is optional.

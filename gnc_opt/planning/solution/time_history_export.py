@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.model.tabular_data import Records
+from gnc_opt.model.tabular_data import TabularData
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 
 
-def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
+def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> TabularData:
     """Return states, applied controls and costates by time.
 
     Parameters
@@ -23,7 +23,7 @@ def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> Re
         Times, s; default: ten intervals per segment. At a jump of a control its right limit is used.
     """
     t = leg.sample_times() if times is None else np.atleast_1d(read_numbers(times, "the times"))
-    return Records(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
+    return TabularData(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
 
 
 def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:

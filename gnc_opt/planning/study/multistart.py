@@ -32,7 +32,7 @@ from gnc_opt.planning.study.local_minima import Minimum, merge_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.runtime_environment import one_thread
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 
 MOST_POINTS = 1000
 """Largest number of points of a phase on a refined mesh."""
@@ -98,7 +98,7 @@ def raise_interrupt(solution: Solution, options: SolverOptions) -> None:
 if TYPE_CHECKING:  # slow import
     from concurrent.futures import Executor
 
-    from gnc_opt.workers import Done, Shared, WorkerPool
+    from gnc_opt.workers import SharedObject, TaskResult, WorkerPool
 
 ShowEnding: TypeAlias = Callable[["float | None"], None]
 """Displays the objective of a completed task, None without one."""
@@ -117,7 +117,7 @@ COARSE_MAX_ITERATIONS = 200
 
 
 @dataclass(frozen=True)
-class Multistart(Printed):
+class Multistart(PrintableResult):
     """Result of `multistart`.
 
     Attributes
@@ -302,7 +302,7 @@ class _Search:
             try:
                 for starts in (range(0, n, 2), range(1, n, 2)):
                     if not self.pool.interrupted:
-                        done = self.pool.run(
+                        done = self.pool.map(
                             coarse, starts, lambda start: show(_task_result(start).objective)
                         )
                         endings += [_task_result(start) for start in done]
@@ -321,7 +321,7 @@ class _Search:
             if not batch:
                 break
             with _progress_meter("refinements", len(batch), self.progress, self.problem.sense) as show:
-                done = self.pool.run(refining, batch, lambda minimum: show(_task_result(minimum).objective))
+                done = self.pool.map(refining, batch, lambda minimum: show(_task_result(minimum).objective))
             answers = {id(minimum.item): _task_result(minimum) for minimum in done}
             finer += [answers.get(id(minimum), minimum) for minimum in batch]
         return [*finer, *waiting]
@@ -333,13 +333,13 @@ def _find_phase_durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
-def _problem_for_workers(problem: Problem | Builder) -> Shared[Problem]:
+def _problem_for_workers(problem: Problem | Builder) -> SharedObject[Problem]:
     """Return the problem for all workers; for other processes only as a function that builds it."""
-    from gnc_opt.workers import Shared
+    from gnc_opt.workers import SharedObject
 
     if isinstance(problem, Problem):
         remedy = 'give a function that builds it, e.g. functools.partial(build, case=2), or executor="serial"'
-        return Shared(problem, f"problem '{problem.name}', which holds symbols,", remedy)
+        return SharedObject(problem, f"problem '{problem.name}', which holds symbols,", remedy)
     if not callable(problem):
         raise ArgumentError(
             "the argument of multistart() must be a Problem or a function that returns one, not of type "
@@ -347,18 +347,18 @@ def _problem_for_workers(problem: Problem | Builder) -> Shared[Problem]:
         )
     remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
     builder = partial(_build_problem, problem)
-    return Shared(builder(), "the function that builds the problem", remedy, builder)
+    return SharedObject(builder(), "the function that builds the problem", remedy, builder)
 
 
 def _build_problem(builder: Builder) -> Problem:
     return expect(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
 
 
-def _task_result(done: Done[Item, Answer]) -> Answer:
-    from gnc_opt.workers import WorkerDied
+def _task_result(done: TaskResult[Item, Answer]) -> Answer:
+    from gnc_opt.workers import WorkerDiedError
 
     error = done.error
-    if isinstance(error, WorkerDied):
+    if isinstance(error, WorkerDiedError):
         raise GncOptError(
             "a process of multistart() has died, possibly out of memory: use a coarser mesh, or "
             'executor="serial".'

@@ -23,7 +23,7 @@ from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.point_families import GAUSS, Scheme
 from gnc_opt.renamed import StatusWord
 from gnc_opt.runtime_environment import one_thread
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 
 Family: TypeAlias = Callable[[float], Problem]
 
@@ -49,7 +49,7 @@ class ContinuationStatus(StatusWord):
 
 
 @dataclass(frozen=True, eq=False)
-class Continuation(Printed):
+class Continuation(PrintableResult):
     """Family of solutions along a parameter.
 
     Attributes

@@ -20,7 +20,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.runtime_environment import one_thread
-from gnc_opt.text_formatting import Printed
+from gnc_opt.text_formatting import PrintableResult
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -36,7 +36,7 @@ MISTAKES = (NameError, AttributeError, TypeError, ImportError)
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep(Printed):
+class Sweep(PrintableResult):
     """Solutions on a parameter grid.
 
     Attributes
@@ -173,7 +173,7 @@ def sweep(
     >>> print(np.round(swept.objective, 4))
     [2. 4.]
     """
-    from gnc_opt.workers import Shared, WorkerDied, WorkerPool
+    from gnc_opt.workers import SharedObject, WorkerDiedError, WorkerPool
 
     if not callable(problem_of):
         raise ArgumentError("sweep() needs a function: write sweep(build, {...}), build returns a problem.")
@@ -186,7 +186,7 @@ def sweep(
                 f"output '{name}' of sweep() is {quote(output)}: give a function of a solution."
             )
     line = _Line(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
-    shared = Shared.picklable(
+    shared = SharedObject.from_picklable(
         _Functions(problem_of, dict(named)),
         "the family of problems, or an output,",
         'define them with def at the top of a module, or use executor="serial"',
@@ -196,12 +196,12 @@ def sweep(
     found = {name: np.full(shape, np.nan) for name in named}
     starts = list(itertools.product(*list(axes.values())[:-1]))
     with WorkerPool(shared, executor, "sweep()") as pool:
-        done = pool.run(line, list(enumerate(starts)), lambda _: None)
+        done = pool.map(line, list(enumerate(starts)), lambda _: None)
         interrupted = pool.interrupted
     for finished in done:
         row, error = finished.item[0], finished.error
         line_of = {name: array.reshape(-1, shape[-1])[row] for name, array in found.items()}
-        if isinstance(error, WorkerDied):
+        if isinstance(error, WorkerDiedError):
             endings.reshape(-1, shape[-1])[row] = str(error)
             continue
         if error is not None:

@@ -123,7 +123,6 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
 
 
 def _find_zero_without_crossing(s: PhaseSamples) -> str:
-    """Return where a switching function touches zero along a bang arc, or ""."""
     times, channels = find_inner_switches(s)
     worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.at_control_bounds, axis=0)

@@ -36,7 +36,7 @@ MIN_TIME_CONSTANT_S = 1e-12
 
 
 @dataclass(frozen=True)
-class _Following(Block):
+class _InitializedActuator(Block):
     """Actuator whose initial output is ``initial``; see `Lag`."""
 
     initial: ArrayLike | None = field(default=None, kw_only=True)
@@ -58,7 +58,7 @@ class _Following(Block):
 
 
 @dataclass(frozen=True)
-class Lag(_Following):
+class Lag(_InitializedActuator):
     r"""First-order lag :math:`\tau \dot y = u - y` with initial output ``initial`` and time constant ``tau`` (s).
 
     The solution is exact for constant inputs. After another lag the input is its mean over the minor step.
@@ -92,7 +92,7 @@ class Lag(_Following):
 
 
 @dataclass(frozen=True)
-class RateLimit(_Following):
+class RateLimit(_InitializedActuator):
     """Rate limit: the output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
 
     The output is constant over a minor step and equals the exact mean.
@@ -126,7 +126,7 @@ class RateLimit(_Following):
 
 
 @dataclass(frozen=True)
-class Delay(_Following):
+class Delay(_InitializedActuator):
     """Time delay of a command or sample by ``delay`` (s), at most ``maximum`` (default: ``delay``).
 
     The output is constant over a minor step and equals the exact mean; samples of sensors are interpolated linearly.

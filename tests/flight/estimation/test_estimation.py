@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.internals import (
-    Regression,
+    SigmaRegression,
     cholesky_semidefinite,
     euclidean_space,
     solve_lower_left,
@@ -344,7 +344,7 @@ def test_what_directions_leave_is_added_up():
     """x0^2 of n errors with variances 0.3: beyond the slope its variance is 2 (0.3)^2."""
     for n in (1, 2, 5):
         x, P = ca.SX.sym("x", n), ca.SX.sym("P", n, n)
-        mean, _, left = Regression().fit_linear_model(
+        mean, _, left = SigmaRegression().fit_linear_model(
             lambda s: s[0] ** 2, euclidean_space(n), euclidean_space(1), x, P
         )
         found = ca.Function("f", [x, P], [mean, left])(0.7, 0.3 * np.eye(n))

@@ -115,7 +115,7 @@ def test_runs_report_estimates_and_innovations(right, tmp_path):
     assert found.innovations["q"].average == pytest.approx(sum_of_squares / 60, rel=1e-9)
     assert run.controller_state("q_hat").values[0, -1] == pytest.approx(z[0])
     again = Run.load(run.save(tmp_path / "run.npz"))
-    assert again.followed.names == ("q", "v") and consistency(again, right).average == found.average
+    assert again.reference_layout.names == ("q", "v") and consistency(again, right).average == found.average
 
 
 def test_campaigns_keep_what_estimators_reported(right, campaign, tmp_path):

@@ -14,7 +14,7 @@ import gnc_opt as go
 from gnc_opt.control import Reference, bryson, design_lqr, design_tvlqr, export_c
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import design_neighbouring_optimal
-from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
+from gnc_opt.guidance.bang_bang_plan import PlanPrediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.guidance.neighbouring_bang_bang import _refine_prediction, find_neighbouring_optimum
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Lag, Normal, Saturation
 
@@ -43,7 +43,7 @@ def test_an_arc_of_moving_dynamics():
     t, x, y, u = model.time, model.state("x"), model.state("y"), model.control("u")
     model.ode({x: t**3 * u, y: x})
     plan = SimpleNamespace(times=np.zeros(1), reference=SimpleNamespace(model=model))
-    arc = Prediction(plan, RegulatedEnd(0.0, 0.0), 40)._arc_propagation_function
+    arc = PlanPrediction(plan, RegulatedEnd(0.0, 0.0), 40)._arc_propagation_function
     for begin, length in ((0.5, 1.5), (2.0, -1.5)):
         end = begin + length
         speed = 1 + 2 * (end**4 - begin**4) / 4
@@ -140,11 +140,13 @@ def test_times_move_as_those_of_the_problem_solved_again(swinging):
 def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
     plan = SwitchingPlan.from_solution(swinging)
     for ending in (RegulatedEnd(0.0, 0.0), RegulatedEnd(1.5, 0.2)):
-        prediction = Prediction(plan, ending, 32)
+        prediction = PlanPrediction(plan, ending, 32)
         best = find_neighbouring_optimum(prediction)
-        back = prediction.reference(0.0, best.tau).full()[:, 0]
-        assert back == pytest.approx(plan.initial, abs=2e-5)
-        assert prediction.reference(best.tau[-1] + 1, best.tau).full()[:, 0] == pytest.approx(plan.final)
+        back = prediction.planned_state_function(0.0, best.tau).full()[:, 0]
+        assert back == pytest.approx(plan.initial_state, abs=2e-5)
+        assert prediction.planned_state_function(best.tau[-1] + 1, best.tau).full()[:, 0] == pytest.approx(
+            plan.final_state
+        )
     assert best.tau[-1] > plan.times[-1] + 0.1  # a reserve costs time
     assert best.curvature > 0.01
 
@@ -322,7 +324,7 @@ def by_hand(psi, tau0, cost=0.0):
         reference=SimpleNamespace(model=model),
         times=np.asarray(tau0, float),
         initial_time=0.0,
-        initial=np.zeros(1),
+        initial_state=np.zeros(1),
     )
     return SimpleNamespace(
         plan=plan,

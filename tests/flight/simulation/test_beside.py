@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import Places, estimate_integration_errors
+from testing.internals import ColumnLayout, estimate_integration_errors
 from testing.models import dynamics
 
 import gnc_opt as go
@@ -100,7 +100,7 @@ def test_quanta_that_turn_are_in_the_printed_error() -> None:
         for n in (5, 36)
     )
     P, seeds = np.tile(coarse.nominal[:, None], 200), list(range(200))
-    ending, truth = coarse.final(P, seeds), fine.final(P, seeds).states
+    ending, truth = coarse.final_values(P, seeds), fine.final_values(P, seeds).states
     wrong = np.max(np.abs(ending.states - truth) / np.maximum(1.0, np.abs(truth)), axis=0)
     assert np.all(wrong < ending.integration_error)
     turned = wrong > 1e-6
@@ -111,7 +111,7 @@ def test_quanta_that_turn_are_in_the_printed_error() -> None:
 
 def test_distances_are_relative_and_infinite_where_the_companion_is_lost() -> None:
     """Columns are x (2,), whether an event has ended the run, when, and the rates there (2,)."""
-    places = Places((("plant", 2), ("stop", 1), ("stop time", 1), ("stop rate", 2)))
+    places = ColumnLayout((("plant", 2), ("stop", 1), ("stop time", 1), ("stop rate", 2)))
     one = np.array([[10.0, 0.1, 0, 0], [10.0, 0.1, 1, 1.0], [1.0, 1.0, 0, 0], [np.nan, 1.0, 0, 0]])
     two = np.array([[10.0, 0.3, 0, 9.0], [12.0, 0.2, 1, 1.5], [np.nan, 1.0, 0, 0], [1.0, 1.0, 0, 0]])
     rates = np.array([[0.0, 0.0], [4.0, 0.1], [0.0, 0.0], [0.0, 0.0]])

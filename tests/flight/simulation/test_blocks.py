@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Tick, Wave, effect_matrix, link_blocks, pseudo_inverse
+from testing.internals import Tick, Wave, link_blocks, pseudo_inverse, read_effect_matrix
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.simulation import (
@@ -177,10 +177,10 @@ def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
         (lambda: Allocation("b", EYE).check(3, H, DT), "allocates 2 components, but gets 3"),
         (lambda: Mixer("b", EYE).check(3, H, DT), "mixes 2 outputs, but gets 3"),
         (lambda: Mixer("b", EYE, {"f": 3}).outputs({}, {}), "2 rows for 3 components"),
-        (lambda: effect_matrix([1.0, 2.0], (), "it"), "shape"),
-        (lambda: effect_matrix([[1.0, np.nan]], (), "it"), "finite"),
-        (lambda: effect_matrix(EYE, (2,), "it"), "no actuator 2: it has 0 to 1"),
-        (lambda: effect_matrix(EYE, (-1,), "it"), "no actuator -1"),
+        (lambda: read_effect_matrix([1.0, 2.0], (), "it"), "shape"),
+        (lambda: read_effect_matrix([[1.0, np.nan]], (), "it"), "finite"),
+        (lambda: read_effect_matrix(EYE, (2,), "it"), "no actuator 2: it has 0 to 1"),
+        (lambda: read_effect_matrix(EYE, (-1,), "it"), "no actuator -1"),
         (lambda: pseudo_inverse([[1.0], [2.0]]), "1 actuators span 1 of 2 directions"),
         (lambda: thruster_effects(np.zeros((3, 2)), np.zeros((3, 2))), "zero length"),
         (lambda: thruster_effects(np.zeros((3, 2)), np.ones((3, 1))), r"give \(3, n\)"),

@@ -181,8 +181,8 @@ def test_final_has_the_bits_of_the_run_also_after_pickling():
     P = np.tile(flight.nominal[:, None], 4)
     P[flight.layout.slice("plant.m")] = [[0.9, 1.0, 1.1, 1.2]]
     seeds = [[5, i] for i in range(4)]
-    ending = flight.final(P, seeds)
-    other = pickle.loads(pickle.dumps(flight)).final(P, seeds)
+    ending = flight.final_values(P, seeds)
+    other = pickle.loads(pickle.dumps(flight)).final_values(P, seeds)
     assert np.array_equal(ending.states, other.states)
     for i in range(4):
         run = flight.run(P[:, i], seeds[i])
@@ -231,7 +231,7 @@ def test_a_measurement_that_is_no_number_is_named_with_its_time():
     flight = loop.compile([1.0, 0.0, 0.0, 0.0], tf=3.0)
     P = np.tile(flight.nominal[:, None], 3)
     P[flight.layout.slice("blind.begin")] = [[9.0, 0.5, np.nan]]
-    statuses = [o.status for o in flight.final(P, [0, 1, 2]).outcomes]
+    statuses = [o.status for o in flight.final_values(P, [0, 1, 2]).outcomes]
     assert statuses == [RunStatus.OK, RunStatus.NOT_FINITE, RunStatus.INVALID_PARAMETERS]
 
 

@@ -97,7 +97,7 @@ def test_accuracy_is_not_asked_of_the_instant_of_a_soft_touchdown() -> None:
     loop = ClosedLoop(model, law, events=[event], dt=0.1)
     start = [1.0, -np.sqrt(2.0) * (1 + 1e-13)]
     flight = loop.compile(start, tf=2.0)
-    ending = flight.final(flight.nominal[:, None], [0])
+    ending = flight.final_values(flight.nominal[:, None], [0])
     assert flight.substeps == 1 and ending.outcomes[0].ok and ending.outcomes[0].what == "touchdown"
     late = abs(ending.outcomes[0].time - (np.sqrt(2) * (1 + 1e-13) - np.sqrt(4e-13)))
     assert max(late, 1e-9) < ending.integration_error[0] < 1e-6
@@ -112,6 +112,6 @@ def test_coming_to_rest_is_checked_by_the_states_that_go_on() -> None:
     law = go.feedforward(go.Reference.constant(model, [0.0, 0.0, 1.0, 1000.0], [0.0]))
     rest = Event("rest", h, "falling", reset={h: 0.0, w: 0.0, air: 0.0})
     flight = ClosedLoop(model, law, events=[rest], dt=0.1).compile([0.0, 0.0, 1.0, 1000.0], tf=0.5)
-    ending = flight.final(flight.nominal[:, None], [0])
+    ending = flight.final_values(flight.nominal[:, None], [0])
     assert flight.substeps == 1 and ending.outcomes[0].ok and ending.states[:3, 0].tolist() == [0.0, 0.0, 0.0]
     assert ending.state_error[0] < 1e-13

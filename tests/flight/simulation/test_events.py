@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import Taken, Watch
+from testing.internals import EventWatch, IntegrationStep
 from testing.loops import feedback, scheduled
 
 from gnc_opt.control import Reference, feedforward
@@ -504,11 +504,11 @@ def test_a_row_is_armed_once_it_has_been_above_zero(above):
         rows=lambda t, y, slope, p: (ca.SX([y]), ca.SX([slope])), undefined_events=lambda *_: ca.SX(0)
     )
     rows.__len__.return_value = 1
-    watch = Watch(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0, 1e-9)
+    watch = EventWatch(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0, 1e-9)
     seen = []
     for y0, y1 in ((-1.0, -0.5), (-0.5, 0.0), (0.0, above), (above, -above), (-above, -1.0)):
         slope = y1 - y0
-        watch(Taken(0, 1.0, 0.0, y0, y1, [slope, slope]))
+        watch(IntegrationStep(0, 1.0, 0.0, y0, y1, [slope, slope]))
         seen.append([int(float(v)) for v in (watch.armed, watch.found)])
     assert seen == [[0, 0], [0, 0], [1, 0], [1, 1], [1, 1]]
     assert (float(watch.first), float(watch.last)) == (3.0, 4.0)

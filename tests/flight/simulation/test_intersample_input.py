@@ -58,7 +58,7 @@ def test_the_printed_error_is_that_of_the_end_where_errors_grow(options):
     plant.ode({x: 4 * x + u})
     loop = ClosedLoop(plant, feedback(plant, [[0.0]]), dt=0.5, **options)
     flight = loop.compile([0.5 * np.exp(-16.0)], tf=4.0)
-    ending = flight.final(flight.nominal[:, None], [0])
+    ending = flight.final_values(flight.nominal[:, None], [0])
     assert 1.0 < ending.integration_error[0] / abs(ending.states[0, 0] - 0.5) < 1.4
 
 

@@ -46,7 +46,7 @@ def test_legs_change_no_bit(monkeypatch, whole, leg):
     assert all(np.array_equal(getattr(run, name), getattr(whole, name)) for name in ARRAYS)
     assert np.array_equal(run.effort, whole.effort) and run.integration_error == whole.integration_error
     flight = loop().compile([1.0, 0.0], tf=23.7)
-    ending = flight.final(np.tile(flight.nominal[:, None], 2), [5, 6])
+    ending = flight.final_values(np.tile(flight.nominal[:, None], 2), [5, 6])
     assert np.array_equal(ending.states[:, 0], whole.states[:, -1])
     assert np.array_equal(ending.states[:, 1], loop().simulate([1.0, 0.0], tf=23.7, seed=6).states[:, -1])
 

@@ -49,9 +49,9 @@ def test_what_can_be_dispersed_in_order_with_units_defaults_and_ranges():
         ("plant.m", 1, "kg"), ("initial.q", 2, "m"), ("initial.v", 2, "m/s"), ("lag.tau", 2, "s"),
         ("cut.lower", 2, "N"), ("cut.upper", 2, "N"), ("gyro.bias", 2, "m/s"), ("gust.sigma", 2, "N"),
     ]  # fmt: skip
-    assert loop.defaults[5:].tolist() == [0.2, 0.2, -1, -1, 2, 3, 0.1, 0.2, 0.5, 0.5]
-    assert loop.defaults[0] == 1.0 and np.isnan(loop.defaults[1:5]).all()
-    lower, upper = loop.ranges
+    assert loop.default_parameters[5:].tolist() == [0.2, 0.2, -1, -1, 2, 3, 0.1, 0.2, 0.5, 0.5]
+    assert loop.default_parameters[0] == 1.0 and np.isnan(loop.default_parameters[1:5]).all()
+    lower, upper = loop.parameter_ranges
     assert lower.tolist() == [-np.inf] * 5 + [0, 0] + [-np.inf] * 6 + [0, 0]
     assert upper.tolist() == [np.inf] * 15
     assert [(link.block.name, step) for link, step in loop.wiring.link_step_lengths] == [
@@ -65,7 +65,7 @@ def test_values_of_a_run_by_name_or_all_at_once():
     assert column[:7].tolist() == [9, 1, 2, 5, 5, 0.3, 0.4]
     assert loop.parameters({"v": [3.0, 4.0], "q": 1.0})[1:5].tolist() == [1, 1, 3, 4]
     assert loop.parameters({"v": 3.0, "q": 1.0}, {"initial.q": 7.0})[1:5].tolist() == [7, 7, 3, 3]
-    assert np.isnan(loop.defaults[1])
+    assert np.isnan(loop.default_parameters[1])
     for x0, changes, message in (
         ([1.0, 2.0], None, "initial state of a run"),
         (None, None, "initial state of a run lacks 'q', 'v'"),
@@ -125,7 +125,7 @@ def test_hardly_more_steps_are_taken_than_the_accuracy_needs(accuracy):
         return loop.compile([1.0, 0.0], tf=3.0)
 
     def error(flight):
-        return float(flight.final(flight.nominal[:, None], [0]).integration_error[0])
+        return float(flight.final_values(flight.nominal[:, None], [0]).integration_error[0])
 
     chosen, spared = flight().substeps, accuracy / 10  # for dispersed runs
     assert error(flight(chosen)) <= spared
@@ -205,11 +205,11 @@ def test_runs_are_flown_only_within_the_ranges_of_their_parameters():
     assert flight.invalid_parameter_message(P) == "'lag.tau[1]' is -0.5, outside [0, inf]"
     with pytest.raises(ArgumentError, match=r"cannot be simulated: 'lag\.tau\[1\]'"):
         flight.run(P, 0)
-    both = flight.final(np.column_stack([P, flight.nominal]), [0, 1])
+    both = flight.final_values(np.column_stack([P, flight.nominal]), [0, 1])
     assert [o.status for o in both.outcomes] == [RunStatus.INVALID_PARAMETERS, RunStatus.OK]
     assert np.isnan(both.states[:, 0]).all() and np.isfinite(both.states[:, 1]).all()
     with pytest.raises(ArgumentError, match=r"parameters of 2 runs have the shape \(15, 1\): give \(15, 2\)"):
-        flight.final(P[:, None], [0, 1])
+        flight.final_values(P[:, None], [0, 1])
     assert flight.n_steps == 1 and flight.minor_steps == 4
 
 

@@ -54,7 +54,7 @@ def flown(through: float | None = None, weight: float = 1) -> CompiledLoop:
 
 def bits(flight: CompiledLoop) -> list[bytes]:
     P = flight.nominal[:, None] * np.array([1.0, 1.01, np.nan])
-    ending = flight.final(P, [1, 2, 3])
+    ending = flight.final_values(P, [1, 2, 3])
     return [
         np.asarray(v).tobytes()
         for v in (ending.states, ending.memory, ending.effort, ending.variation, ending.errors)
@@ -191,7 +191,7 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     monkeypatch.setattr(
         StepExecutor, "_propagate_interpreted", lambda *a: interpreted.append(len(a[2])) or interpret(*a)
     )
-    quick.final(flight.nominal[:, None], [1])
+    quick.final_values(flight.nominal[:, None], [1])
     at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)
     assert set(interpreted) == {1} and 2 * max(3, at_limit) <= len(interpreted) < 120
 
@@ -202,7 +202,7 @@ def _refuse(*_: Any) -> None:
 
 @needs_compiler
 def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    library = module.build_step_library(flown(weight=2)._step_executors[0].step)
+    library = module.build_step_library(flown(weight=2)._step_executors[0].step_without_log)
     monkeypatch.setattr(flight_module, "build_step_library", lambda _: library)
     assert library and flown().with_machine_code(2).libraries == ("", "")
 

@@ -71,7 +71,7 @@ def test_the_error_of_a_long_orbit_is_not_printed_too_small(eccentricity, revolu
     start = [1 - eccentricity, 0, 0, np.sqrt((1 + eccentricity) / (1 - eccentricity))]
     loop = ClosedLoop(model, coasting, dt=2 * np.pi / 50, accuracy=1e-6)
     flight = loop.compile(start, tf=2 * np.pi * revolutions)
-    ending = flight.final(flight.nominal[:, None], [0])
+    ending = flight.final_values(flight.nominal[:, None], [0])
     apart = float(np.max(np.abs(ending.states[:, 0] - start)))
     assert ending.outcomes[0].ok
     assert apart <= ending.integration_error[0] <= 1e-6

@@ -34,7 +34,7 @@ from gnc_opt.planning.problem.guess.random_guess import (
     with_random_guess,
 )
 from gnc_opt.planning.study.multistart import Refining, _Coarse, _task_result
-from gnc_opt.workers.pool import Done, WorkerDied
+from gnc_opt.workers.pool import TaskResult, WorkerDiedError
 from problems import rendezvous
 
 WEIGHT = 0.02
@@ -376,7 +376,7 @@ def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
 
 def test_a_dead_worker_is_reported() -> None:
     with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
-        _task_result(Done(0, None, WorkerDied()))
+        _task_result(TaskResult(0, None, WorkerDiedError()))
 
 
 def _dies_elsewhere(home: int) -> go.Problem:

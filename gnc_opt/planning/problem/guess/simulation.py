@@ -13,7 +13,7 @@ from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.function_evaluation import make_buffered_call
-from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
+from gnc_opt.model.integration import CallLimit, Integration, LimitError, OdeError, Rate, Tolerance, integrate
 from gnc_opt.model.variables import as_expression, as_vector
 from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import (
@@ -124,10 +124,10 @@ def guess_from_simulation(
     sizes = nonzero_magnitude(np.maximum(np.abs(start), np.abs(guess_boundary_states(leg)[1])))
     try:
         flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
-    except EndedError as error:
+    except OdeError as error:
         raise ProblemError(
             f"the simulation of {leg.label} by guess_from_simulation() failed ({error}): change the law"
-            f"{_SMOOTHER if isinstance(error, SpentError) else ''}, the initial state or the duration."
+            f"{_SMOOTHER if isinstance(error, LimitError) else ''}, the initial state or the duration."
         ) from None
     end = float(flight.times[-1])
     if stop is not None and end >= tf:
@@ -155,10 +155,10 @@ def _integrate_guess(
     """Integrate with an explicit method, or an implicit one for stiff dynamics."""
     labels = leg.model.states.labels
     try:
-        explicit, budget = Tolerance(RTOL, sizes), Budget(labels, MOST_EXPLICIT)
+        explicit, budget = Tolerance(RTOL, sizes), CallLimit(labels, MOST_EXPLICIT)
         return integrate(rate, start, times, tolerance=explicit, budget=budget, stop=stop, dense=True)
-    except SpentError:
-        implicit, budget = Tolerance(STIFF_RTOL, sizes, stiff=True), Budget(labels, MOST_IMPLICIT)
+    except LimitError:
+        implicit, budget = (Tolerance(STIFF_RTOL, sizes, stiff=True), CallLimit(labels, MOST_IMPLICIT))
         return integrate(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, ProblemError, did_you_mean
-from gnc_opt.model.tabular_data import read_columns
+from gnc_opt.model.tabular_data import read_csv_columns
 from gnc_opt.planning.problem.problem import Problem
 
 
@@ -58,7 +58,7 @@ def guess_from_data(
     expect(problem, Problem, "the argument of guess_from_data()", "write guess_from_data(problem, data)")
     leg = problem.get_phase(phase)
     labels = [label for variable in leg.guessable_names.values() for label in variable.labels]
-    columns: Any = read_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data
+    columns: Any = read_csv_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data
     if not hasattr(columns, "keys"):
         raise ArgumentError(
             f"the data of guess_from_data() is a {type(data).__name__}: give a mapping from names to arrays, a "

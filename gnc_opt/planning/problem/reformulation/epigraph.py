@@ -103,7 +103,7 @@ def find_integral_signs(problem: Statement, leg: Phase) -> dict[str, int]:
 
 def _table_node_hashes(problem: Statement, leg: Phase) -> frozenset[int]:
     return frozenset[int]().union(
-        *(use.hashes for use in list_table_calls(problem, problem.phases[leg.name]))
+        *(use.node_hashes for use in list_table_calls(problem, problem.phases[leg.name]))
     )
 
 

@@ -102,7 +102,7 @@ def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Inter
 
 def _split_path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
-    lengths = {v.length for v in leg.vector_controls}
+    lengths = {v.length_path for v in leg.vector_controls}
     for name, c in leg.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
             yield label, c.expression[i], c.interval.component(i)
@@ -214,7 +214,7 @@ class NormForm(PhaseForm):
         text = f"{shown} is replaced by {' * '.join(parts)}{_removed_limits_text(found.labels)}"
         return cls(
             old.in_controls(controls, list(_build_composed_controls(old, names, control, product)), express),
-            {**paths, **{v.length: leg.paths[v.length] for v in leg.vector_controls}},
+            {**paths, **{v.length_path: leg.paths[v.length_path] for v in leg.vector_controls}},
             {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(old, vector, product, ca.vertcat(*values), (text,)),
             names,

@@ -133,7 +133,7 @@ class _Refinement:
         self._tol, self._limits = tol, limits
         self._options = options or SolverOptions(tolerance=min(SOLVER_MAX_TOLERANCE, SOLVER_SHARE * tol))
         self._asked = options is not None
-        self._records: list[RefinementIteration] = []
+        self._tabular_data: list[RefinementIteration] = []
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._begin = time.perf_counter()
@@ -141,7 +141,7 @@ class _Refinement:
         self._best, self._chosen = self._state, 0
 
     def refine_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
-        show(self._records[-1])
+        show(self._tabular_data[-1])
         for _ in range(self._limits.passes):
             if time.perf_counter() > self._limits.deadline:
                 return self.classify_failed_solve(Status.INTERRUPTED)
@@ -153,7 +153,7 @@ class _Refinement:
             meshes, actions = plan
             self._past = {name: index_segments(e) for name, e in self._state.errors.items()}
             status = self._solve_on_meshes(meshes, actions)
-            show(self._records[-1])
+            show(self._tabular_data[-1])
             if status is Status.ITERATION_LIMIT and self._limits.are_exhausted(self._spent_work):
                 return self._classify_ending(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
@@ -163,7 +163,7 @@ class _Refinement:
     @property
     def _spent_work(self) -> float:
         """Work of all passes except the first, which was given."""
-        return sum(record.work for record in self._records[1:])
+        return sum(record.work for record in self._tabular_data[1:])
 
     def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes and the changes, or the final status.
@@ -206,7 +206,7 @@ class _Refinement:
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
         seconds = time.perf_counter() - self._begin
-        history = History(status, self._tol, tuple(self._records), self._chosen, message, seconds)
+        history = History(status, self._tol, tuple(self._tabular_data), self._chosen, message, seconds)
         return self._best.solution, history
 
     def classify_failed_solve(self, status: Status) -> RefinementStatus:
@@ -225,7 +225,7 @@ class _Refinement:
         """Return whether the meshes are unchanged, or both the largest error and the sum of all decrease too slowly."""
         if meshes == self._state.record.meshes:
             return True
-        errors = [r.error for r in self._records]
+        errors = [r.error for r in self._tabular_data]
         return all(is_stagnating(values, self._tol) for values in (errors, self._totals))
 
     def _solve_on_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
@@ -242,7 +242,7 @@ class _Refinement:
         )
         self._state = self._evaluate_solution(solution, begin, actions)
         if self._is_better(self._state, self._best):
-            self._best, self._chosen = self._state, len(self._records) - 1
+            self._best, self._chosen = self._state, len(self._tabular_data) - 1
         return solution.status
 
     def _choose_warm_options(self) -> SolverOptions:
@@ -260,7 +260,7 @@ class _Refinement:
     def _evaluate_solution(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
         errors = estimate_errors(solution)
         record = record_iteration(solution, errors, begin, actions)
-        self._records.append(record)
+        self._tabular_data.append(record)
         state = _MeshSolution(solution, errors, record)
         self._totals.append(state.total_error)
         return state
