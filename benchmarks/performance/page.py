@@ -61,17 +61,17 @@ class Benchmark:
 
 
 def _closed_loop(results: Any) -> Cells:
-    yield "plain loop by SciPy (s per run)", f"{results['plain_s_per_run']:.2f}"
+    yield "loop in Python with SciPy (s per run)", f"{results['plain_s_per_run']:.2f}"
     yield "campaign (s per run)", f"{results['campaign_s_per_run']:.4f}"
-    yield "times as fast", f"{results['speed_up']:.0f}"
-    yield "times as fast, with design and building", f"{results['speed_up_built']:.0f}"
+    yield "speed-up", f"{results['speed_up']:.0f}"
+    yield "speed-up with design and building", f"{results['speed_up_built']:.0f}"
     for law, rate in results["runs_per_s"].items():
         yield f"{law} (runs per s, one processor)", f"{rate:.0f}"
     for name, ratio in results.get("filtered_over_plain", {}).items():
-        yield f"TVLQR behind the {name}, times as long as without", f"{ratio:.1f}"
-    yield "states at the end apart by", _error(results["apart"])
+        yield f"TVLQR with {name}: time relative to TVLQR", f"{ratio:.1f}"
+    yield "difference of the final states", _error(results["apart"])
     yield "runs within all limits", f"{100 * results['pass_rate']:.1f} %"
-    yield "same bits on all processors", "yes" if results["same_bits"] else "no"
+    yield "identical on any number of processes", "yes" if results["same_bits"] else "no"
 
 
 def _error(value: float | None) -> str:
@@ -84,16 +84,16 @@ _CERTIFIED: Columns = {
     "refine (s)": lambda row: f"{row['mean_s']['refine']:.2f}",
     "verify (s)": lambda row: f"{row['mean_s']['verify']:.2f}",
     "all (s)": lambda row: f"{row['mean_s']['all']:.2f}",
-    "off the references (s)": lambda row: _error(row["largest_error"]),
+    "error (s)": lambda row: _error(row["largest_error"]),
     "minima": lambda row: f"{row['minima']} of {len(row['cases'])}",
 }
 _RESOLVE: Columns = {
-    "start moved by": lambda row: f"{100 * row['size']:g} %",
+    "initial state moved by": lambda row: f"{100 * row['size']:g} %",
     "runs": lambda row: str(row["runs"]),
     "median (ms)": lambda row: f"{row['median_ms']:.0f}",
     "99 % (ms)": lambda row: f"{row['p99_ms']:.0f}",
     "longest (ms)": lambda row: f"{row['max_ms']:.0f}",
-    "off the answer from the start": lambda row: _error(row["largest_difference"]),
+    "difference to a cold start": lambda row: _error(row["largest_difference"]),
     "another minimum": lambda row: f"{row['other_minima']} of {row['compared']}",
 }
 _SCALE: Columns = {
@@ -104,7 +104,7 @@ _SCALE: Columns = {
         f"{row['per_segment_ms']:.2f}" if row.get("per_segment_ms") is not None else ""
     ),
     "functions' share": lambda row: f"{100 * row['functions']:.0f} %",
-    "most memory (MB)": lambda row: f"{row['memory_mb']:.0f}",
+    "largest memory (MB)": lambda row: f"{row['memory_mb']:.0f}",
 }
 
 
@@ -121,10 +121,10 @@ BENCHMARKS = {
     "certified": _by_columns(_CERTIFIED, "--runs", "7"),
     "resolve": _by_columns(_RESOLVE, "--runs", "1000"),
     "scale": _by_columns(_SCALE),
-    "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous followed by TVLQR", ""), _closed_loop),
+    "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous tracked by a TVLQR", ""), _closed_loop),
     "profile": Benchmark(
         (),
-        ("program", *(f"right to {accuracy:g}" for accuracy in profile.ACCURACIES)),
+        ("program", *(f"error below {accuracy:g}" for accuracy in profile.ACCURACIES)),
         profile.table,
         needs="--environments DIR",
     ),

@@ -16,8 +16,8 @@ from problems.rendezvous_tracking.control import CONTROLLERS, RESERVE, SHOWN, Tr
 from problems.rendezvous_tracking.guidance import Filtered, Guided, Measured
 from problems.rendezvous_tracking.replanning import PLANNED, Replanned
 
-COSTLY = ("MPC", "planned again, filtered")
-"""A run of the MPC solves some 480 quadratic programmes, one that is planned again four problems."""
+COSTLY = ("MPC", "re-planned, filtered")
+"""A run of the MPC solves some 480 quadratic programmes, one that is re-planned four problems."""
 COSTLY_RUNS = 100
 DEMANDED = 0.99
 """Pass rate of the controllers with feedback."""
@@ -39,7 +39,7 @@ def methods(case: int, tracking: Tracking) -> dict[str, Callable[[], Tracking]]:
         "TVLQR, EKF": lambda: Filtered(tracking.solution),
         "guided": lambda: Guided(plan(case, 1.0)),
         "guided, filtered": lambda: Measured(plan(case, 1.0)),
-        "planned again, filtered": lambda: Replanned(plan(case, PLANNED, refined=False), case),
+        "re-planned, filtered": lambda: Replanned(plan(case, PLANNED, refined=False), case),
     }
 
 

@@ -120,7 +120,7 @@ class Replanned(Measured):
         """The regulator about the first plan."""
         return follower(self.reference)
 
-    def controller(self, name: str = "planned again") -> control.Controller:
+    def controller(self, name: str = "re-planned") -> control.Controller:
         """Return the regulator fed by the filter."""
         return output_feedback(self.follower, self.filter)
 

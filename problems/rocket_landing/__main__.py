@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.print(f"limits: {results}")
     if options.json is not None:
         write(options.json, campaigns)
-    rate = campaigns["planned again"].pass_rate().rate
+    rate = campaigns["re-planned"].pass_rate().rate
     if rate < DEMANDED:
         console.print(f"the plan made again lands {rate:.1%} within all limits; {DEMANDED:.0%} are demanded.")
     return int(rate < DEMANDED)

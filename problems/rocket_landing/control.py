@@ -132,7 +132,7 @@ DISPERSIONS: dict[str, Dispersion] = {
     "mass gauge.bias": simulation.Normal(0.005 * 1905.0),
 }
 
-CONTROLLERS = ("as planned", "planned again", "ZEM/ZEV")
+CONTROLLERS = ("as planned", "re-planned", "ZEM/ZEV")
 
 
 @cache
@@ -189,7 +189,7 @@ class Landing:
                 simulation.Event("crash", height, "falling", where=downward > HARD, failure=True),
                 simulation.Event("empty", lander.symbol("mass") - EMPTY, "falling", failure=True),
             ],
-            replanner=again if name == "planned again" else None,
+            replanner=again if name == "re-planned" else None,
             dt=DT,
             accuracy=1e-6,
             substeps=2,

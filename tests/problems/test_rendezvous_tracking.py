@@ -101,7 +101,7 @@ def test_a_filter_guides_by_range_and_bearing(measured, filtered, measured_runs)
 def test_planned_again_it_arrives_within_all_limits():
     """A run makes four plans, none fails, and the last ends after the least time and before the reserved plan."""
     again = Replanned(resolver(1).solution)
-    campaign = again.simulate_campaign("planned again", 1, SEED, executor="serial")
+    campaign = again.simulate_campaign("re-planned", 1, SEED, executor="serial")
     assert campaign.passed().all() and campaign.event_totals == {"too close": 0}
     assert np.all(campaign.measure("replans") == 4) and np.all(campaign.measure("failed replans") == 0)
     arrivals = again.arrivals(campaign)

@@ -26,7 +26,7 @@ def landing() -> Landing:
 
 @pytest.fixture(scope="module")
 def campaigns(landing):
-    runs = {"as planned": 2, "planned again": 2, "ZEM/ZEV": 2}
+    runs = {"as planned": 2, "re-planned": 2, "ZEM/ZEV": 2}
     return {name: landing.simulate_campaign(name, n, SEED, executor="serial") for name, n in runs.items()}
 
 
@@ -62,14 +62,14 @@ def test_every_law_lands_within_its_limits(campaigns):
         assert campaign.state("r")[0] == pytest.approx(
             np.zeros(len(campaign)), abs=1e-9
         )  # on the ground, not below
-    again = campaigns["planned again"]
+    again = campaigns["re-planned"]
     assert np.all(again.replans[0] >= 13) and np.all(again.replans[1] == 0)
     assert np.all(campaigns["as planned"].replans == 0)
 
 
 def test_plans_are_those_from_where_the_lander_is(landing, campaigns):
     """Each begins there to the errors of sensors and of a prediction without wind and regulator."""
-    run = campaigns["planned again"].rerun(0)
+    run = campaigns["re-planned"].rerun(0)
     states = run.layouts["state"]
     for replan in run.replans[1:]:  # during the first the regulator still turns the lander onto its way
         k = round(replan.effective / DT)
@@ -100,7 +100,7 @@ def test_the_command_prints_its_table(campaigns, landing, monkeypatch, capsys, t
     monkeypatch.setattr(Landing, "simulate_campaign", lambda self, name, *rest, **more: campaigns[name])
     assert main(["--runs", "1", "--json", str(tmp_path / "out.json")]) == 0
     text = capsys.readouterr().out
-    assert "239.51 kg" in text and "planned again" in text and (tmp_path / "out.json").exists()
+    assert "239.51 kg" in text and "re-planned" in text and (tmp_path / "out.json").exists()
     monkeypatch.setattr(table, "DEMANDED", 1.01)
     assert main([]) == 1 and "are demanded" in capsys.readouterr().out
 
