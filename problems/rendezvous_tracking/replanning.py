@@ -84,7 +84,7 @@ def follower(reference: control.Reference) -> control.Controller:
     return control.with_dropout_handling(
         control.Controller(
             name="follower",
-            step=control.law(t, x, row, z, u, row[18]),
+            step=control.law_function(t, x, row, z, u, row[18]),
             start=control.initial_state_function(t, x, row, row[18]),
             states=reference.model.states,
             commands=reference.model.controls,

@@ -93,7 +93,7 @@ def _controller(
     return control.with_dropout_handling(
         control.Controller(
             name=name,
-            step=control.law(t, x, row, z, u, z),
+            step=control.law_function(t, x, row, z, u, z),
             start=control.initial_state_function(t, x, row, z),
             states=model.states,
             commands=model.controls,
