@@ -14,7 +14,8 @@ Let :math:`\lambda = \partial J / \partial x` be the costates of the minimised f
 d is the first-order effect of the defects and of the difference between the integrals and the program's quadrature Q; o
 that of limits exceeded between the points; g the decrease of H (with path constraints, mu of the correct sign) by other
 controls: exact if H is affine in a control, else by one projected Newton step. The estimate is
-:math:`A = \sum (|d| + o + |g|)`; errors cancel within a segment only. J is stationary in free times and breakpoints.
+:math:`A = \sum (|d| + o + |g|)`; errors cancel within a segment only, decreases of H by three quarters at most (beside
+a switch, the polynomial is beyond its bounds). J is stationary in free times and breakpoints.
 
 To first order this is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001).
 It is an estimate, not a bound.
@@ -46,7 +47,7 @@ class PhaseObjectiveError:
     exceeded : array (K,)
         Effect o >= 0 of limits exceeded between the points.
     suboptimal : array (K,)
-        Decrease g of H by other controls; negative if a control beyond its bounds would have to return.
+        Magnitude of the change g of H by other controls.
     """
 
     defects: Array
@@ -56,7 +57,7 @@ class PhaseObjectiveError:
     @property
     def segments(self) -> Array:
         """|d| + o + |g| of each segment (K,)."""
-        return np.abs(self.defects) + self.exceeded + np.abs(self.suboptimal)
+        return np.abs(self.defects) + self.exceeded + self.suboptimal
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ class ObjectiveError:
     def suboptimal(self) -> float:
         """Sum of |g|: contribution of the controls to A."""
         return _replace_nan_by_infinity(
-            float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values()))
+            float(sum(np.sum(phase.suboptimal) for phase in self.phases.values()))
         )
 
 
@@ -122,9 +123,8 @@ def _marginal_defect_costs(s: PhaseSamples) -> Array:
         )
         total = total + exact - _collocation_quadratures(leg, s)
     inner = leg.breaks[1:-1]
-    if inner.size:
-        jumps = leg.x(inner, "left") - leg.x(inner, "right")
-        total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
+    jumps = leg.x(inner, "left") - leg.x(inner, "right")
+    total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
     return total
 
 
@@ -165,7 +165,7 @@ def _weigh_violations(s: PhaseSamples, values: Array, bounds: Interval, multipli
 
 
 def _compute_control_gains(s: PhaseSamples) -> Array:
-    """Return g of each segment (K,)."""
+    """Return |g| of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)
     bounds = s.leg.path_bounds  # interpolated multipliers may have the wrong sign between the points
@@ -179,7 +179,10 @@ def _compute_control_gains(s: PhaseSamples) -> Array:
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1, initial=0.0))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
-    return _segment_integrals(s, np.sum(_maximise_quadratic_gain(slope, curvature, lower, upper), axis=0))
+    gains = _maximise_quadratic_gain(slope, curvature, lower, upper)
+    net = _segment_integrals(s, np.sum(gains, axis=0))
+    positive = _segment_integrals(s, np.sum(np.maximum(gains, 0.0), axis=0))
+    return np.maximum(np.abs(net), 0.25 * positive)
 
 
 def _maximise_quadratic_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:

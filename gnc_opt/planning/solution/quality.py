@@ -269,8 +269,7 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
         samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
     )
     errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
-    if inner.size:
-        errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
+    errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
     i, k = find_worst_index(errors)
     return Worst(float(errors[i, k]), samples.describe_segment(k, leg.states.labels[i]))
 

@@ -280,13 +280,9 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
     unit = s.control_span / np.sqrt(s.control_gain)
     inside = _mask_interior_controls(s)
     some, whole = undetermined_controls(s, inside, unit, tolerance)
-    singular = some & (loss <= tolerance) & (np.abs(_hamiltonian_curvature(s)) <= tolerance)
+    curvature = np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_gain)[:, None]
+    singular = some & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
     return mask_interior_controls(s.times, singular), inside & whole
-
-
-def _hamiltonian_curvature(s: PhaseSamples) -> Array:
-    """Return the second derivative of H in each control over its range, relative to the scale of H, (m, n_samples)."""
-    return np.asarray(np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_gain)[:, None])
 
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:

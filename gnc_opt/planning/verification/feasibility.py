@@ -102,7 +102,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
     worst = Worst(float(shares[k]), s.describe_segment(k, what))
     weighted = s.segment_integrals(np.sum(s.lam * residual, axis=0))
-    if s.has_duration and worst.value <= tolerance and np.all(np.isfinite(weighted)):
+    if s.has_duration and np.all(np.isfinite(weighted)):
         ends = leg.lam(leg.breaks[1:], "left")
         weighted[held] = np.sum(ends * total, axis=0)[held]
         price = np.abs(np.cumsum(weighted)) / scales.cost

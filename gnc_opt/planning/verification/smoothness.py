@@ -102,8 +102,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
     """Return a kink at which the cost decreases to both sides, or None.
 
     It evaluates ends, times, integrals and parameters, and states of phases on one of their kinks: second differences
-    of the Lagrangian that are proportional to the step. differences of the Lagrangian that are proportional to the
-    step.
+    of the Lagrangian that are proportional to the step.
     """
     found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
     share = _largest_cost_decrease_at_kink(found[0], found[1], scales.cost)

@@ -95,6 +95,25 @@ def test_error_is_estimated(problem: Callable[[], go.Problem], exact: float, mes
     assert found.relative == pytest.approx(found.value / solution.objective)
 
 
+def fishing() -> go.Problem:
+    """Lotka-Volterra fishing (Sager 2005): full effort, then a singular arc; least deviation 1.3440812."""
+    model, x, y, _u = dynamics(
+        "fish", "x y", "u", lambda x, y, u: {x: x * (1.0 - y - 0.4 * u), y: y * (x - 1.0 - 0.2 * u)}
+    )
+    problem, leg = one_phase("fishing", model, initial=0.0, final=12.0)
+    leg.initial(x=0.5, y=0.7)
+    leg.bounds(u=(0.0, 1.0))
+    problem.minimize(leg.integral((x - 1.0) ** 2 + (y - 1.0) ** 2))
+    return problem
+
+
+def test_gains_within_bounds_and_losses_beyond_them_do_not_cancel() -> None:
+    """The control polynomial of a segment with a switch inside has a net gain of an eighth of the true error."""
+    solution = go.solve(fishing(), mesh="60x4", tol=None)
+    error = abs(solution.objective - 1.3440812)
+    assert error / 2 <= solution.objective_error.value <= 2 * error
+
+
 def ramp(excess: float) -> go.Solution:
     """From 0 to 1 in 1 s by u = 1 + excess (1 - 2 t), exact along its path, with the costate -1 of the optimum."""
     model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})

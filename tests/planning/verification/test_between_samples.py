@@ -12,8 +12,8 @@ from testing.models import one_phase
 import gnc_opt as go
 
 
-def judged(gust: Any = None, spike: Any = None, limit: Any = None, upper: float = 0.5) -> go.Verdict:
-    """Rest to rest over 1 m in 1 s with the least effort, as 41 samples; each narrow thing is a function of (t, q)."""
+def cart(gust: Any = None, spike: Any = None, limit: Any = None, upper: float = 0.5) -> go.Problem:
+    """Rest to rest over 1 m in 1 s with the least effort; each narrow thing is a function of (t, q)."""
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a + (0.0 if gust is None else gust(model.time, q))})
@@ -23,8 +23,13 @@ def judged(gust: Any = None, spike: Any = None, limit: Any = None, upper: float 
     if limit is not None:
         leg.path("limit", limit(model.time, q), upper=upper)
     problem.minimize(leg.integral(a**2 + (0.0 if spike is None else spike(model.time, q))))
+    return problem
+
+
+def judged(**narrow: Any) -> go.Verdict:
+    """Check 41 samples of the optimum."""
     t = np.linspace(0.0, 1.0, 41)
-    return go.verify_trajectory(problem, t, [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2], 6 - 12 * t)
+    return go.verify_trajectory(cart(**narrow), t, [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2], 6 - 12 * t)
 
 
 def bell(at: float) -> Any:
@@ -103,3 +108,29 @@ def test_states_between_samples_are_no_defect(factor: float) -> None:
     states = {f"x{k}": path.deriv(k)(times) if k else path(times) for k in range(4)}
     verdict = go.verify_trajectory(problem, times, states, {"u": factor * path.deriv(4)(times)})
     assert verdict.minimum if factor == 1.0 else verdict.failed
+
+
+def with_error_of_area(error: np.ndarray) -> go.ConditionResult:
+    """The dynamics condition of the optimum with the area below q as a third state, which has an error (n,)."""
+    model = go.Model("cart")
+    q, v, area, a = model.state("q"), model.state("v"), model.state("area"), model.control("a")
+    model.ode({q: v, v: a, area: q})
+    problem, leg = one_phase("area", model, 0.0, 1.0)
+    leg.initial(q=0.0, v=0.0, area=0.0)
+    leg.final(q=1.0, v=0.0)
+    problem.minimize(leg.integral(a**2))
+    t = np.linspace(0.0, 1.0, error.size)
+    x = [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2, t**3 - t**4 / 2 + error]
+    return go.verify_trajectory(problem, t, x, 6 - 12 * t)["dynamics"].result
+
+
+def test_a_defect_that_denser_samples_remove_does_not_fail() -> None:
+    """A wave of the area, as between the nodes of a mesh."""
+    waves = [5e-6 * np.sin(16 * np.pi * np.linspace(0.0, 1.0, n)) for n in (81, 161, 641)]
+    assert [with_error_of_area(w).value for w in waves] == ["INCONCLUSIVE", "INCONCLUSIVE", "PASS"]
+
+
+@pytest.mark.parametrize("n", [81, 161, 641])
+def test_a_sample_that_is_off_fails_at_any_density(n: int) -> None:
+    error = np.where(np.arange(n) == n // 4 * 2, 5e-6, 0.0)
+    assert with_error_of_area(error) is go.ConditionResult.FAIL

@@ -217,7 +217,7 @@ def test_mistakes_are_named(change: dict[str, Any], says: str) -> None:
 
 
 def test_missing_parameters_and_phases_are_named() -> None:
-    with pytest.raises(go.ProblemError, match=r"\['k'\] are missing"):
+    with pytest.raises(go.ProblemError, match=r"free parameter 'k'.* is missing"):
         go.verify_trajectory(design_problem(), *smooth())
     with pytest.raises(go.ProblemError, match="there are several"):
         go.verify_trajectory(interior_point.build(), *smooth())
