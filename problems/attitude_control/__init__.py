@@ -13,9 +13,9 @@ from problems.attitude_control.control import (
     LAWS,
     LIMITS,
     START,
-    campaign,
     controller,
     estimator,
     loop,
+    simulate_campaign,
 )
 from problems.attitude_control.model import MANOEUVRE, MAX_MOMENTUM, MAX_TORQUE, TARGET, build, plant, slew

@@ -11,7 +11,7 @@ from gnc_opt.analysis import consistency
 from gnc_opt.simulation import Campaign
 from problems._campaign_table import kept_in, parser, table, write
 from problems._example import wide_console
-from problems.attitude_control.control import LAWS, LIMITS, campaign, estimator
+from problems.attitude_control.control import LAWS, LIMITS, estimator, simulate_campaign
 from problems.attitude_control.model import slew
 
 DEMANDED = 0.99
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = wide_console(_WIDTH)
     console.print(f"slew of least energy: {slew().objective:.6f} N^2 m^2 s; seed {options.seed}")
     campaigns = {
-        name: campaign(
+        name: simulate_campaign(
             LAWS[0] if name == WITHOUT else name,
             options.runs,
             options.seed,

@@ -183,7 +183,9 @@ def loop(name: str, *, bias: bool = True) -> simulation.ClosedLoop:
     )
 
 
-def campaign(name: str, runs: int, seed: int, *, bias: bool = True, **options: Any) -> simulation.Campaign:
+def simulate_campaign(
+    name: str, runs: int, seed: int, *, bias: bool = True, **options: Any
+) -> simulation.Campaign:
     """Simulate one of `LAWS`; the same seed gives all the same spacecraft and gaps; options as of `monte_carlo`."""
     return simulation.monte_carlo(
         loop(name, bias=bias),

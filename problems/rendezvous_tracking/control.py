@@ -203,7 +203,7 @@ class Tracking:
             accuracy=ACCURACY,
         )
 
-    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> simulation.Campaign:
+    def simulate_campaign(self, name: str, runs: int, seed: int, **options: Any) -> simulation.Campaign:
         """Simulate one of `CONTROLLERS`; the same seed gives all the same plants; options as of `monte_carlo`."""
         return simulation.monte_carlo(
             self.loop(self.controller(name)),

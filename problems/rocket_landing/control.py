@@ -195,7 +195,7 @@ class Landing:
             substeps=2,
         )
 
-    def campaign(self, name: str, runs: int, seed: int, **options: Any) -> simulation.Campaign:
+    def simulate_campaign(self, name: str, runs: int, seed: int, **options: Any) -> simulation.Campaign:
         """Simulate one of `CONTROLLERS`; the same seed gives all the same landers; options as of `monte_carlo`."""
         return simulation.monte_carlo(
             self.loop(name),

@@ -19,8 +19,8 @@ from problems.attitude_control import (
     MAX_TORQUE,
     START,
     TARGET,
-    campaign,
     loop,
+    simulate_campaign,
     slew,
 )
 from problems.attitude_control import __main__ as table
@@ -44,7 +44,7 @@ SEED = 3
 @pytest.fixture(scope="module")
 def campaigns() -> dict[str, Campaign]:
     return {
-        name: campaign(name, runs, SEED, executor="serial")
+        name: simulate_campaign(name, runs, SEED, executor="serial")
         for name, runs in (("least energy", 3), ("FLC", 1))
     }
 
