@@ -8,7 +8,7 @@ from gnc_opt.plot.motion_view import View
 from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.run import plot_run
 from gnc_opt.plot.style import save_figure
-from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_states
+from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_path_constraints, plot_states
 
 __all__ = [
     "View",
@@ -19,6 +19,7 @@ __all__ = [
     "plot_envelope",
     "plot_hamiltonian",
     "plot_motion",
+    "plot_path_constraints",
     "plot_refinement",
     "plot_response",
     "plot_run",

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -16,7 +15,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.plot.style import QUIET, line_style, variable_name_text
 from gnc_opt.text_formatting import derivative_unit
-from gnc_opt.tolerances import ROUNDING, nonzero_magnitude
+from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
 """Line style of bounds."""
@@ -44,6 +43,13 @@ def hamiltonian_unit(solution: Solution) -> str:
     return "" if unit in ("", time) else derivative_unit(unit, time)
 
 
+def hamiltonian_terms_size(solution: Solution, leg: PhaseSolution) -> float:
+    """Return the largest sum of the magnitudes of the terms lambda_i dx_i/dt along a phase."""
+    t = leg.point_times
+    terms = leg.lam(t) * solution.functions(leg.name).rates(t, leg.x(t), leg.u(t))
+    return float(np.max(np.sum(np.abs(terms), axis=0)))
+
+
 def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
     """Draw the rows of ``values`` (n_components, n_times), each in its style; existing labels are not repeated."""
     known = set(ax.get_legend_handles_labels()[1])
@@ -58,30 +64,25 @@ def set_minimum_y_range(ax: Axes, least: float) -> None:
         ax.set_ylim(low - least, high + least)
 
 
-def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
-    """Set the time range to all phases, with a dotted line between phases and rounding drawn as zero."""
+def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution], negligible: float = ROUNDING) -> None:
+    """Set the time range to all phases, with dotted lines between them; ``negligible`` values look like zero."""
     heights = (np.abs(np.asarray(line.get_ydata(), dtype=float)) for line in ax.lines)
     reach = max((float(np.nanmax(y, initial=0.0)) for y in heights), default=0.0)
-    set_minimum_y_range(ax, ROUNDING * float(nonzero_magnitude(reach)))
+    set_minimum_y_range(ax, NEGLIGIBLE * reach if reach > negligible else 1.0)
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
 
 
 def label_time_axes(figure: Figure, unit: str) -> None:
-    """Add a time label to the lowest axes of each column."""
-    columns: dict[int, list[Axes]] = {}
+    """Add a time label to the axes of the last row."""
     for ax in figure.axes:
-        columns.setdefault(ax.get_subplotspec().colspan.start, []).append(ax)
-    for column in columns.values():
-        column[-1].set_xlabel(f"time ({unit})")
-        column[-1].tick_params(labelbottom=True)
-        figure.align_ylabels(column)
+        if ax.get_subplotspec().is_last_row():
+            ax.set_xlabel(f"time ({unit})")
+    figure.align_ylabels()
 
 
-def sample_densely(
-    function: Callable[..., Any], breaks: Array, per_piece: int = 24, gaps: bool = False
-) -> tuple[Array, Array]:
+def sample_densely(function: Callable[..., Any], breaks: Array, per_piece: int = 24) -> tuple[Array, Array]:
     """Return dense samples of ``function(t, side=...)`` between breaks, with both one-sided limits at the breaks.
 
     Parameters
@@ -90,8 +91,6 @@ def sample_densely(
         Returns (n, n_times), or (n_times,) for a scalar quantity.
     breaks : array (K + 1,)
         Times of possible jumps, s.
-    gaps : bool
-        Whether to separate the pieces by NaN.
 
     Returns
     -------
@@ -103,9 +102,6 @@ def sample_densely(
     left = np.atleast_2d(function(times[:, -1], side="left"))
     n, pieces = right.shape[0], times.shape[0]
     values = np.concatenate([right.reshape(n, pieces, -1), left.reshape(n, pieces, 1)], axis=2)
-    if gaps:
-        times = np.concatenate([times, times[:, -1:]], axis=1)
-        values = np.concatenate([values, np.full((n, pieces, 1), np.nan)], axis=2)
     return times.ravel(), values.reshape(n, -1)
 
 
@@ -130,10 +126,3 @@ def find_zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Arr
     t, values = t[clear], values[clear]
     k = np.flatnonzero(values[:-1] * values[1:] < 0)
     return np.asarray(t[k] - values[k] * (t[k + 1] - t[k]) / (values[k + 1] - values[k]))
-
-
-def data_range(values: ArrayLike) -> tuple[float, float]:
-    """Return smallest and largest finite value; (0, 0) if there is none."""
-    finite = np.asarray(values, dtype=float)
-    finite = finite[np.isfinite(finite)]
-    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)

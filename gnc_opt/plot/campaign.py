@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
@@ -20,32 +19,19 @@ from gnc_opt.plot.style import (
     legend_above,
     legend_on_top,
     line_style,
+    new_axes_rows,
     new_figure,
     variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
 
-_PASSED: dict[str, Any] = {
-    "color": COLORS[0],
-    "marker": "o",
-    "markersize": 3,
-    "linestyle": "none",
-    "alpha": 0.6,
-    "markeredgewidth": 0,
-}
-_FAILED: dict[str, Any] = {
-    "color": COLORS[1],
-    "marker": "x",
-    "markersize": 4,
-    "linestyle": "none",
-    "markeredgewidth": 1.0,
-    "alpha": 0.8,
-}
-_LIMIT: dict[str, Any] = {"color": "black", "linestyle": "--", "linewidth": 1.2}
-_CURVE: dict[str, Any] = {"color": COLORS[0], "linewidth": 1.5}
+_PASSED: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3, "linestyle": "none"}
+_FAILED: dict[str, Any] = {"color": COLORS[1], "marker": "x", "markersize": 4, "linestyle": "none"}
+_LIMIT: dict[str, Any] = {"label": "limit", "color": "black", "linestyle": "--", "linewidth": 1.2}
+_CURVE: dict[str, Any] = {"label": "share of runs below the value", "color": COLORS[0], "linewidth": 1.5}
 _PERCENTILE: dict[str, Any] = {"color": COLORS[1], "marker": "o", "markersize": 4, "linewidth": 1.6}
-_BARS: dict[str, Any] = {"color": COLORS[5], "rwidth": 0.92}
+_PERCENTILE["label"] = ", ".join(f"{100 * p:g}" for p in LEVELS) + " % percentiles, 95 % intervals"
 
 _FAR = 3.0
 """Limits farther out than this multiple of the largest value (or of the range) do not extend the axes."""
@@ -77,48 +63,34 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     if errors.shape[0] < 2:
         raise ArgumentError(f"the error of '{name}' has only one component: use plot_distributions().")
     others = range(1, min(errors.shape[0], 3))
-    passed = campaign.passed()
-    limit = campaign.limits.get(name)
+    passed, limit = campaign.passed(), campaign.limits.get(name, 0.0)
+    unit = campaign.layouts["error"][name].unit
     finite = np.all(np.isfinite(errors), axis=0)
-    reach = 1.1 * max(float(np.max(np.abs(errors[:, finite]), initial=0.0)), np.finfo(float).tiny)
-    drawn = limit is not None and limit <= _FAR * reach
-    if limit is not None and drawn:
-        reach = max(reach, 1.1 * limit)
+    reach = float(np.max(np.abs(errors[:, finite]), initial=np.finfo(float).tiny))
+    reach = 1.1 * (limit if reach < limit < _FAR * reach else reach)
+    groups = [(passed, _PASSED | {"label": f"{_format_run_count(np.sum(passed))} within all limits"})]
+    if not np.all(passed):
+        lost = f"{np.sum(~passed)} not, {np.sum(~finite)} of them without an end"
+        groups.append((~passed, _FAILED | {"label": lost}))
     with apply_style():
-        figure = new_figure(3.7)
-        unit = campaign.layouts["error"][name].unit
-        for ax, other in zip(figure.subplots(1, len(others), squeeze=False)[0], others, strict=True):
-            for chosen, look in ((passed, _PASSED), (~passed, _FAILED)):
+        figure, axes = new_axes_rows([len(others)], 3.1, share_x=False)
+        for ax, other in zip(axes, others, strict=True):
+            for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
-            if drawn:
-                ax.add_patch(Circle((0, 0), limit, fill=False, **_LIMIT))
+            if limit:
+                label = f"limit {limit:.3g} {unit}".rstrip()
+                ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": label})))
             ax.set_xlabel(axis_label(f"error of {variable_name_text(f'{name}[0]')}", unit))
             ax.set_ylabel(axis_label(f"error of {variable_name_text(f'{name}[{other}]')}", unit))
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_locator(MaxNLocator(5, symmetric=True))
-        legend_on_top(figure, _dispersion_legend_handles(campaign, name, passed, finite, drawn))
+        legend_on_top(figure, axes)
     return figure
 
 
-def _dispersion_legend_handles(
-    campaign: Campaign, name: str, passed: Any, finite: Any, drawn: bool
-) -> list[Any]:
-    within = " within all limits" if campaign.limits else ""
-    handles = [Line2D([], [], label=f"{_format_run_count(np.sum(passed))}{within}", **_PASSED)]
-    if not np.all(passed):
-        unseen = int(np.sum(~finite))
-        beyond = f" ({unseen} without an end)" if unseen else ""
-        handles.append(Line2D([], [], label=f"{_format_run_count(np.sum(~passed))} not{beyond}", **_FAILED))
-    if name in campaign.limits:
-        unit = campaign.layouts["error"][name].unit
-        text = f"limit {campaign.limits[name]:.3g} {unit}".rstrip()
-        handles.append(Line2D([], [], label=text if drawn else f"{text}, far outside", **_LIMIT))
-    return handles
-
-
 def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -> Figure:
-    """Return a figure of the distribution of measures: a histogram and the empirical distribution of each.
+    """Return a figure of the empirical distribution of measures: the share of runs below each value.
 
     Percentiles are marked with bars for their confidence intervals.
 
@@ -138,39 +110,15 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     if not chosen:
         raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
     with apply_style():
-        figure = new_figure(0.5 + 2.0 * len(chosen))
-        axes = figure.subplots(len(chosen), 2, squeeze=False)
-        for (left, right), name in zip(axes, chosen, strict=True):
+        figure, axes = new_axes_rows([1] * len(chosen), 2.1, share_x=False)
+        for ax, name in zip(axes, chosen, strict=True):
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
-            _draw_histogram(left, finite)
-            _draw_distribution(right, campaign, name, finite)
-            for ax in (left, right):
-                _draw_limit(ax, campaign.limits.get(name), finite)
-                ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
-                ax.xaxis.set_major_locator(MaxNLocator(5))
-        handles = [
-            Line2D([], [], label="share of runs below the value", **_CURVE),
-            Line2D(
-                [],
-                [],
-                label=", ".join(f"{100 * p:g}" for p in LEVELS) + " % percentiles, 95 % intervals",
-                **_PERCENTILE,
-            ),
-        ]
-        if any(name in campaign.limits for name in chosen):
-            handles.append(Line2D([], [], label="limit", **_LIMIT))
-        legend_on_top(figure, handles)
+            _draw_distribution(ax, campaign, name, finite)
+            _draw_limit(ax, campaign.limits.get(name), finite)
+            ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
+        legend_on_top(figure, axes)
     return figure
-
-
-def _draw_histogram(ax: Axes, finite: Any) -> None:
-    if finite.size and finite[-1] > finite[0]:
-        ax.hist(finite, bins=int(np.clip(np.sqrt(finite.size), 8, 40)), **_BARS)
-    elif finite.size:
-        ax.plot(finite[[0, 0]], [0, finite.size], color=COLORS[5], linewidth=4)
-    ax.set_ylabel("runs")
-    ax.yaxis.set_major_locator(MaxNLocator(4, integer=True))
 
 
 def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> None:
@@ -181,7 +129,7 @@ def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> 
         found = campaign.percentile(name, level)
         if np.isfinite(found.value):
             ends = np.clip([found.low, found.high], finite[0], finite[-1])
-            ax.plot(ends, [level, level], zorder=3, **(_PERCENTILE | {"marker": "|", "markersize": 6}))
+            ax.plot(ends, [level, level], zorder=3, color=COLORS[1], marker="|", markersize=6)
             ax.plot(found.value, level, zorder=4, **_PERCENTILE)
     ax.set_ylim(-0.03, 1.05)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))

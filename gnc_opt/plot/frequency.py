@@ -6,7 +6,6 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
 from gnc_opt.analysis.loop_response import LoopResponse
@@ -63,10 +62,10 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
         figure = new_figure(*size)
         draw(figure, response, response.commands.labels[0] if command is None else command)
         if kind != "margins" and response.times.size > 1:
-            handles = [
-                Line2D([], [], label=f"{t:g} s", **line_style(i)) for i, t in enumerate(response.times)
-            ]
-            legend_on_top(figure, handles)
+            lines = figure.axes[0].get_lines()
+            for line, t in zip(lines, response.times, strict=False):
+                line.set_label(f"{t:g} s")
+            legend_on_top(figure, figure.axes[:1])
     return figure
 
 

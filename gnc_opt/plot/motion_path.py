@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from gnc_opt.arrays import Array
 from gnc_opt.plot.motion_view import (
@@ -27,13 +27,16 @@ from gnc_opt.plot.style import (
     QUIET,
     apply_style,
     axis_label,
+    figure_width,
     legend_on_top,
-    new_figure,
     variable_name_text,
 )
 
 PATH_SAMPLES = 400
 """Number of points of a path."""
+
+MOTION_MAX_WIDTH, MOTION_MAX_HEIGHT = 7.0, 3.4
+"""Largest width of the figure, and height of the frame in it, inches."""
 
 KILOMETRES_FROM = 1e5
 """Extent (m) from which axes count kilometres."""
@@ -67,15 +70,13 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
     extent = np.hstack([path.position, *(place[:, None] for place in bodies.values())])
     size = AXIS * float(np.max(np.ptp(extent, axis=1))) or 1.0
     with apply_style():
-        figure = new_figure(5.2)
+        figure = Figure(figsize=2 * [min(figure_width(), MOTION_MAX_WIDTH)])
         width, depth = np.ptp(extent[:2], axis=1)
         azimuth = -62 if width >= depth else -28  # the longer axis runs across the figure
-        ax = figure.add_subplot(projection="3d", computed_zorder=False, elev=18, azim=azimuth)
-        ax.plot(*path.position, color=COLORS[0], zorder=4)
-        handles = [Line2D([], [], color=COLORS[0], label="path")]
+        ax = figure.add_axes((0, 0, 1, 1), projection="3d", computed_zorder=False, elev=18, azim=azimuth)
+        ax.plot(*path.position, color=COLORS[0], zorder=4, label="path")
         for point, marker, label in ((path.position[:, 0], "o", "start"), (path.position[:, -1], "s", "end")):
-            ax.plot(*point[:, None], marker, color=COLORS[0], markersize=5, zorder=6)
-            handles.append(Line2D([], [], color=COLORS[0], marker=marker, linestyle="none", label=label))
+            ax.plot(*point[:, None], marker, color=COLORS[0], markersize=5, zorder=6, label=label)
         drawn = [extent]
         for k in range(few.times.size):
             if few.dcm_BL is None:
@@ -83,25 +84,40 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             else:
                 drawn.append(_draw_box(ax, few.position[:, k], few.dcm_BL[:, :, k], size, COLORS[0]))
         for i, (name, place) in enumerate(bodies.items(), 1):
-            drawn.append(_draw_box(ax, place, np.eye(3), size, COLORS[i % len(COLORS)]))
-            handles.append(Line2D([], [], color=COLORS[i % len(COLORS)], linewidth=6, alpha=0.4, label=name))
+            drawn.append(_draw_box(ax, place, np.eye(3), size, COLORS[i % len(COLORS)], label=name))
         for name in view.keep_out:
             surface = ellipsoid_points(*view.volume(name))
-            ax.plot_wireframe(*surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2)
+            ax.plot_wireframe(
+                *surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2, label=name
+            )
             drawn.append(surface.reshape(3, -1))
-            handles.append(Line2D([], [], color=QUIET, linewidth=0.8, label=name))
         _set_equal_scales(ax, np.hstack(drawn), path, view.down)
-        legend_on_top(figure, handles)
+        _fill_figure(figure, ax)
+        legend_on_top(figure, [ax])
     return figure
 
 
-def _draw_box(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str) -> Array:
+def _fill_figure(figure: Figure, ax: Any) -> None:
+    """Magnify the axes until the frame fills the width or `MOTION_MAX_HEIGHT`; cut the figure to its height."""
+    corners = np.array(list(itertools.product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim()))).T
+    shown = ax.transData.transform(np.transpose(proj_transform(*corners, ax.get_proj())[:2])) / figure.dpi
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    side = figure.get_figwidth()
+    factor = float(np.min(np.array([side - 1.9, MOTION_MAX_HEIGHT]) / (high - low)))
+    size = np.array([side, factor * (high - low)[1] + 1.5])
+    corner = 0.5 * size - factor * 0.5 * (low + high)
+    figure.set_size_inches(*size)
+    ax.set_position((*(corner / size), *(factor * side / size)))
+
+
+def _draw_box(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str, label: str = "") -> Array:
     """Draw a vehicle as a box along its axes, the rows of ``dcm_BL``; return the corners (3, 8)."""
     edges = size * np.array(VEHICLE_HALF_EDGES)
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * edges
     points = corners @ dcm_BL + centre
     faces = [points[list(face)] for face in _BOX_FACES]
-    shown = Poly3DCollection(faces, facecolor=color, edgecolor=color, linewidth=0.6, alpha=0.2, zorder=3)
+    look: dict[str, Any] = {"facecolor": color, "edgecolor": color, "linewidth": 0.6, "alpha": 0.2}
+    shown = Poly3DCollection(faces, zorder=3, label=label, **look)
     ax.add_collection3d(shown)
     return np.asarray(points.T)
 
@@ -119,7 +135,7 @@ def _set_equal_scales(ax: Any, points: Array, path: MotionSamples, down: bool) -
     ax.set_ylim(*((high[1], low[1]) if down else (low[1], high[1])))
     ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))
     largest = float(np.max(high - low))
-    ax.set_box_aspect(high - low, zoom=1.15)
+    ax.set_box_aspect(high - low)
     if not path.labels[1] and not np.any(points[1]):
         ax.set_proj_type("ortho")
         ax.view_init(0, -90)

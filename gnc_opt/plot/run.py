@@ -15,7 +15,7 @@ from gnc_opt.plot.style import (
     axis_label,
     legend_above,
     line_style,
-    new_figure,
+    new_axes_rows,
     variable_name_text,
 )
 from gnc_opt.simulation.run import LoggedSignal, Run
@@ -58,8 +58,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
     with apply_style():
-        figure = new_figure(1.2 + 1.6 * len(names))
-        axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        figure, axes = new_axes_rows([1] * len(names), 1.7)
         for ax, name in zip(axes, names, strict=True):
             signal = signal_of(name)
             if kind == "states":

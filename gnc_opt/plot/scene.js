@@ -90,14 +90,15 @@
   const axis = (i) => ({ title: title(data.labels[i]), range: range(i, data.down && i > 0), gridcolor: colour("--line"),
     zerolinecolor: colour("--line"), showbackground: false, showspikes: false, showticklabels: data.moves && data.labels[i] !== "", nticks: extents[i] < 0.3 * longest ? 2 : 6 });
   const extents = data.high.map((v, i) => v - data.low[i]), longest = Math.max(...extents);
-  const away = Math.max(1, 1.2 * stage.clientHeight / stage.clientWidth); // narrow windows show less of the width
+  const wide = Math.max(1, 1.2 * stage.clientHeight / stage.clientWidth); // narrow windows show less of the width
+  const away = 0.7 * wide * Math.hypot(...extents) / longest;
   const layout = () => ({
     margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "one",
     font: { color: colour("--ink"), family: "system-ui, sans-serif", size: 12 },
     legend: { orientation: "h", x: 0, y: 0, yanchor: "top" },
     scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual", uirevision: "one",
       aspectratio: { x: extents[0] / longest, y: extents[1] / longest, z: extents[2] / longest },
-      camera: { eye: { x: 0.75 * away, y: -1.25 * away, z: 0.45 * away } } },
+      camera: { center: { x: 0, y: 0, z: -0.07 }, eye: { x: 0.75 * away, y: -1.25 * away, z: 0.45 * away } } },
   });
   const first = moving.map((_, i) => still.length + i);
   const inked = (trace) => JSON.parse(JSON.stringify(trace).replaceAll('"ink"', JSON.stringify(colour("--ink"))));

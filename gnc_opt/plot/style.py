@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -29,20 +30,15 @@ _STYLE: dict[str, Any] = {
     "font.family": "STIXGeneral",
     "mathtext.fontset": "stix",
     "font.size": 11,
-    "axes.labelsize": 11,
     "axes.titlesize": 11,
-    "legend.fontsize": 11,
     "xtick.labelsize": 10,
     "ytick.labelsize": 10,
-    "axes.linewidth": 0.8,
-    "lines.linewidth": 1.5,
     "axes.grid": True,
     "grid.color": "#dddddd",
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-5, 5),
-    "axes.unicode_minus": True,
     "xtick.direction": "in",
     "ytick.direction": "in",
     "legend.frameon": False,
@@ -52,6 +48,9 @@ _STYLE: dict[str, Any] = {
 }
 
 
+_NARROW: ContextVar[bool] = ContextVar("narrow figures", default=False)
+
+
 @contextmanager
 def apply_style() -> Iterator[None]:
     """Apply the style inside a ``with`` block; settings outside are left alone."""
@@ -59,9 +58,39 @@ def apply_style() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float, width: float = 9.0) -> Figure:
+@contextmanager
+def narrow_figures() -> Iterator[None]:
+    """Inside a ``with`` block, draw figures for narrow screens: half as wide, with all axes in one column."""
+    earlier = _NARROW.set(True)
+    try:
+        yield
+    finally:
+        _NARROW.reset(earlier)
+
+
+def figure_width() -> float:
+    """Return the width of figures in inches."""
+    return 4.6 if _NARROW.get() else 9.0
+
+
+def new_figure(height: float, width: float | None = None) -> Figure:
     """Return an empty figure of the given size in inches; it belongs to no window."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width or figure_width(), height), layout="constrained")
+
+
+def new_axes_rows(
+    counts: Sequence[int], row_height: float, *, share_x: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its axes in reading order, with one or two axes per row; one in narrow figures."""
+    counts = [1] * sum(counts) if _NARROW.get() else counts
+    axes: list[Axes] = []
+    figure = new_figure(0.6 + row_height * len(counts))
+    grid = figure.add_gridspec(len(counts), 2)
+    for row, count in enumerate(counts):
+        for place in (grid[row, :],) if count == 1 else (grid[row, 0], grid[row, 1]):
+            axes.append(figure.add_subplot(place, sharex=axes[0] if axes and share_x else None))
+            axes[-1].tick_params(labelbottom=not share_x or row == len(counts) - 1)
+    return figure, axes
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
@@ -81,14 +110,8 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    cut: dict[str, Any] = {}
-    spatial = [ax for ax in figure.axes if ax.name == "3d"]
-    if spatial or figure.get_layout_engine() is None:  # nothing else keeps the labels inside
-        labels = [axis.label for ax in spatial for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
-        drawn = [*figure.get_default_bbox_extra_artists(), *labels]
-        cut = {"bbox_inches": "tight", "pad_inches": 0.1, "bbox_extra_artists": drawn}
     with apply_style():
-        figure.savefig(target, dpi=dpi, **cut)
+        figure.savefig(target, dpi=dpi)
     return target
 
 
@@ -113,23 +136,20 @@ def variable_name_text(name: str) -> str:
     return f"${symbol}{lowered}${index}"
 
 
-def number_text(value: float, digits: int = 6) -> str:
-    """Return a number with the minus sign of the axes' labels."""
-    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
-
-
 def unit_text(unit: str) -> str:
     """Return a unit such as "m/s^2" or "kg m^2" with exponents as mathtext."""
     return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
 
 
 def legend_above(ax: Axes) -> None:
-    """Put the axis' legend in one row above it, where it cannot hide data."""
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(ax.get_lines()), borderaxespad=0.2)
+    """Put the axis' legend above it, where it cannot hide data."""
+    columns = 3 if _NARROW.get() else 6
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2)
 
 
-def legend_on_top(figure: Figure, handles: Sequence[Any], columns: int | None = None) -> None:
-    """Put one legend at the top of a figure, above all axes."""
-    figure.legend(
-        handles=list(handles), loc="outside upper center", ncols=columns or len(handles), columnspacing=1.6
-    )
+def legend_on_top(figure: Figure, axes: Sequence[Any], columns: int = 5) -> None:
+    """Put one legend of the labels in some axes at the top of a figure; two columns in narrow figures."""
+    handles = {h.get_label(): h for ax in axes for h in ax.get_legend_handles_labels()[0]}
+    columns = min(len(handles), 2 if _NARROW.get() else columns)
+    where = "upper center" if figure.get_layout_engine() is None else "outside upper center"
+    figure.legend(handles=list(handles.values()), loc=where, ncols=columns, columnspacing=1.6)

@@ -8,21 +8,19 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
-    HAMILTONIAN_ROUNDING_SHARE,
     MOST_ROWS,
     component_legend_labels,
     cost_unit,
-    data_range,
     draw_components,
     draw_phase_boundaries,
+    hamiltonian_terms_size,
     hamiltonian_unit,
     label_time_axes,
     sample_densely,
@@ -36,14 +34,17 @@ from gnc_opt.plot.style import (
     axis_label,
     legend_above,
     legend_on_top,
+    new_axes_rows,
     new_figure,
-    number_text,
     variable_name_text,
 )
 from gnc_opt.text_formatting import derivative_unit
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING, SMALL, TINY
 
-_AT_POINTS: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3.2, "linestyle": "none"}
-_ALONG_FLOWN: dict[str, Any] = {"color": COLORS[5], "linewidth": 0.9}
+_AT_POINTS: dict[str, Any] = {"label": "collocation points", "color": COLORS[1], "markersize": 3.2}
+_ACTIVE: dict[str, Any] = {"color": COLORS[4], "alpha": 0.35, "linewidth": 1.0}
+_LIMIT_IN_VIEW, _ACTIVE_SHARE = 2.0, 1e-4
+"""Distance to a limit, over the range of the values, up to which it is drawn, and up to which it counts as active."""
 
 
 def plot_states(
@@ -72,14 +73,7 @@ def plot_states(
     >>> print(len(plot_states(solution).axes))  # one for each state
     2
     """
-    return _draw_state_axes(
-        solution,
-        phase,
-        names,
-        lambda leg, name: leg.state(name),
-        lambda name, unit: axis_label(variable_name_text(name), unit),
-        _draw_bounds_in_view,
-    )
+    return _draw_states_or_costates(solution, names, phase, costates=False)
 
 
 def plot_costates(
@@ -105,21 +99,85 @@ def plot_costates(
     >>> print(len(plot_costates(solution, ["v"]).axes))
     1
     """
-    return _draw_state_axes(
-        solution,
-        phase,
-        names,
-        lambda leg, name: leg.costate(name),
-        lambda name, unit: axis_label(
-            f"costate of {variable_name_text(name)}", derivative_unit(cost_unit(solution), unit)
-        ),
+    return _draw_states_or_costates(solution, names, phase, costates=True)
+
+
+def negligible_costates(legs: Sequence[PhaseSolution]) -> dict[str, float]:
+    """Return by state the costate that is rounding: 1e-9 of the largest effect of any costate over its state's size."""
+    sizes = {
+        (leg.name, v.name): [
+            np.max(np.abs(p(leg.point_times)[leg.states.slice(v.name)])) for p in (leg.x, leg.lam)
+        ]
+        for leg in legs
+        for v in leg.states.variables
+    }
+    largest = max(x * lam for x, lam in sizes.values())
+    return {name: EQUAL * largest / max(x, TINY) for (_, name), (x, _) in sizes.items()}
+
+
+def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Figure | None:
+    """Return a figure of the path constraints over time, one axis each; None if there are none but equations.
+
+    Limits are dashed; shaded times are those at which the constraint is active.
+
+    Parameters
+    ----------
+    solution : Solution
+        Joined to its problem.
+    phase : str, optional
+        Default all, one after the other.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_path_constraints
+    >>> print(plot_path_constraints(solution))  # this problem has none
+    None
+    """
+    legs = select_phases(solution, phase)
+    rows = [row for leg in legs for row in _list_inequalities(leg)]
+    labels = list(dict.fromkeys(label for label, *_ in rows))
+    if not labels or solution.problem is None:
+        return None
+    with apply_style():
+        figure, axes = _time_axes(len(labels))
+        for label, i, leg in rows:
+            _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
+        for ax, label in zip(axes, labels, strict=True):
+            ax.set_ylabel(label)
+            draw_phase_boundaries(ax, legs)
+        label_time_axes(figure, time_unit(solution))
+    return figure
+
+
+def _list_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
+    """Return label and row of each path constraint, without equations and lengths of directions."""
+    box, lengths = leg.path_bounds, [c.length_path for c in leg.vector_controls]
+    return [
+        (label, i, leg)
+        for i, label in enumerate(leg.path_labels)
+        if box.lower[i] < box.upper[i] and label not in lengths
+    ]
+
+
+def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: int) -> None:
+    paths = solution.functions(leg.name).paths
+    t, values = sample_densely(
+        lambda t, side: paths(t, leg.x(t, side), leg.applied(t, side))[i], leg.applied.jump_times
+    )
+    ax.plot(t, values[0], color=COLORS[0], zorder=3)
+    reach = max(float(np.ptp(values)), NEGLIGIBLE * float(np.max(np.abs(values))))
+    limits = leg.path_bounds.lower[i], leg.path_bounds.upper[i]
+    for limit in limits:
+        if np.min(np.abs(values - limit)) < _LIMIT_IN_VIEW * reach:
+            ax.plot(t[[0, -1]], [limit, limit], **BOUND)
+    gap = np.minimum(values[0] - limits[0], limits[1] - values[0])
+    ax.fill_between(
+        t, 0, 1, where=gap <= _ACTIVE_SHARE * reach, transform=ax.get_xaxis_transform(), zorder=1, **_ACTIVE
     )
 
 
 def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
-    """Return a figure that shows the Hamiltonian over time with its range.
-
-    Marks show it at the collocation points of the program; the line uses the applied controls.
+    """Return a figure of the Hamiltonian over time, along the applied controls and at the collocation points.
 
     Parameters
     ----------
@@ -139,57 +197,51 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     time (s)
     """
     legs = select_phases(solution, phase)
-    at_points = [np.asarray(solution.hamiltonian(leg.point_times, leg.name)) for leg in legs]
-    along = [
-        sample_densely(_applied_hamiltonian_function(solution, leg), leg.applied.jump_times) for leg in legs
-    ]
-    low, high = data_range(np.concatenate(at_points))
     with apply_style():
-        figure = new_figure(3.4)
+        figure = new_figure(3.0)
         ax = figure.subplots()
-        ax.axhspan(low, high, color=COLORS[0], alpha=0.12, linewidth=0, zorder=1)
-        for leg, points, (t, values) in zip(legs, at_points, along, strict=True):
-            ax.plot(t, values[0], zorder=2, **_ALONG_FLOWN)
-            ax.plot(leg.point_times, points, zorder=3, **_AT_POINTS)
-        set_minimum_y_range(ax, HAMILTONIAN_ROUNDING_SHARE * max(abs(low), abs(high)))
+        for leg in legs:
+            along = sample_densely(_applied_hamiltonian_function(solution, leg), leg.applied.jump_times)
+            draw_components(ax, *along, ["applied controls"])
+            ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
+        set_minimum_y_range(ax, SMALL * max(hamiltonian_terms_size(solution, leg) for leg in legs))
         draw_phase_boundaries(ax, legs)
         ax.set_xlabel(f"time ({time_unit(solution)})")
         ax.set_ylabel(axis_label("Hamiltonian", hamiltonian_unit(solution)))
-        legend_on_top(figure, _hamiltonian_legend_handles(low, high), columns=2)
+        legend_on_top(figure, [ax])
     return figure
 
 
-def _draw_state_axes(
-    solution: Solution,
-    phase: str | None,
-    names: Sequence[str] | None,
-    signal_of: Callable[[PhaseSolution, str], Signal],
-    label_of: Callable[[str, str], str],
-    decorate: Callable[[Axes, PhaseSolution, str], None] | None = None,
+def _draw_states_or_costates(
+    solution: Solution, names: Sequence[str] | None, phase: str | None, *, costates: bool
 ) -> Figure:
-    """Figure of the states over time, one axis per state over all its phases; ``decorate`` may add to an axis."""
+    """Return a figure with one axis per state over all its phases."""
     legs = select_phases(solution, phase)
     names = select_variable_names(legs, "states", names)
+    negligible = negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
     with apply_style():
-        columns = 1 if len(names) <= MOST_ROWS else 2
-        rows = -(-len(names) // columns)
-        figure = new_figure(0.5 + 2.1 * rows)
-        axes = figure.subplots(rows, columns, sharex=True, squeeze=False).T.ravel()
-        for ax in axes[len(names) :]:
-            ax.remove()
-        for ax, name in zip(axes, names, strict=False):
-            for leg in legs:
-                if name in leg.states:
-                    signal = signal_of(leg, name)
-                    draw_components(ax, *sample_densely(signal, leg.breaks), component_legend_labels(signal))
-                    ax.set_ylabel(label_of(name, leg.state(name).unit))
-                    if decorate is not None:
-                        decorate(ax, leg, name)
-            draw_phase_boundaries(ax, legs)
-            if max(leg.states[name].size for leg in legs if name in leg.states) > 1:
+        figure, axes = _time_axes(len(names))
+        for ax, name in zip(axes, names, strict=True):
+            owners = [leg for leg in legs if name in leg.states]
+            for leg in owners:
+                signal = leg.costate(name) if costates else leg.state(name)
+                draw_components(ax, *sample_densely(signal, leg.breaks), component_legend_labels(signal))
+                if not costates:
+                    _draw_bounds_in_view(ax, leg, name)
+            variable, text = owners[0].states[name], "costate of " * costates + variable_name_text(name)
+            unit = derivative_unit(cost_unit(solution), variable.unit) if costates else variable.unit
+            ax.set_ylabel(axis_label(text, unit))
+            draw_phase_boundaries(ax, legs, negligible[name])
+            if variable.size > 1:
                 legend_above(ax)
         label_time_axes(figure, time_unit(solution))
     return figure
+
+
+def _time_axes(number: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a number of time axes, in two columns if they are many; the last one may be wide."""
+    full = [1] * number if number <= MOST_ROWS else [2] * (number // 2) + [1] * (number % 2)
+    return new_axes_rows(full, 2.1)
 
 
 def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
@@ -202,14 +254,3 @@ def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
 def _applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
     hamiltonian = solution.functions(leg.name).hamiltonian
     return lambda t, side: hamiltonian(t, leg.x(t, side), leg.applied(t, side), leg.lam(t, side))
-
-
-def _hamiltonian_legend_handles(low: float, high: float) -> list[Any]:
-    ends = number_text(low), number_text(high)
-    spread = f"\N{PLUS-MINUS SIGN} {number_text(0.5 * (high - low), 2)}"
-    shown = f"{ends[0]} {spread}" if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
-    return [
-        Line2D([], [], label="at the collocation points", **_AT_POINTS),
-        Line2D([], [], label=f"their range, {shown}", color=COLORS[0], alpha=0.25, linewidth=6),
-        Line2D([], [], label="along the applied controls", **_ALONG_FLOWN),
-    ]

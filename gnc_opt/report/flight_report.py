@@ -14,14 +14,12 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.report.html_document import (
     command_html,
     figure_html,
-    figures_html,
     html_document,
     make_report_folder,
     save_figures,
     status_label_html,
     write_page,
 )
-from gnc_opt.report.solution_page import CAPTIONS
 from gnc_opt.text_formatting import html_preformatted, html_table
 
 if TYPE_CHECKING:
@@ -65,10 +63,11 @@ def write_run_report(
     ['report.html', 'run.npz']
     """
     from gnc_opt.plot.motion_scene import scene_html
+    from gnc_opt.report.solution_page import CAPTIONS
 
     folder = make_report_folder(directory)
     motion = "" if view is None else scene_html({title: run}, view)
-    files = save_figures(folder, _draw_run_figures(run, view))
+    files = save_figures(folder, lambda: _draw_run_figures(run, view))
     sections = {
         "Overview": figure_html(files, "trajectory", CAPTIONS["trajectory"]) + html_preformatted(str(run)),
         "Motion": motion,
@@ -133,7 +132,7 @@ def write_campaign_report(
         raise GncOptError("no run of the campaign is complete: run it longer.")
     folder = make_report_folder(directory)
     motion = "" if view is None else _sample_runs_section(campaign, view, runs)
-    files = save_figures(folder, _draw_campaign_figures(campaign))
+    files = save_figures(folder, lambda: _draw_campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
         "Overview": _results_table(campaign)
@@ -186,7 +185,7 @@ def _drawn_parameters_table(campaign: Campaign) -> str:
 
 def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str) -> str:
     stems = [stem for stem in files if stem.startswith(prefix)]
-    return figures_html({files[stem]: f"{stem.removeprefix(prefix)}: {caption}" for stem in stems})
+    return "".join(figure_html(files, stem, f"{stem.removeprefix(prefix)}: {caption}") for stem in stems)
 
 
 # --- motion -----------------------------------------------------------------------------------------------

@@ -129,54 +129,41 @@ class Formulas:
         return self._operation_to_mathml(node.op(), [node.dep(i) for i in range(node.n_dep())])
 
     def _operation_to_mathml(self, op: int, parts: list[Any]) -> tuple[str, int]:
+        write = self._operand_to_mathml
         if op in (ca.OP_ADD, ca.OP_SUB):
-            second = self._operand_to_mathml(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
-            return self._operand_to_mathml(parts[0], _SUM) + _operator_mathml(
-                "+" if op == ca.OP_ADD else "−"
-            ) + second, _SUM
+            first, sign = write(parts[0], _SUM), "+" if op == ca.OP_ADD else "−"
+            second = write(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
+            return first + _operator_mathml(sign) + second, _SUM
         if op == ca.OP_MUL:
-            second = self._operand_to_mathml(parts[1], _ATOM)
+            second = write(parts[1], _ATOM)
             if parts[0].is_constant() and float(parts[0]) < 0:
                 return number_mathml(float(parts[0])) + _TIMES + second, _SIGNED
-            return self._operand_to_mathml(parts[0], _PRODUCT) + _TIMES + second, _PRODUCT
+            return write(parts[0], _PRODUCT) + _TIMES + second, _PRODUCT
         if op == ca.OP_NEG:
-            return "<mo form='prefix'>−</mo>" + self._operand_to_mathml(parts[0], _PRODUCT), _SIGNED
+            return "<mo form='prefix'>−</mo>" + write(parts[0], _PRODUCT), _SIGNED
         if op == ca.OP_TWICE:
-            return "<mn>2</mn>" + _TIMES + self._operand_to_mathml(parts[0], _ATOM), _PRODUCT
+            return "<mn>2</mn>" + _TIMES + write(parts[0], _ATOM), _PRODUCT
         if op in (ca.OP_DIV, ca.OP_INV):
-            above, below = (
-                ("<mn>1</mn>", parts[0])
-                if op == ca.OP_INV
-                else (self._operand_to_mathml(parts[0], _SUM), parts[1])
-            )
-            return (
-                f"<mfrac><mrow>{above}</mrow><mrow>{self._operand_to_mathml(below, _SUM)}</mrow></mfrac>",
-                _ATOM,
-            )
+            above = "<mn>1</mn>" if op == ca.OP_INV else write(parts[0], _SUM)
+            below = write(parts[-1], _SUM)
+            return f"<mfrac><mrow>{above}</mrow><mrow>{below}</mrow></mfrac>", _ATOM
         if op in (ca.OP_SQ, ca.OP_POW, ca.OP_CONSTPOW):
-            power = "<mn>2</mn>" if op == ca.OP_SQ else self._operand_to_mathml(parts[1], _SUM)
-            return (
-                f"<msup><mrow>{self._operand_to_mathml(parts[0], _ATOM)}</mrow><mrow>{power}</mrow></msup>",
-                _ATOM,
-            )
+            power = "<mn>2</mn>" if op == ca.OP_SQ else write(parts[1], _SUM)
+            return f"<msup><mrow>{write(parts[0], _ATOM)}</mrow><mrow>{power}</mrow></msup>", _ATOM
         if op == ca.OP_SQRT:
-            return f"<msqrt>{self._operand_to_mathml(parts[0], _SUM)}</msqrt>", _ATOM
+            return f"<msqrt>{write(parts[0], _SUM)}</msqrt>", _ATOM
         if op == ca.OP_FABS:
-            return f"<mo>|</mo>{self._operand_to_mathml(parts[0], _SUM)}<mo>|</mo>", _ATOM
+            return f"<mo>|</mo>{write(parts[0], _SUM)}<mo>|</mo>", _ATOM
         if op in _RELATIONS:
-            both = [self._operand_to_mathml(part, _SUM) for part in parts]
-            return f"{both[0]}<mo>{_RELATIONS[op]}</mo>{both[1]}", _SUM - 1
+            left, right = (write(part, _SUM) for part in parts)
+            return f"{left}<mo>{_RELATIONS[op]}</mo>{right}", _SUM - 1
         if op == ca.OP_IF_ELSE_ZERO:
-            value, condition = (
-                self._operand_to_mathml(parts[1], _PRODUCT),
-                self._operand_to_mathml(parts[0], _SUM - 1),
-            )
+            value, condition = write(parts[1], _PRODUCT), write(parts[0], _SUM - 1)
             return f"{value}<mtext> if </mtext>{condition}", _SUM - 1
         if op == ca.OP_NOT:
-            return f"<mo>¬</mo>{self._operand_to_mathml(parts[0], _ATOM)}", _ATOM
-        return function_call_mathml(
-            _FUNCTIONS.get(op, f"operation {op}"), [self._operand_to_mathml(part, _SUM) for part in parts]
-        ), _ATOM
+            return f"<mo>¬</mo>{write(parts[0], _ATOM)}", _ATOM
+        name = _FUNCTIONS.get(op, f"operation {op}")
+        return function_call_mathml(name, [write(part, _SUM) for part in parts]), _ATOM
 
 
 def function_call_mathml(name: str, arguments: Iterable[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import date
 from html import escape
 from pathlib import Path
@@ -29,11 +29,21 @@ def write_page(folder: Path, text: str) -> Path:
     return path
 
 
-def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
-    """Write figures by file stem as SVG and return their paths by stem."""
-    from gnc_opt.plot.style import save_figure
+def save_figures(folder: Path, draw: Callable[[], Iterable[tuple[str, Any]]]) -> dict[str, Path]:
+    """Write figures by file stem as SVG, also narrow ones in a folder of that name; return the paths by stem."""
+    from gnc_opt.plot.style import narrow_figures, save_figure
 
-    return {stem: save_figure(figure, folder / f"{stem}.svg") for stem, figure in figures}
+    def save_all(where: Path) -> dict[str, Path]:
+        files = {}
+        for stem, figure in draw():
+            for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
+                patch.set_alpha(0.0)  # the page shows through, dark or light
+            files[stem] = save_figure(figure, where / f"{stem}.svg")
+        return files
+
+    with narrow_figures():
+        save_all(folder / "narrow")
+    return save_all(folder)
 
 
 def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str:
@@ -55,19 +65,20 @@ def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str
     )
 
 
-def figures_html(figures: Mapping[Path, str]) -> str:
-    """Return SVG files with captions as HTML elements."""
-    text = ""
-    for path, caption in figures.items():
-        source = f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-        name = escape(caption)
-        text += f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
-    return text
-
-
 def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:
-    """Return a figure with its caption; "" if it does not exist."""
-    return figures_html({files[stem]: caption}) if stem in files else ""
+    """Return a figure with its caption; narrow screens show the narrow file. "" if it does not exist."""
+    if stem not in files:
+        return ""
+    path, text = files[stem], escape(caption)
+    return (
+        f'<figure class="{stem}"><picture><source media="(max-width: 40rem)" '
+        f'srcset="{_data_url(path.parent / "narrow" / path.name)}"><img alt="{text}" src="{_data_url(path)}">'
+        f"</picture><figcaption>{text}</figcaption></figure>"
+    )
+
+
+def _data_url(path: Path) -> str:
+    return f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
 def status_label_html(word: str, tone: str) -> str:
@@ -100,25 +111,27 @@ a { color: inherit; } a:focus-visible { outline: 2px solid var(--good); }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .2rem 1rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
 th, figcaption { color: var(--quiet); font-weight: normal; }
+.failure { border-left: .3rem solid var(--bad); padding-left: .8rem; margin-bottom: 1rem; }
 .formulas td { border: 0; padding: .25rem .8rem .25rem 0; vertical-align: baseline; line-height: 2; }
 .formulas td:first-child { text-align: right; }
-th, td:not(:last-child) { white-space: nowrap; } .formulas td:first-child { white-space: normal; }
+th, td:not(:last-child) { white-space: nowrap; }
+.trajectory img { max-width: 52rem; margin: 0 auto; } .formulas td:first-child { white-space: normal; }
 figure { margin: 1rem 0 1.5rem; overflow-x: auto; } figcaption { font-size: .9rem; }
-img { display: block; width: 100%; height: auto; background: #fff; }
+img { display: block; width: 100%; height: auto; }
 math { font-size: 1.12em; math-style: normal; font-family: "STIX Two Math", "Latin Modern Math", "Cambria Math", math; }
-#overview figure:first-of-type img { width: auto; max-width: 100%; max-height: 38rem; margin: 0 auto; }
 code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 #stage { height: min(36rem, 75vh); } #film { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; }
 #film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }
 #film button, #film select { font: inherit; min-height: 2.2rem; min-width: 4.5rem; }
 @media (max-width: 40rem) { table { font-size: .85rem; } th, td { padding-right: .6rem; }
-  th, td:not(:last-child) { white-space: normal; } img:not([alt^="Trajectory"]) { min-width: 38rem; } }
+  th, td:not(:last-child) { white-space: normal; } .formulas { font-size: .8rem; } }
 @page { size: A4; margin: 14mm 15mm; }
 @media print { body { padding: 0; font-size: 10pt; line-height: 1.35; max-width: none; }
-  table, figcaption { font-size: 8.5pt; } th, td { padding: .1rem .8rem .1rem 0; } h2 { margin: 1.2rem 0 .3rem; }
+  p { margin: .3rem 0; } table, figcaption, .quiet { font-size: 8.5pt; }
+  th, td { padding: .1rem .8rem .1rem 0; } h2 { margin: 1.2rem 0 .3rem; }
   nav, #motion, #overview h2 { display: none; }
   #problem { break-before: page; } figure, tr { break-inside: avoid; } figure { margin: .5rem 0; }
   .formulas { font-size: 8pt; } .wide, figure { overflow: visible; } h2, h3, h4 { break-after: avoid; }
   figure img { width: auto; max-width: 100%; max-height: 23cm; margin: 0 auto; }
-  #overview img { max-height: 9.4cm; } #overview figure:first-of-type img { max-height: 6.2cm; } }
+  #overview img { max-height: 10.4cm; } #overview .trajectory img { max-height: 5.2cm; } }
 """

@@ -67,7 +67,7 @@ def write_report(
 
     folder = make_report_folder(directory)
     motion = "" if view is None else scene_html({solution.problem_name: solution}, view)
-    files = save_figures(folder, _draw_figures(solution, view))
+    files = save_figures(folder, lambda: _draw_figures(solution, view))
     text = solution_page_html(solution, verdict, files, motion=motion, command=command)
     summary = write_json(folder / "summary.json", solution, verdict)
     return [write_page(folder, text), summary, solution.save(folder / "solution.npz"), *files.values()]
@@ -85,8 +85,11 @@ def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, 
     yield "states", trajectory.plot_states(solution)
     if any(leg.controls.size for leg in solution.phases.values()):
         yield "controls", plot_controls(solution)
+    constraints = trajectory.plot_path_constraints(solution)
+    if constraints is not None:
+        yield "constraints", constraints
     yield "costates", trajectory.plot_costates(solution)
     if solution.problem is not None:
         yield "hamiltonian", trajectory.plot_hamiltonian(solution)
-    if solution.history is not None and len(solution.history.passes) > 1:
+    if solution.history is not None and len({p.points for p in solution.history.passes}) > 1:
         yield "refinement", plot_refinement(solution.history)

@@ -82,7 +82,7 @@ EXPECTED = {
     """,
     "gnc_opt.plot": """
         View plot_controls plot_costates plot_dispersion plot_distributions
-        plot_envelope plot_hamiltonian plot_motion plot_refinement plot_response
+        plot_envelope plot_hamiltonian plot_motion plot_path_constraints plot_refinement plot_response
         plot_run plot_states
         save_figure
     """,

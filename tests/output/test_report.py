@@ -251,7 +251,8 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
         "costates.svg",
         "hamiltonian.svg",
     ]
-    assert sorted(names) == sorted(path.name for path in folder.iterdir())
+    assert {*names, "narrow"} == {path.name for path in folder.iterdir()}
+    assert {path.name for path in (folder / "narrow").iterdir()} == {n for n in names if n.endswith(".svg")}
     assert all(path.stat().st_size > 0 for path in paths)
     assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["verdict"]["ok"] is False
     assert go.load(folder / "solution.npz").objective == smeared.objective
@@ -287,7 +288,7 @@ def rest_to_rest() -> go.Problem:
 class Parsed(HTMLParser):
     """Tags and what they point to; complains about tags that close none or are left open."""
 
-    EMPTY = frozenset({"meta", "img", "mspace"})
+    EMPTY = frozenset({"meta", "img", "mspace", "source"})
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -320,9 +321,9 @@ def parsed(smeared: go.Solution, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 def test_page_needs_nothing_else(parsed: Parsed) -> None:
     sources = [attributes["src"] for tag, attributes in parsed.tags if "src" in attributes]
-    assert len(sources) == 4 and all(
-        str(source).startswith("data:image/svg+xml;base64,") for source in sources
-    )
+    narrow = [attributes["srcset"] for tag, attributes in parsed.tags if tag == "source"]
+    assert len(sources) == len(narrow) == 4 and not set(sources) & set(narrow)
+    assert all(str(source).startswith("data:image/svg+xml;base64,") for source in [*sources, *narrow])
     assert not {"script", "link", "iframe"} & {tag for tag, _ in parsed.tags}
 
 
@@ -338,10 +339,19 @@ def test_page_lists_every_condition_and_begins_with_what_fails(parsed: Parsed) -
         parsed.words
     )
     failing = VERDICT.failed[0]
-    first = next(word for word in parsed.words if failing.location_text in word)
-    assert failing.meaning in first and parsed.words.index(first) < parsed.words.index("feasible")
+    start = parsed.words.index("FAIL")
+    assert parsed.words[start + 1] == f"{failing.name}: 2.5e-01 (tolerance 1e-05)"
+    assert parsed.words[start + 2 : start + 4] == ["where", failing.location_text]
+    assert "Refine the mesh: a switch is misplaced, or an arc at a limit is missing." in parsed.words[start:]
     start = parsed.words.index("feasible")
-    assert parsed.words[start : start + 4] == ["feasible", "pass", "2.1e-10", "dynamics: phase leg, q"]
+    assert parsed.words[start : start + 5] == [
+        "feasible",
+        "pass",
+        "2.1e-10",
+        "1.0e-05",
+        "dynamics: phase leg, q",
+    ]
+    assert failing.meaning in "".join(parsed.words[start:])
 
 
 def test_page_gives_objective_name_and_command(parsed: Parsed, smeared: go.Solution) -> None:
@@ -355,15 +365,43 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     page, *files = write_report(solution, go.verify(solution), tmp_path)
     assert "refinement.svg" not in {file.name for file in files}  # one iteration: nothing to compare
     assert solution.history is not None
-    twice = dataclasses.replace(solution.history, passes=2 * solution.history.passes)
+    again = dataclasses.replace(solution.history.passes[-1], meshes={"leg": go.Mesh.uniform(2, 3)})
+    twice = dataclasses.replace(solution.history, passes=(again, *solution.history.passes))
     files = write_report(dataclasses.replace(solution, history=twice), None, tmp_path / "twice")
     assert "refinement.svg" in {file.name for file in files}
     words = Parsed(page.read_text(encoding="utf-8")).words
     assert f"{solution.history.passes[-1].objective:.12g}" in words
-    assert "lower 0 to 1, upper 1 to 2" in words
-    costate = words.index("costate of q")
-    assert float(words[costate + 1]) == pytest.approx(1.0, abs=1e-7)
-    assert words[costate + 3] == "s"  # s per unit of q, which has none
+    assert "lower 0 to 1; upper 1 to 2" in words
+    costate = words.index("costate")
+    assert words[costate + 6 : costate + 12] == [
+        "q",
+        "1",
+        "1",
+        "1",
+        "1",
+        "s",
+    ]  # s per unit of q, which has none
+
+
+def test_page_states_what_is_used_and_prints_no_rounding_errors(tmp_path: Path) -> None:
+    """From q = 1 to 0 in 2 s with a force of 1 N: an impulse of 2 N s; 0.1 kg/s is used, whatever is done."""
+    model = go.Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    mass, way = model.state("mass", unit="kg"), model.state("way", unit="m")
+    force = model.control("F", unit="N")
+    model.ode({q: v, v: force, mass: -0.1, way: v})
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=(0.1, 10.0))
+    leg.initial(q=1.0, v=0.0, mass=5.0, way=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(F=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    words = Parsed(write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")).words
+    assert words[words.index("decrease of mass") + 1] == "0.2 kg"
+    assert words[words.index("effort of F") + 1].startswith("2 N s")
+    state, costate = words.index("state"), words.index("costate")
+    assert words[words.index("v", state) :][:6] == ["v", "0", "0", "-1", "0", "m/s"]
+    assert words[words.index("way", costate) :][:6] == ["way", "0", "0", "0", "0", "s/m"]
 
 
 def test_what_is_maximised_is_shown_as_it_was_stated(capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,9 +59,7 @@ def test_page_is_whole(tab, page, size):
     assert found["broken"] == []
     assert found["outside"] == [] and tab.asked == [page.as_uri()]  # needs no network
     assert found["sections"][:2] == ["overview", "problem"]
-    assert {"costates-and-hamiltonian", "arcs", "conditions", "multipliers", "software"} <= set(
-        found["sections"]
-    )
+    assert {"costates-and-hamiltonian", "arcs", "conditions", "software"} <= set(found["sections"])
     assert tab.said == []
 
 

@@ -117,7 +117,7 @@ from gnc_opt.planning.verification.recomputed_solution import boundary_gradients
 from gnc_opt.planning.verification.verify_trajectory import _build_solution
 from gnc_opt.plot.motion_scene import scene_html
 from gnc_opt.plot.motion_view import motion_time_span, sample_motion
-from gnc_opt.plot.style import number_text, unit_text, variable_name_text
+from gnc_opt.plot.style import unit_text, variable_name_text
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml
 from gnc_opt.report.html_document import html_document
 from gnc_opt.report.problem_statement import problem_statement_html

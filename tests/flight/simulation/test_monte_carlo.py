@@ -420,8 +420,8 @@ def test_figures_show_runs_limits_and_units(serial):
     assert sum(line.get_xdata().size for line in left.get_lines()) == 40
     assert left.patches[0].get_radius() == 0.03 and "(m)" in right.get_ylabel()
     figure = plot_distributions(serial)
-    assert len(figure.axes) == 6 and "(N s)" in figure.axes[4].get_xlabel()
-    steps = figure.axes[1].get_lines()[0]
+    assert len(figure.axes) == 3 and "(N s)" in figure.axes[2].get_xlabel()
+    steps = figure.axes[0].get_lines()[0]
     assert steps.get_xdata()[-1] == serial.maximum("q") and steps.get_ydata()[-1] == 1
     with pytest.raises(ArgumentError, match="one component"):
         plot_dispersion(one_component(), "q")
