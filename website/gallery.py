@@ -32,9 +32,9 @@ def heading(example: Example) -> str:
 
 def by_trade() -> dict[str, list[Example]]:
     """Return the examples by trade, the published systems first; a trade is named by the docstring of its folder."""
-    found: dict[str, list[Example]] = {"Systems": [e for e in examples() if e.is_system]}
+    found: dict[str, list[Example]] = {"Systems": [e for e in examples() if e.is_package]}
     for example in sorted(examples(), key=lambda e: (e.path.parent.name, e.name)):
-        if not example.is_system:
+        if not example.is_package:
             trade = import_module(example.import_name.rpartition(".")[0]).__doc__ or example.path.parent.name
             found.setdefault(trade.partition(":")[0], []).append(example)
     return found
@@ -47,7 +47,7 @@ def pages(pictures: bool) -> dict[str, str]:
 
 def _page(example: Example, pictures: bool) -> Iterator[str]:
     yield f"# {heading(example)}\n"
-    yield module_page(example.statement) + "\n"
+    yield module_page(example.docstring) + "\n"
     known = reference(example)
     if known is not None:
         told = f"{known.value:.10g} {known.unit} ({known.source})"
@@ -62,10 +62,10 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
         )  # to look closer
     elif (ROOT / "docs" / "pictures" / f"{example.name}.png").exists():
         yield f"![{heading(example)}: solution](../pictures/{example.name}.png)\n"
-    for path in sorted(example.path.glob("*.py")) if example.is_system else [example.path]:
+    for path in sorted(example.path.glob("*.py")) if example.is_package else [example.path]:
         place = path.relative_to(ROOT)
         code = path.read_text(encoding="utf-8")
-        if example.is_system:
+        if example.is_package:
             body = "\n".join(f"    {line}".rstrip() for line in code.splitlines())
             yield f'??? example "{place}"\n\n    ```python\n{body}\n    ```\n'
         else:
