@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,7 +22,6 @@ from gnc_opt.planning.refinement.arcs.split_switches import (
     _SplitMesh,
     simultaneous_switches,
 )
-from gnc_opt.planning.refinement.arcs.switching_time_optimization import detect_structures
 from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
 
 # Several controls that change at one time, with arcs on limits of states: closed forms, and their
@@ -148,45 +146,6 @@ def test_instants_are_free_for_what_changes() -> None:
     inner, junction = Smooth(0, 1, 2, 4), Junction(0, 2, UP, 1)
     assert (cuts.first_segment(inner.first), cuts.last_segment(inner.last)) == (1, 2)
     assert (cuts.first_segment(2), cuts.last_segment(3), cuts.map_boundary(junction.boundary)) == (4, 5, 3)
-
-
-# From a state limit of second order to a bound of the control: along an interior arc that may be short.
-#
-# A cart rests on the limit q >= 0 and takes off as late as it can, from t_e on with a = (t - t_e) / tau up to a = 1.
-# Least effort, with a price on the speed at the end that makes this the optimum: the arc lasts tau, the cart comes to
-# q = 1/2 + tau^2 / 24 at 2 s, hence t_e = 1 - tau / 2, and by H = a^2 / 2 + ... the costs are
-# J = (1 - tau / 6) / 2 - (1 + tau / 2) / tau.
-
-
-TAU = 0.1
-FREE, LOW, HIGH = ArcKind.INTERIOR, ArcKind.LOWER, ArcKind.UPPER
-HELD, SHORT, BOUND = (FREE, LOW, FREE), (FREE, FREE, FREE), (HIGH, FREE, FREE)
-
-
-@pytest.fixture(scope="module")
-def coarse() -> go.Solution:
-    cart = go.Model("cart")
-    q, v, a = cart.state("q", unit="m"), cart.state("v", unit="m/s"), cart.control("a", unit="m/s^2")
-    cart.ode({q: v, v: a})
-    ocp, leg = one_phase("take-off", cart, initial=0.0, final=2.0)
-    leg.initial(q=0.0, v=0.0)
-    leg.final(q=0.5 + TAU**2 / 24)
-    leg.bounds(a=(-1.0, 1.0), q=(0.0, 10.0))
-    ocp.minimize(leg.integral(0.5 * a**2) - (1 + TAU / 2) / TAU * leg.final_state("v"))
-    return go.solve(ocp, mesh="20x4", tol=None)
-
-
-def structure_of_arcs_between_limits(
-    coarse: go.Solution, times: tuple[float, ...], *kinds: tuple[ArcKind, ...]
-) -> PhaseStructure:
-    return replace(detect_structures(coarse)["leg"], times=times, kinds=kinds, touches=((),) * len(times))
-
-
-def test_nothing_can_hold_the_limit_with_the_control_on_its_bound(coarse: go.Solution) -> None:
-    with_short = structure_of_arcs_between_limits(coarse, (0.0, 0.95, 1.05, 2.0), HELD, SHORT, BOUND)
-    assert with_short.swap_switches(1) is None
-    without_holder = replace(with_short, boundary_controls=((), (), ()))
-    assert without_holder.swap_switches(1) is not None
 
 
 # Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what

@@ -308,12 +308,6 @@ def test_touches_stay_with_their_times() -> None:
     assert held.collapse_piece(1).touch_times(1, UP) == [1.25, 3.0]
     assert held.mask_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
     assert held.mask_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
-    jumps = replace(
-        held, regular=(False, False), boundary_controls=((), (0,))
-    )  # times that move: firm, beside none of them
-    kinds = tuple((ArcKind.SINGULAR if kind[1] is UP else UP, kind[1]) for kind in held.kinds)
-    jumps = replace(jumps, kinds=kinds)
-    assert jumps.mask_near_contacts(False).any() and not jumps.mask_near_contacts(False, firm=True).any()
     np.testing.assert_array_equal(
         held.is_at_limit(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
         [False, True, True, True, False, True, False],
@@ -357,14 +351,6 @@ def test_what_vanishes_passes_its_touches_on() -> None:
     assert start.collapse_piece(0).touch_times(1, UP) == []
     beside = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, UP), (FREE, LOW), (FREE, FREE)), (), 1, 0, (0, 2))
     assert beside.collapse_piece(1).touch_times(1, LOW) == []
-
-
-def test_touches_change_places_with_their_switches() -> None:
-    kinds = ((LOW, LOW, FREE), (UP, LOW, FREE), (UP, UP, FREE))
-    before = PhaseStructure((0.0, 1.0, 2.0, 4.0), kinds, (), 2, 0, (0, 0, 2), ((), ((2, UP),), (), ()))
-    swapped = before.swap_switches(1)
-    assert swapped is not None and swapped.touches == ((), (), ((2, UP),), ())
-    assert before.touch_times(2, UP) == [1.0] and swapped.touch_times(2, UP) == [2.0]
 
 
 def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:

@@ -158,15 +158,12 @@ class ArcMesh:
     loose : bool
         Whether state constraints are also released next to their touch points. The interior-point barrier affects the
         solution near a limit; but without limits, a structure that lacks a contact may have no solution.
-    firm : bool
-        Whether constraints are released next to fixed arcs only; see `PhaseStructure.mask_near_contacts`.
     """
 
     structure: PhaseStructure
     resolutions: tuple[Resolution, ...]
     points: float = 0.0
     loose: bool = False
-    firm: bool = False
 
     @classmethod
     def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> ArcMesh:
@@ -198,9 +195,7 @@ class ArcMesh:
         Pieces with the same singular controls keep their degree, since the optimum depends on it.
         """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
-        plan = replace(
-            ArcMesh.from_structure(structure, self.points), loose=self.loose and same, firm=self.firm
-        )
+        plan = replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
         kept = tuple(self._inherit_smooth_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
         return replace(plan, resolutions=kept)
 
@@ -234,12 +229,6 @@ class ArcMesh:
             if kinds == structure.kinds[piece] and r.smooth > first.smooth > 0
         ]
         return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
-
-    @property
-    def may_leave_constraints(self) -> bool:
-        """Return whether state constraints are released next to movable arcs."""
-        loose, firm = (self.structure.mask_near_contacts(self.loose, firm) for firm in (self.firm, True))
-        return bool(np.any(loose != firm))
 
     @property
     def segment_pieces(self) -> Indices:
@@ -288,7 +277,7 @@ class ArcMesh:
     def _find_released_rows(self) -> Mask:
         """Return which interior rows are released from their limits, (n_rows, K)."""
         structure = self.structure
-        beside = structure.mask_near_contacts(self.loose, self.firm) | structure.mask_near_exchanges()
+        beside = structure.mask_near_contacts(self.loose) | structure.mask_near_exchanges()
         return np.asarray((structure.find_convex_rows() | beside)[:, self.segment_pieces])
 
     def _find_junctions(self) -> tuple[Junction, ...]:

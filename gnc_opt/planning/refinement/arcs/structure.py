@@ -258,19 +258,17 @@ class PhaseStructure:
         linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.boundary_controls[row])
         return bool(self.orders[row]) and not linear
 
-    def mask_near_contacts(self, touches: bool, firm: bool = False) -> Mask:
+    def mask_near_contacts(self, touches: bool) -> Mask:
         """Return where inactive state constraints are next to their arcs or, with ``touches``, touched, (n_rows, A).
 
         Constraints are excluded if the direction of a vector at its largest magnitude could satisfy them, as violations
-        would then be large. ``firm``: only next to arcs with fixed times; movable ones may move to times at which their
-        limit is undefined.
+        would then be large.
         """
         held = np.array([[kind.at_limit for kind in row] for row in self.kind_matrix()])
         beside = np.zeros_like(held)
         for k in range(1, self.n_pieces):
-            if not firm or self.has_only_kinks(k):
-                beside[:, k - 1] |= held[:, k]
-                beside[:, k] |= held[:, k - 1]
+            beside[:, k - 1] |= held[:, k]
+            beside[:, k] |= held[:, k - 1]
         if touches:
             beside[[row for here in self.touches for row, _ in here]] = True
         for row in np.flatnonzero(self.orders):
@@ -334,29 +332,6 @@ class PhaseStructure:
             if may_touch and kind.at_limit and not any(k.at_limit for k in beside):
                 left = left.with_touch(i, time, kind)
         return left
-
-    def swap_switches(self, piece: int) -> PhaseStructure | None:
-        """Return the structure with the switches at both ends of a piece interchanged.
-
-        None at the ends of the phase, if one control switches at both ends, or if no control could keep a state
-        constraint on its limit.
-        """
-        if not 0 < piece < self.n_pieces - 1:
-            return None
-        rows = list(zip(*self.kinds[piece - 1 : piece + 2], strict=True))
-        if any(before is not here and here is not after for before, here, after in rows):
-            return None
-        other = tuple(after if before is here else before for before, here, after in rows)
-        held = [self.boundary_controls[i] for i in np.flatnonzero(self.orders) if other[i].at_limit]
-        if any(
-            boundary_controls and all(other[i].at_limit for i in boundary_controls)
-            for boundary_controls in held
-        ):
-            return None
-        touches = list(self.touches)
-        touches[piece], touches[piece + 1] = touches[piece + 1], touches[piece]
-        kinds = (*self.kinds[:piece], other, *self.kinds[piece + 1 :])
-        return replace(self, kinds=kinds, touches=tuple(touches))
 
     def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""

@@ -99,22 +99,8 @@ def remove_vanished_piece(
     shortest = int(np.argmin(lengths))
     if structure.n_pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
-    other = structure.swap_switches(shortest)
     left.add((samples.leg.name, structure.with_times(())))
-    # The swapped order is tried unless it has been rejected before.
-    if other is not None and (samples.leg.name, other.with_times(())) not in left:
-        return _lengthen_piece(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.collapse_piece(shortest), f"piece {shortest + 1} dropped"
-
-
-def _lengthen_piece(structure: PhaseStructure, piece: int) -> PhaseStructure:
-    times = np.asarray(structure.times)
-    room = SMALL * (times[-1] - times[0])
-    middle = 0.5 * (times[piece] + times[piece + 1])
-    left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
-    right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
-    times[piece], times[piece + 1] = left, right
-    return structure.with_times(tuple(float(t) for t in times))
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------

@@ -2,9 +2,8 @@
 
 The switching times are variables. Along each piece between two of them a control is fixed on a bound, or free
 (interior and singular arcs), and the piece is collocated with a high degree. The costates of the optimum check the
-structure: a piece whose length is zero is removed, or the switches at its ends change places; where a switching
-function has the wrong sign, an arc is added. The iteration ends when all signs agree with the structure and the error
-between the nodes is small.
+structure: a piece whose length is zero is removed; where a switching function has the wrong sign, an arc is added. The
+iteration ends when all signs agree with the structure and the error between the nodes is small.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from gnc_opt.planning.refinement.arcs.structure_update import (
     RAISED,
     SMOOTHED,
     correct_plans,
-    remove_vanished_piece,
 )
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits, record_iteration, show_progress
@@ -39,12 +37,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import EQUAL
-
-STALLED_MAX_ITERATIONS = 4
-"""Largest number of passes that only move kinks or refine pieces without halving the error."""
-
-UNSOLVED_MAX_ITERATIONS = 2
-"""Largest number of successive structures without a solution."""
 
 ARC_SOLVE_TOLERANCE, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
 """Solver settings: errors of the switching times are of the order of the tolerance, warm starts need few iterations."""
@@ -197,7 +189,6 @@ class _StructureLoop:
         """
         rejected: set[tuple[str, PhaseStructure]] = set()
         changed: set[Change] = set()
-        failures = 0
         for _ in range(self.limits.passes):
             begin = time.perf_counter()
             if begin > self.limits.deadline:
@@ -218,13 +209,8 @@ class _StructureLoop:
                 )
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
-                failures += 1
-                others = _propose_alternative_plans(found, plans, rejected)
-                if others is None or failures == UNSOLVED_MAX_ITERATIONS:
-                    return RefinementStatus.FAILED
-                plans = others
-                continue
-            solution, failures = found, 0
+                return RefinementStatus.FAILED
+            solution = found
             current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
             plans, action = correct_plans(solution, current, rejected, self.target_error)
             record = _record_iterate(solution, begin, action or "structure unchanged")
@@ -235,7 +221,7 @@ class _StructureLoop:
                 return RefinementStatus.CONVERGED
             changes = set() if _keeps_arc_order(record) else _list_arc_orders(current, plans)
             again, changed = changes & changed, changes | changed
-            if again or _is_stalled(self.iteration_records):
+            if again:
                 return RefinementStatus.STALLED
         return RefinementStatus.ITERATION_LIMIT
 
@@ -251,35 +237,6 @@ class _StructureLoop:
     def _append_iterate(self, tried: _Iterate) -> None:
         self.iterates.append(tried)
         self.show(tried.record)
-
-
-def _propose_alternative_plans(
-    failed: Solution, plans: dict[str, ArcMesh], rejected: set[tuple[str, PhaseStructure]]
-) -> dict[str, ArcMesh] | None:
-    """Return the plans to try after a structure without a solution, or None.
-
-    Released state constraints next to movable arcs are imposed; if there are none, a piece of zero length is removed.
-    """
-    if any(plan.may_leave_constraints for plan in plans.values()):
-        return {name: replace(plan, firm=True) for name, plan in plans.items()}
-    for name, s in failed.samples().items():
-        current = _update_plan_times(plans[name], failed, name)
-        structure, _ = remove_vanished_piece(s, current, rejected)
-        if structure is not None:
-            return {**plans, name: current.replace_structure(structure)}
-    return None
-
-
-def _is_stalled(records: list[RefinementIteration]) -> bool:
-    """Whether the structure is unchanged and neither moved kinks nor finer meshes reduce the error.
-
-    Passes up to the last change of the degree of singular controls do not count.
-    """
-    changes = [k for k, r in enumerate(records) if not _keeps_arc_order(r) or SMOOTHED in str(r.actions)]
-    errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
-    return len(errors) > STALLED_MAX_ITERATIONS and min(errors[-STALLED_MAX_ITERATIONS:]) > 0.5 * min(
-        errors[:-STALLED_MAX_ITERATIONS]
-    )
 
 
 def _list_arc_orders(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
