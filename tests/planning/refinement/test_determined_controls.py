@@ -47,35 +47,6 @@ def test_a_jerk_limited_lift(numbers: tuple[float, float, float, float], mesh: s
     assert held == {("a", ArcKind.LOWER), ("a", ArcKind.UPPER), ("v", ArcKind.UPPER)}
 
 
-@pytest.mark.slow
-def test_a_car_touches_a_disc_that_is_narrower_than_its_turn() -> None:
-    """Straight on, a turn of radius R = 1/2 about a disc of radius 0.3 that it touches at the top, straight on.
-
-    The straight parts are tangents of the circle of radius R from start and goal, which lie on the axis of x; its
-    centre is R - 0.3 nearer to the axis than the lowest point of the disc, on the other side. The turn lasts a
-    thirtieth of a second of six: shorter than any segment of the mesh.
-    """
-    radius, turn, length, offset = 0.3, 0.5, 6.0, 0.2
-    car = go.Model("car")
-    p, heading, w = car.state("p", 2), car.state("heading"), car.control("w")
-    car.ode({p: ca.vertcat(ca.cos(heading), ca.sin(heading)), heading: w})
-    problem, leg = one_phase("past a disc", car, initial=0.0, final=(length, 3 * length), name="way")
-    leg.initial(p=[0, 0])
-    leg.final(p=[length, 0])
-    leg.bounds(w=(-1 / turn, 1 / turn), heading=(-1.5, 1.5))
-    leg.path("disc", (p[0] - length / 2) ** 2 + (p[1] - offset) ** 2, lower=radius**2)
-    problem.minimize(leg.final_time)
-    solution = go.solve(problem)
-    assert solution.converged and go.verify(solution).ok
-    centre = offset - radius + turn
-    distance = np.hypot(length / 2, centre)
-    angle = np.arctan2(centre, length / 2) - np.arcsin(turn / distance)
-    expected = 2 * (np.sqrt(distance**2 - turn**2) - turn * angle)
-    assert solution.objective == pytest.approx(expected, rel=1e-11)
-    (touch,) = [a for a in solution.structure if a.channel == "disc"]
-    assert touch.start == touch.end == pytest.approx(expected / 2, abs=1e-8)
-
-
 def test_a_speed_limit_holds_across_a_waypoint() -> None:
     """D / V + V / A from rest to rest; a waypoint that is passed at top speed costs nothing and no costate jumps."""
     cart, *_ = dynamics("cart", "x v", "a", lambda x, v, a: {x: v, v: a})
