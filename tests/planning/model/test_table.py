@@ -215,6 +215,9 @@ def test_a_solution_outside_of_its_table_is_reported() -> None:
     assert found.span[0] == pytest.approx(0.5, abs=0.05)  # x(0.5) = 0.5 but for the small price
     assert "table        'price' evaluated outside at t = 0.5" in str(solution)
     assert summary_dict(solution)["outside_tables"] == [str(found)]
+    assert go.verify(solution)["limits"].value == pytest.approx(
+        1.0, abs=1e-5
+    )  # as far outside as the table is long
 
 
 def test_a_solution_inside_of_its_table_is_not(recwarn: pytest.WarningsRecorder) -> None:

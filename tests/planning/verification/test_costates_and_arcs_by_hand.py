@@ -31,6 +31,7 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_transversality,
 )
 from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
+from gnc_opt.planning.verification.shifted_limits import find_costate_jumps
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 
@@ -353,6 +354,8 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
     miss = controls._compute_distance_to_minimum(s, given_scales([s], deviation=2.0))
     assert np.all(np.isinf(miss[0]))
     np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / 2.0, 0.0), atol=1e-12)
+    ((time, jump),) = find_costate_jumps(s).items()
+    assert time == 0.5 and jump == pytest.approx([0.0, -0.3])
 
 
 @pytest.mark.parametrize(
