@@ -141,12 +141,14 @@ def read_label(
     *,
     instead: str = "its name comes first, a text",
 ) -> str:
-    """Return a name for results and reports: any text without brackets."""
+    """Return a name for results and reports: any text without brackets and line breaks."""
     article = "an" if what[:1] in "aeiou" else "a"
     if not isinstance(name, str):
         raise error(f"{quote(name)} cannot be the name of {article} {what}: {instead}.")
-    if not name.strip() or "[" in name:
-        raise error(f"{quote(name)} cannot be the name of {article} {what}: give a text without brackets.")
+    if not name.strip() or "[" in name or not name.isprintable():
+        raise error(
+            f"{quote(name)} cannot be the name of {article} {what}: give a text without brackets and line breaks."
+        )
     return name
 
 

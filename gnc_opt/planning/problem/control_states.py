@@ -59,6 +59,7 @@ class StatedPhase(Protocol):
 
 def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
     """Convert controls to states of a phase, with rates in given ranges; see `Phase.rates`."""
+    _require_names(leg, ranges, "rates(u=(-1, 1))")
     for name, limits in ranges.items():
         symbol = _get_control_symbol(leg, name, "rates")
         v = symbol.variable
@@ -69,6 +70,7 @@ def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
 
 def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
     """Convert controls to polynomials of time over a phase; see `Phase.polynomials`."""
+    _require_names(leg, degrees, "polynomials(u=3)")
     for name, given in degrees.items():
         symbol = _get_control_symbol(leg, name, "polynomials")
         degree = read_integer(given, f"the degree of control '{name}' in {leg.label}", 0, ProblemError)
@@ -100,6 +102,12 @@ def add_phase_fraction(leg: StatedPhase) -> Any:
 
 def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
+
+
+def _require_names(leg: StatedPhase, given: Mapping[str, Any], example: str) -> None:
+    if not given:
+        name = example.partition("(")[0]
+        raise ProblemError(f"{name}() of {leg.label} names no control: write {example}.")
 
 
 def _get_control_symbol(leg: StatedPhase, name: str, what: str) -> Symbol:

@@ -188,8 +188,7 @@ class Phase(StrictAttributes):
     def bounds(self, **ranges: Any) -> None:
         """Set bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
 
-        An end may be a function of time, a table over time, or an expression of ``model.time``, `fraction` and
-        parameters, as in
+        An end may be a function of time, a table over time, or an expression as in `path`:
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
         ranges = split_time_bounds(self, ranges)

@@ -39,6 +39,8 @@ def test_phases_refused() -> None:
         go.ProblemError, "'leg[0]' cannot be the name of a phase of problem 'p'", "without brackets"
     ):
         go.Problem("p").phase("leg[0]", cart())
+    with refused(go.ProblemError, "name of a phase of problem 'p'", "line breaks"):
+        go.Problem("p").phase("first\nleg", cart())
     with refused(go.UnknownNameError, "problem 'rest to rest' has no phase 'lag'", "did you mean 'leg'?"):
         rest_to_rest()[0].with_initial("lag", q=2.0)
     with refused(

@@ -108,6 +108,10 @@ def test_wrong_uses_are_named() -> None:
         leg.rates(b=(-1.0, 1.0))
     with pytest.raises(go.UnknownNameError, match="'c'"):
         leg.polynomials(c=2)
+    with pytest.raises(go.ProblemError, match=r"names no control: write rates\(u=\(-1, 1\)\)"):
+        leg.rates()
+    with pytest.raises(go.ProblemError, match=r"names no control: write polynomials\(u=3\)"):
+        leg.polynomials()
     with pytest.raises(go.ProblemError, match="degree of control 'a'"):
         leg.polynomials(a=-1)
     leg.rates(a=(-1.0, 1.0))
