@@ -76,8 +76,9 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
         def show(record: Any) -> None:
             nonlocal count
             line = (
-                f"  iteration {count}  {record.segments} segments, {record.points} points  error {record.error:.1e}  "
-                f"objective {record.objective:.10g}  {record.iterations} NLP iterations, {record.seconds:.1f} s"
+                f"  iteration {count}  {record.n_segments} segments, {record.n_points} points  "
+                f"error {record.error:.1e}  objective {record.objective:.10g}  {record.iterations} NLP iterations, "
+                f"{record.seconds:.1f} s"
             )
             ending = "" if record.solved else "  not solved"
             console.print(Text(line + ending), soft_wrap=True)

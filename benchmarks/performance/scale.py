@@ -32,7 +32,7 @@ from typing import Any
 import casadi as ca
 
 import gnc_opt as go
-from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.direct.mesh_problem import MeshProblem
 from problems import rendezvous
 
 SEGMENTS = (20, 60, 200, 600, 2000)
@@ -54,8 +54,8 @@ def rendezvous_of(segments: int) -> dict[str, Any]:
     problem = rendezvous.build(1)
     meshes = dict.fromkeys(problem.phases, go.Mesh.uniform(segments, 3))
     options = go.SolverOptions(max_iterations=ITERATIONS)
-    attempt = Attempt.from_problem(problem, meshes, "LG", None, options)
-    point = attempt.build_point(attempt.start)
+    attempt = MeshProblem.from_problem(problem, meshes, "LG", None, options)
+    point = attempt.build_nlp_point(attempt.start)
     attempt.solver.create_solver(point)
     middle = time.process_time()
     found = attempt.solver.solve(point)

@@ -146,7 +146,7 @@ def _row(row: Row, problem: go.Problem, value: float, error: float) -> Row:
         return replace(row, note=solution.status.value)
     size = abs(value) or 1.0
     true = abs(solution.objective - value)
-    estimate = solution.objective_error.value
+    estimate = solution.objective_error.absolute_error
     row = replace(row, error=true, estimate=estimate, relative_error=true / size, size=size)
     if true > max(KNOWN_RATIO * error, PROGRAM_ERROR * size):
         row = replace(row, ratio=estimate / true)

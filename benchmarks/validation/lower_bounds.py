@@ -50,7 +50,7 @@ def measure(runs: int, seed: int) -> list[dict[str, Any]]:
             {
                 "case": k + 1,
                 "final_time": found.objective,
-                "verdict": verdict.word,
+                "verdict": verdict.outcome,
                 "minimum": verdict.minimum,
                 "bound": None if bound is None else bound.value,
                 "states": [] if bound is None else list(bound.states),

@@ -190,7 +190,6 @@ class PredictionHorizon:
 
 
 def _build_interval_rows(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
-    """Return the rows of ``lower <= value + row y <= upper``, scaled to [-1, 1]."""
     scale, middle = 2 / (upper - lower), 0.5 * (upper + lower)
     offset = (value - middle) * scale
     return ca.diag(ca.DM(scale)) @ row, -1 - offset, 1 - offset

@@ -164,11 +164,13 @@ class SwitchingPlan:
                 "support: track it with design_tvlqr() or design_mpc()."
             )
         loose = [
-            label for label, fixed in zip(leg.states.labels, leg.final_bounds.fixed, strict=True) if not fixed
+            label
+            for label, fixed in zip(leg.states.labels, leg.final_bounds.is_fixed, strict=True)
+            if not fixed
         ]
         if loose:
             raise DesignError(f"the plan '{name}' does not fix '{loose[0]}' at the end: use final().")
-        if leg.final_time_bounds.fixed[0] or leg.duration_bounds.fixed[0]:
+        if leg.final_time_bounds.is_fixed[0] or leg.duration_bounds.is_fixed[0]:
             raise DesignError(
                 f"the plan '{name}' has a fixed final time: make the final time free and minimise it."
             )
@@ -192,7 +194,7 @@ def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[
     first, switches = np.zeros(leg.controls.size), []
     for channel, label in enumerate(leg.controls.labels):
         arcs = [arc for arc in solution.structure if arc.channel == label]
-        inner = next((arc for arc in arcs if not arc.kind.at_limit), None)
+        inner = next((arc for arc in arcs if not arc.kind.is_at_limit), None)
         if not arcs or inner is not None:
             where = f" from {inner.start:g} s to {inner.end:g} s" if inner is not None else ""
             raise DesignError(

@@ -308,7 +308,7 @@ class Replanner:
         if len(plan.phases) != 1:
             raise ArgumentError(f"the plan of a Replanner has {len(plan.phases)} phases: plan in one.")
         (leg,) = plan.phases.values()
-        if not leg.initial_time_bounds.fixed[0]:
+        if not leg.initial_time_bounds.is_fixed[0]:
             raise ArgumentError(
                 "the plan of a Replanner does not begin at a fixed time: give time(initial=...)."
             )

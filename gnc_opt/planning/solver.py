@@ -383,7 +383,7 @@ def _is_warm_better(warm: Solution, cold: Solution) -> bool:
     """Return whether the warm solution that did not converge is better than the cold one."""
     if cold.converged or warm.history is None:
         return False
-    return cold.history is None or warm.history.final.error < cold.history.final.error
+    return cold.history is None or warm.history.final_iteration.error < cold.history.final_iteration.error
 
 
 def reached_tolerance(known: Solution) -> float:

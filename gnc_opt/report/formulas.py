@@ -117,7 +117,6 @@ class Formulas:
         return text if binding >= least else _add_parentheses(text)
 
     def _to_mathml(self, node: Any) -> tuple[str, int]:
-        """Return MathML and its precedence."""
         place = node.element_hash()
         if place in self.names:
             return self.names[place], _ATOM

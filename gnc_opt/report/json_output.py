@@ -9,7 +9,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import exited_tables, find_known_quality
+from gnc_opt.planning.solution.summary import find_known_quality, list_table_exits
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart import Multistart
 from gnc_opt.text_formatting import convert_to_json, json_text
@@ -90,7 +90,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "propagation_error": quality and quality.propagation_error,
                 "terminal_error_where": quality and quality.propagation_location,
                 "bound": _lower_bound_dict(solution),
-                "outside_tables": [str(found) for found in exited_tables(solution)],
+                "outside_tables": [str(found) for found in list_table_exits(solution)],
                 "verdict": None if verdict is None else _verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
                 "structure": [
@@ -156,7 +156,7 @@ def _refinement_dict(history: History) -> dict[str, Any]:
     return {
         "status": history.status.value,
         "passes": len(history.passes),
-        "error": history.final.error,
+        "error": history.final_iteration.error,
         **_attributes_dict(history, "tolerance", "seconds"),
     }
 

@@ -263,7 +263,6 @@ class _EventPassage:
         return ca.Function("improve", inputs, [choice(r[4], *inputs)])
 
     def _build_crossing_function(self) -> Any:
-        """Return ``(y, slope, crossing) -> (y, slope)`` of the lowest crossing row."""
         y, slope, crossing = (ca.SX.sym(name, self.n_rows) for name in ("y", "slope", "crossing"))
         least, its = ca.SX(ca.inf), ca.SX(0)
         for j in range(self.n_rows):

@@ -61,8 +61,8 @@ def test_verdict(solution: go.Solution) -> None:
     verdict = go.verify(solution)
     tree = parsed(verdict)
     assert [row[:2] for row in rows(tree)[1:]] == [[c.name, c.result.value] for c in verdict.conditions]
-    assert f"verdict on '{HOSTILE}': {verdict.word}" in "".join(tree.itertext())
-    assert repr(verdict) == f"<verdict on '{HOSTILE}': {verdict.word}>"
+    assert f"verdict on '{HOSTILE}': {verdict.outcome}" in "".join(tree.itertext())
+    assert repr(verdict) == f"<verdict on '{HOSTILE}': {verdict.outcome}>"
 
 
 def test_a_verdict_that_is_not_ok_says_what_that_means(solution: go.Solution) -> None:

@@ -108,7 +108,7 @@ def test_summary_has_seven_lines(good: go.Solution) -> None:
     assert f"final state within {good.accuracy.miss:.1g} m" in lines[2] and "limits satisfied" in lines[2]
     assert f"leg 0 to {good.objective:.10g} s" in lines[3]
     assert lines[4].endswith("10 segments, degree 3, Legendre-Gauss")
-    assert lines[5].endswith(good.statistics.text)
+    assert lines[5].endswith(good.statistics.summary_text)
     assert good.quality.defect_location in lines[6] and f"{good.quality.max_defect:.2g}" in lines[6]
     assert str(good) == summary(good)
 

@@ -35,7 +35,7 @@ from gnc_opt.estimation.linearization import (
     solve_lower_right,
 )
 from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
-from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.direct.mesh_problem import MeshProblem
 from gnc_opt.planning.direct.solve_mesh import (
     HELD_TIME_FACTORS,
     SolveLimits,
@@ -45,7 +45,7 @@ from gnc_opt.planning.direct.solve_mesh import (
 )
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.planning.optimality.cost_scale import Magnitudes
+from gnc_opt.planning.optimality.cost_scale import LargestChanges
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.reachable_set import Ellipsoid
@@ -53,7 +53,7 @@ from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
-from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
+from gnc_opt.planning.problem.arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, unbounded
 from gnc_opt.planning.problem.guess import simulation as guess_simulation
 from gnc_opt.planning.problem.guess.initial_guess import (
@@ -75,7 +75,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     COARSE_POINTS,
     FIRST_DEGREE,
     ArcMesh,
-    Resolution,
+    PieceMesh,
     count_uniform_points,
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -98,9 +98,9 @@ from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_sol
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     check_arc_segments,
-    fix_controls_on_arcs,
-    fix_paths_on_arcs,
-    fix_states_on_arcs,
+    fix_arc_controls,
+    fix_arc_paths,
+    fix_arc_states,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH

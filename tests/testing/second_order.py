@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 import gnc_opt as go
 from testing.internals import (
     CONDITION_TOLERANCE,
-    Magnitudes,
+    LargestChanges,
     Samples,
     _build_solution,
     boundary_gradients,
@@ -23,7 +23,7 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
     """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
     solution = recompute_from_problem(solution)
     samples = list(solution.samples().values())
-    magnitude = Magnitudes.from_solution(solution, samples).cost
+    magnitude = LargestChanges.from_solution(solution, samples).cost
     samples = [s.with_cost_magnitude(magnitude) for s in samples]
     return {c.name: c for c in second_order_conditions(solution, samples, boundary_gradients(solution), tol)}
 

@@ -14,7 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Indices
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.costates import Iterate
+from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
@@ -30,7 +30,7 @@ ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt:
+class MeshProblem:
     """Nonlinear program of a problem on given meshes, with numbers, scaling and initial point.
 
     Attributes
@@ -65,7 +65,7 @@ class Attempt:
         options: SolverOptions,
         *,
         progress: bool = False,
-    ) -> Attempt:
+    ) -> MeshProblem:
         """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point.
 
         Raises
@@ -84,7 +84,7 @@ class Attempt:
         build_s = time.perf_counter() - begin
         return cls(transcription, problem, solver, options, scaling, start, build_s, reused, progress)
 
-    def build_point(
+    def build_nlp_point(
         self, start: ProgramStart, *, held: Indices | None = None, with_cost: bool = True
     ) -> NlpPoint:
         """Return the scaled solver input for an initial point, with ``held`` variables fixed; cost is optional."""
@@ -121,14 +121,14 @@ class Attempt:
     def build_solution(self, result: NlpResult) -> Solution:
         """Return the solution of a solver result; its problem is a frozen copy."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
-        iterate = Iterate(
+        iterate = NlpIterate(
             result.x * scaling.variables,
             result.lam_x / scaling.variables / scaling.objective,
             result.lam_g * scaling.rows / scaling.objective,
         )
         box = transcription.variable_interval(problem)
         # Scaling and unscaling rounds; fixed variables must equal their bounds exactly.
-        iterate = replace(iterate, x=np.where(box.fixed, box.lower, iterate.x))
+        iterate = replace(iterate, x=np.where(box.is_fixed, box.lower, iterate.x))
         iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
         phases, gradients = extract_phases(transcription, problem, iterate)
         places = transcription.parameter_places

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.direct.mesh_problem import MeshProblem
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.options import Start
@@ -133,7 +133,7 @@ def solve_mesh(
         }
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
-    task = _Task(problem, meshes, scheme, chosen, progress, limits)
+    task = _MeshTask(problem, meshes, scheme, chosen, progress, limits)
     if guess is None:
         return task.solve()
     if limits.warm_iterations is None:
@@ -148,7 +148,7 @@ def solve_mesh(
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _MeshTask:
     problem: Problem
     meshes: Mapping[str, Mesh]
     scheme: Scheme
@@ -156,7 +156,7 @@ class _Task:
     progress: bool
     limits: SolveLimits
 
-    def deduct_iterations(self, found: Solution) -> _Task:
+    def deduct_iterations(self, found: Solution) -> _MeshTask:
         if self.limits.iterations is None:
             return self
         left = max(0, self.limits.iterations - found.statistics.iterations)
@@ -176,24 +176,24 @@ class _Task:
         found = replace(self, problem=start, options=cold).solve(after=after)
         return replace(found, problem=self.problem.frozen())
 
-    def limit_iterations(self, iterations: int) -> _Task:
+    def limit_iterations(self, iterations: int) -> _MeshTask:
         fewer = min(iterations, self.options.max_iterations)
         return replace(self, options=replace(self.options, max_iterations=fewer))
 
     def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
-        attempt = Attempt.from_problem(
+        attempt = MeshProblem.from_problem(
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
         )
-        point = attempt.build_point(attempt.start)
+        point = attempt.build_nlp_point(attempt.start)
         attempt.solver.create_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.limits.deadline, attempt.solver.solve_deadline() - earlier_s)
-        allowance = _Allowance(None, self.limits)
-        tries = _Tries(attempt, allowance, deadline)
+        allowance = _AttemptLimit(None, self.limits)
+        tries = _SolveAttempts(attempt, allowance, deadline)
         tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
         result = tries.select_result()
-        if allowance.is_spent and result.status is Status.INTERRUPTED:
+        if allowance.is_exceeded and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = minimum_norm_multipliers(attempt.transcription, point, result)
@@ -213,11 +213,11 @@ class FeasibilityStart:
 
 
 @dataclass(eq=False)
-class _Tries:
+class _SolveAttempts:
     """Attempts on one program until one succeeds: all results ``spent``, and those with cost, ``whole``."""
 
-    attempt: Attempt
-    allowance: _Allowance
+    attempt: MeshProblem
+    allowance: _AttemptLimit
     deadline: float
     spent: list[NlpResult] = field(default_factory=list)
     whole: list[NlpResult] = field(default_factory=list)
@@ -242,7 +242,7 @@ class _Tries:
         if self._is_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
         for start in self._start_from_simulation():
-            self._solve_program(self.attempt.build_point(start), most=most)
+            self._solve_program(self.attempt.build_nlp_point(start), most=most)
         if not self._is_finished:
             self._solve_constraints_first()
         if lost and not self._is_finished:
@@ -264,7 +264,7 @@ class _Tries:
 
     @property
     def _is_finished(self) -> bool:
-        over = self.allowance.is_spent or time.perf_counter() > self.deadline
+        over = self.allowance.is_exceeded or time.perf_counter() > self.deadline
         solved = self.spent[-1].status.solved or self.spent[0].status.solved
         return over or solved or self.spent[-1].status is Status.INTERRUPTED
 
@@ -272,7 +272,7 @@ class _Tries:
         self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
     ) -> NlpResult:
         with self.attempt.show_progress(with_cost=with_cost) as self.allowance.show:
-            patience = _Patience(self.allowance, most)
+            patience = _SolveLimit(self.allowance, most)
             found = self.attempt.solver.solve(point, way, callback=patience, deadline=self.deadline)
         if patience.lost and found.status is Status.INTERRUPTED:
             found = replace(found, status=Status.ITERATION_LIMIT)
@@ -290,10 +290,10 @@ class _Tries:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
         for place in generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
-            point = attempt.build_point(ProgramStart(place.variables), held=place.held, with_cost=False)
+            point = attempt.build_nlp_point(ProgramStart(place.variables), held=place.held, with_cost=False)
             met = self._solve_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
-                there = attempt.build_point(ProgramStart(met.x * attempt.scaling.variables))
+                there = attempt.build_nlp_point(ProgramStart(met.x * attempt.scaling.variables))
                 self._solve_program(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return
@@ -302,7 +302,7 @@ class _Tries:
 
 
 @dataclass
-class _Allowance:
+class _AttemptLimit:
     """Display of iterations, and end of the attempt that exceeds the common iteration or CPU limit."""
 
     show: ProgressCallback | None
@@ -313,16 +313,16 @@ class _Allowance:
         if self.show is not None:
             self.show(info)
         self.count += info.iteration > 0
-        return self.is_spent
+        return self.is_exceeded
 
     @property
-    def is_spent(self) -> bool:
+    def is_exceeded(self) -> bool:
         most = self.limits.iterations
         return (most is not None and self.count >= most) or time.thread_time() > self.limits.cpu_deadline
 
 
 @dataclass
-class _Patience:
+class _SolveLimit:
     """Display of iterations, and end of a solve after its own or the common iteration limit."""
 
     show: ProgressCallback

@@ -195,7 +195,7 @@ class SeparableProgram:
 
 
 @dataclass(frozen=True)
-class _Entries:
+class _Nonzeros:
     """Contributions of a block's nonzeros to the global ones: global index, local source, factor."""
 
     rows: Indices
@@ -209,7 +209,7 @@ class _Entries:
         return scipy.sparse.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
 
-def _jacobian_entries(block: PointBlock, n_variables: int) -> _Entries:
+def _jacobian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     rows, columns = block.function.jacobian_pattern
     n_points, n_local = block.n_points, rows.size
     outputs = (rows[:, None] + block.function.n_rows * np.arange(n_points)[None, :]).ravel(order="F")
@@ -221,7 +221,7 @@ def _jacobian_entries(block: PointBlock, n_variables: int) -> _Entries:
     positions = np.repeat(starts - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts) + np.arange(
         counts.sum()
     )
-    return _Entries(
+    return _Nonzeros(
         block.weights.indices[positions].astype(np.int64),
         variables[sources].astype(np.int64),
         sources.astype(np.int64),
@@ -230,7 +230,7 @@ def _jacobian_entries(block: PointBlock, n_variables: int) -> _Entries:
     )
 
 
-def _hessian_entries(block: PointBlock, n_variables: int) -> _Entries:
+def _hessian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     rows, columns = block.function.hessian_pattern
     first = block.variables[rows, :].ravel(order="F")
     second = block.variables[columns, :].ravel(order="F")
@@ -239,7 +239,7 @@ def _hessian_entries(block: PointBlock, n_variables: int) -> _Entries:
     # Two arguments from one variable: both off-diagonal entries contribute to the diagonal.
     off_diagonal = np.tile(rows != columns, block.n_points)[keep]
     factors = np.where((low == high) & off_diagonal, 2.0, 1.0)
-    return _Entries(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
+    return _Nonzeros(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
 
 
 def _merge_patterns(keys: list[Indices]) -> Indices:

@@ -42,14 +42,14 @@ ProgressCallback: TypeAlias = Callable[[IterationInfo], "bool | None"]
 
 
 @dataclass(frozen=True)
-class Box:
+class Bounds:
     """Bounds of a vector, (n,) each."""
 
     lower: Array
     upper: Array
 
     @classmethod
-    def from_scalars(cls, name: str, lower: Array, upper: Array) -> Box:
+    def from_scalars(cls, name: str, lower: Array, upper: Array) -> Bounds:
         box = cls(lower, upper)
         wrong = ~(box.lower <= box.upper) | (box.lower == np.inf) | (box.upper == -np.inf)
         if wrong.any():
@@ -75,8 +75,8 @@ class Box:
 class SolveWatch:
     """Data of the monitor for the current solve."""
 
-    box_x: Box
-    box_g: Box
+    box_x: Bounds
+    box_g: Bounds
     callback: ProgressCallback | None
     deadline: float
     stop: bool = False

@@ -24,7 +24,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.planning.nlp.options import SolverOptions, Start, nlpsol_options
 from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.solve_monitor import (
-    Box,
+    Bounds,
     Monitor,
     ProgressCallback,
     SolveWatch,
@@ -190,8 +190,8 @@ class NlpSolver:
             A vector has a wrong length, bounds are crossed or NaN, or the plugin rejects its options.
         """
         arguments = point.nlpsol_arguments(self.problem)
-        box_x = Box.from_scalars("x", arguments["lbx"], arguments["ubx"])
-        box_g = Box.from_scalars("g", arguments["lbg"], arguments["ubg"])
+        box_x = Bounds.from_scalars("x", arguments["lbx"], arguments["ubx"])
+        box_g = Bounds.from_scalars("g", arguments["lbg"], arguments["ubg"])
         self.create_solver(point, way)  # the time limit excludes the setup
         end = self.solve_deadline() if deadline is None else deadline
         return self._run_solver(way or point.start_kind, arguments, SolveWatch(box_x, box_g, callback, end))

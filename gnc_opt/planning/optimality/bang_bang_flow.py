@@ -78,7 +78,7 @@ class BangBangFlow:
     initial_sensitivity: Array
     states: Array
     controls: Array
-    _rates: _Rates
+    _rates: _StepFunctions
     _inputs: Array
     _widths: Array
     _swept: dict[bytes, Array] = field(default_factory=dict)
@@ -123,8 +123,8 @@ class BangBangFlow:
         return self._swept[key]
 
     @cached_property
-    def _step_derivatives(self) -> _Steps:
-        return _Steps.differentiate(self._rates, self.states[:, :-1], self._inputs)
+    def _step_derivatives(self) -> _StepDerivatives:
+        return _StepDerivatives.differentiate(self._rates, self.states[:, :-1], self._inputs)
 
     @cached_property
     def _forward_sensitivities(self) -> tuple[Array, Array]:
@@ -161,7 +161,7 @@ def integrate_bang_bang(
         Number of grid steps over the phase; at least one between two switches.
     """
     leg, q = s.leg, s.functions.q
-    rates = problem.cache(("flow", leg.name), lambda: _Rates.build_functions(s))
+    rates = problem.cache(("flow", leg.name), lambda: _StepFunctions.build_functions(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
     inputs, widths = _integration_step_inputs(s, pieces, n_times, refinement, steps)
@@ -189,7 +189,7 @@ def _integration_step_inputs(
 
 
 @dataclass(frozen=True, eq=False)
-class _Rates:
+class _StepFunctions:
     """CasADi Functions of z = (x, integrals, t, q) and of the inputs (width, control, p).
 
     Attributes
@@ -208,11 +208,11 @@ class _Rates:
     step: Any
     back: Any
     stages: Any
-    jacobian: _Matrices
-    hessian: _Matrices
+    jacobian: _SparseFunction
+    hessian: _SparseFunction
 
     @classmethod
-    def build_functions(cls, s: PhaseSamples) -> _Rates:
+    def build_functions(cls, s: PhaseSamples) -> _StepFunctions:
         rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
         n, m, n_integrals, n_q = (
             s.leg.states.size, s.leg.controls.size, s.leg.integrals.size, s.functions.q.size
@@ -245,22 +245,20 @@ class _Rates:
             ca.Function("step", [state, inputs], [ca.densify(after)]),
             ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)]),
             ca.Function("stages", [state, inputs], [ca.densify(ca.vertcat(*places, *slopes))]),
-            _Matrices.build_function("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
-            _Matrices.build_function("rate_hessian", [state, inputs, weights], hessian),
+            _SparseFunction.build_function("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
+            _SparseFunction.build_function("rate_hessian", [state, inputs, weights], hessian),
         )
 
 
 @dataclass(frozen=True, eq=False)
-class _Matrices:
-    """Sparse matrix as a function of column vectors, evaluated for many of them."""
-
+class _SparseFunction:
     entries: Any
     shape: tuple[int, int]
     rows: Indices
     columns: Indices
 
     @classmethod
-    def build_function(cls, name: str, arguments: list[Any], matrix: Any) -> _Matrices:
+    def build_function(cls, name: str, arguments: list[Any], matrix: Any) -> _SparseFunction:
         rows, columns = (np.array(part, dtype=int) for part in matrix.sparsity().get_triplet())
         entries = ca.vertcat(*matrix.nonzeros()) if rows.size else ca.SX(0, 1)
         return cls(ca.Function(name, arguments, [entries]), matrix.shape, rows, columns)
@@ -307,11 +305,11 @@ _SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
 
 
 @dataclass(frozen=True, eq=False)
-class _Steps:
+class _StepDerivatives:
     """Derivatives of integration steps with respect to w = (z, h); ``jacobians`` (n_steps, n, n + 1)."""
 
     jacobians: Array
-    _rates: _Rates
+    _rates: _StepFunctions
     _inputs: Array
     _places: Array
     _moved: Array
@@ -319,7 +317,7 @@ class _Steps:
     _slope_jacobians: Array
 
     @classmethod
-    def differentiate(cls, rates: _Rates, states: Array, inputs: Array) -> _Steps:
+    def differentiate(cls, rates: _StepFunctions, states: Array, inputs: Array) -> _StepDerivatives:
         """Return the derivatives of the steps from states (n, n_steps) with given inputs."""
         (n, n_steps), n_stages = states.shape, len(_SHARES)
         h = inputs[0][:, None, None]

@@ -66,7 +66,7 @@ def index_of_lasting_minimum(times: Array, values: Array) -> int:
 
 
 @dataclass(frozen=True)
-class Magnitudes:
+class LargestChanges:
     """Largest changes for end values, times, integrals or parameters that change by their variation scales.
 
     Attributes
@@ -79,7 +79,7 @@ class Magnitudes:
     constraints: Array
 
     @classmethod
-    def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Magnitudes:
+    def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> LargestChanges:
         """Return the changes of cost and constraints for a solution."""
         problem = solution.need_problem("verify")
         values: list[Array] = []
@@ -90,7 +90,7 @@ class Magnitudes:
             boxes.update({len(values) + k: s.state_range for k in range(2)})
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
             values += [np.atleast_1d(v) for v in leg.end_arguments]
-            spans += [s.state_scale, s.state_scale, *(np.where(b.fixed, 0.0, s.span) for b in bounds)]
+            spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
             spans += [compute_integral_spans(s), np.zeros(leg.parameters.size)]
         values.append(solution.parameter_values)
         spans.append(compute_parameter_scales(solution))

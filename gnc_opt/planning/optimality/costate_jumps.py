@@ -125,7 +125,7 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class EndPush:
+class EndResidual:
     """Transversality residual at an end of a phase, and the part that pure state path constraints explain.
 
     Attributes
@@ -149,14 +149,14 @@ class EndPush:
     limits: Interval
 
 
-def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
+def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndResidual:
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     leg, name, pure, n = s.leg, s.leg.name, s.pure_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds
     limits = intersect(given, leg.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
     multipliers, rows = np.zeros(len(leg.path_labels)), np.concatenate([pure, pure])
-    nothing = EndPush(gap, multipliers, np.zeros(n), 0.0, limits)
+    nothing = EndResidual(gap, multipliers, np.zeros(n), 0.0, limits)
     pushers = StateConstraintSides.evaluate_at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
     sides = np.concatenate([n + np.arange(pure.size), 2 * n + pure.size + np.arange(pure.size)])
     active = pushers.active[sides, 0]
@@ -169,12 +169,12 @@ def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndP
     sizes = scipy.optimize.nnls(every * s.state_scale[:, None], gap * s.state_scale)[0][: sides.size]
     np.add.at(multipliers, rows, signs * sizes)
     drift = float(pushers.drifts[sides, 0] @ sizes)
-    return EndPush(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
+    return EndResidual(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
 
 
 def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
     """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of (K - 1) boundaries."""
-    offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
+    offsets, near = (np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * AVERAGING_SHARE_OF_PHASE * s.span)
     widths = np.minimum(np.diff(s.leg.breaks), near)
     sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
     upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)

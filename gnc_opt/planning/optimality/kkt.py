@@ -32,7 +32,7 @@ CONSISTENT, NOISE = 1e-7, 1e-13
 """Relative and absolute residual of a consistent system."""
 
 
-class SaddlePoint:
+class SaddlePointSystem:
     """Symmetric indefinite sparse system; redundant consistent rows are allowed, undetermined variables are not."""
 
     def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:

@@ -29,7 +29,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
-from gnc_opt.planning.solution.costates import Iterate
+from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.warm_start import set_integral_variables
@@ -40,7 +40,7 @@ from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
 
 
 @dataclass(frozen=True)
-class PointMultipliers:
+class CostateJumpCandidates:
     """Pure state path constraints that may have atoms at segment boundaries.
 
     Attributes
@@ -66,7 +66,7 @@ class PointMultipliers:
         q: Array,
         scales: Array,
         near: float,
-    ) -> PointMultipliers:
+    ) -> CostateJumpCandidates:
         """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
         found = [cls._empty(transcription.n_variables)]
         for name, part in transcription.parts.items():
@@ -101,7 +101,7 @@ class PointMultipliers:
         )
 
     @classmethod
-    def _empty(cls, n_variables: int) -> PointMultipliers:
+    def _empty(cls, n_variables: int) -> CostateJumpCandidates:
         nowhere = np.zeros(0, dtype=bool)
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
@@ -165,7 +165,7 @@ def estimate_multipliers(
     fitted: Mapping[str, FittedPhase],
     q: Array,
     near: float = ACTIVE,
-) -> Iterate:
+) -> NlpIterate:
     """Return the program's variables at a trajectory, and the multipliers that explain it best.
 
     Parameters
@@ -188,37 +188,37 @@ def estimate_multipliers(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _Limits.from_values(transcription.variable_interval(problem), x, near * scales)
-    row_limits = _Limits.from_values(transcription.row_interval(problem), values, near / row_scales)
-    atoms = PointMultipliers.from_trajectory(transcription, problem, fitted, q, scales, near)
+    limits = _LimitSet.from_values(transcription.variable_interval(problem), x, near * scales)
+    row_limits = _LimitSet.from_values(transcription.row_interval(problem), values, near / row_scales)
+    atoms = CostateJumpCandidates.from_trajectory(transcription, problem, fitted, q, scales, near)
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients
         @ scipy.sparse.diags_array(1 / _replace_zeros_by_one(atoms.sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
-    pushing = row_limits.append_limits(_Limits(atoms.at_lower, atoms.at_upper))
+    pushing = row_limits.append_limits(_LimitSet(atoms.at_lower, atoms.at_upper))
     restarts = {name: _find_restart_boundaries(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = _adjoint_rows(transcription, restarts), _basis_columns(transcription, restarts)
     basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
     scaled = _fit_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
-    return Iterate(x, np.where(limits.at_any_limit, -residual, 0.0), lam_g)
+    return NlpIterate(x, np.where(limits.at_any_limit, -residual, 0.0), lam_g)
 
 
-class _Limits:
+class _LimitSet:
     """Limits that may be active: multipliers are <= 0 at lower, >= 0 at upper limits, of any sign for equalities."""
 
     def __init__(self, lower: Mask, upper: Mask) -> None:
         self.lower, self.upper = lower, upper
 
     @classmethod
-    def from_values(cls, box: Interval, values: Array, slack: Array) -> _Limits:
-        return cls((values <= box.lower + slack) | box.fixed, (values >= box.upper - slack) | box.fixed)
+    def from_values(cls, box: Interval, values: Array, slack: Array) -> _LimitSet:
+        return cls((values <= box.lower + slack) | box.is_fixed, (values >= box.upper - slack) | box.is_fixed)
 
-    def append_limits(self, other: _Limits) -> _Limits:
-        return _Limits(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
+    def append_limits(self, other: _LimitSet) -> _LimitSet:
+        return _LimitSet(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
 
     @property
     def at_any_limit(self) -> Mask:
@@ -231,7 +231,7 @@ class _Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class _CostateForm:
+class _CostateFit:
     """Least-squares problem in the multipliers that the adjoint equation does not determine, with its rows eliminated.
 
     Attributes
@@ -255,8 +255,8 @@ class _CostateForm:
 
     @classmethod
     def eliminate_adjoint_rows(
-        cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, pushing: _Limits
-    ) -> _CostateForm | None:
+        cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, pushing: _LimitSet
+    ) -> _CostateFit | None:
         """Return the reduced problem; None if the adjoint equation is numerically singular."""
         loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.at_any_limit & ~basis)
         freed, rows = np.flatnonzero(limits.at_any_limit & exact), np.flatnonzero(exact)
@@ -309,10 +309,10 @@ class _CostateForm:
 
 
 def _fit_multipliers(
-    matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, row_limits: _Limits
+    matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, row_limits: _LimitSet
 ) -> Array:
     """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
-    form = _CostateForm.eliminate_adjoint_rows(matrix, gradient, exact, basis, limits, row_limits)
+    form = _CostateFit.eliminate_adjoint_rows(matrix, gradient, exact, basis, limits, row_limits)
     if form is None:  # no multipliers explain the trajectory
         return np.zeros(matrix.shape[1])
     imposed, pushing = ~limits.at_any_limit, row_limits.at_any_limit.copy()
@@ -335,7 +335,7 @@ def _fit_multipliers(
 
 
 def _fit_multipliers_with_right_signs(
-    form: _CostateForm, first: Array, limits: _Limits, row_limits: _Limits, size: float
+    form: _CostateFit, first: Array, limits: _LimitSet, row_limits: _LimitSet, size: float
 ) -> Array | None:
     """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
     n_rows = limits.at_any_limit.size

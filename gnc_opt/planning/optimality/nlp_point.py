@@ -44,7 +44,7 @@ class ProgramLimits:
         """Return the limits with the active set determined from values and multipliers (densities)."""
         below = (multipliers < 0) & (values - box.lower < -multipliers)
         above = (multipliers > 0) & (box.upper - values < multipliers)
-        active = box.fixed | below | above
+        active = box.is_fixed | below | above
         limit = np.where(above, box.upper, box.lower)
         return cls(box, active, np.where(active, limit, 0.0), labels)
 
@@ -52,14 +52,14 @@ class ProgramLimits:
         """Return the inward multiplier of each active limit, > 0 for an admissible sign; NaN elsewhere."""
         upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
         push = np.where(upper, multipliers, -multipliers)
-        return np.where(self.active & ~self.box.fixed, push, np.nan)
+        return np.where(self.active & ~self.box.is_fixed, push, np.nan)
 
     def slack(self, values: Array) -> Array:
         """Return the distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
         room = np.minimum(values - self.box.lower, self.box.upper - values)
         return np.where(self.active, np.nan, room)
 
-    def weakly_active(self, values: Array, multipliers: Array) -> Mask:
+    def is_weakly_active(self, values: Array, multipliers: Array) -> Mask:
         """Return which limits are weakly active: nearly reached with zero multiplier, or vice versa."""
         return np.asarray((self.active_multipliers(multipliers) < ACTIVE) | (self.slack(values) < ACTIVE))
 

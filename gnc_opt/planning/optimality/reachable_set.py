@@ -64,7 +64,7 @@ class Ellipsoid:
         parts = np.tensordot(self.axes.T, _divide_by_scale(moved, self.radius), 1)
         return np.asarray(np.linalg.norm(parts / _broadcast_scale(self.shares, parts), axis=0))
 
-    def maximise_change(self, gradient: Array) -> Array:
+    def largest_change(self, gradient: Array) -> Array:
         """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
         scaled = np.asarray(gradient) * _broadcast_scale(self.radius, gradient)
         parts = np.tensordot(self.axes.T, scaled, 1)
@@ -241,7 +241,7 @@ def link_initial_states(
     jacobians, found = boundary_constraint_jacobians(problem, solution), {}
     for k, s in enumerate(samples):
         leg = s.leg
-        free = np.flatnonzero(~leg.initial_bounds.fixed)
+        free = np.flatnonzero(~leg.initial_bounds.is_fixed)
         size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
         unit = np.where(size > 0, size, 1.0)[free]
         own = jacobians[leg.name][0][:, free] * unit

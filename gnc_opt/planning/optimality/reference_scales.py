@@ -393,7 +393,7 @@ class EndPoints:
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.leg.name]
-            free, n = ~s.leg.initial_bounds.fixed, s.leg.states.size
+            free, n = ~s.leg.initial_bounds.is_fixed, s.leg.states.size
             for column in ((start.nonzero_axes if still else start.semi_axes)[:, free] * free[:, None]).T:
                 moves.append(self._pad_displacement({6 * k: column}))
             for column in (end.nonzero_axes if still else end.semi_axes).T:
@@ -411,7 +411,7 @@ class EndPoints:
         moves = []
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
-            if not box.fixed[0]:
+            if not box.is_fixed[0]:
                 rate = s.functions.rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
                 step = SECOND_DIFFERENCE_STEP_SHARE * s.span
                 moves.append(
@@ -427,7 +427,7 @@ class EndPoints:
         moves += self._parameter_displacements(parameters)
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
-                if not box.fixed[0]:
+                if not box.is_fixed[0]:
                     moves.append(self._pad_displacement({place: np.array([s.span])}))
         found = self._difference_cost_and_constraints([[step * v for v in move] for move in moves])
         if found is None:

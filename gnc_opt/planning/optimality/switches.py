@@ -82,11 +82,11 @@ class Switches:
         return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
 
     @property
-    def n_orders(self) -> int:
+    def n_switch_orders(self) -> int:
         """Number of possible orders of the switches."""
         return math.prod(math.factorial(len(group)) for group in self.simultaneous_groups)
 
-    def list_orders(self) -> Iterator[tuple[int, ...]]:
+    def list_switch_orders(self) -> Iterator[tuple[int, ...]]:
         """Yield all possible orders of the switches."""
         for choice in itertools.product(
             *(itertools.permutations(group) for group in self.simultaneous_groups)

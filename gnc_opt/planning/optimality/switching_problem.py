@@ -36,7 +36,7 @@ NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to s
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class SwitchUnknowns:
     """Unknowns of the switching-time problem.
 
     Attributes
@@ -63,7 +63,7 @@ class Unknowns:
     @classmethod
     def from_switches(
         cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]
-    ) -> Unknowns:
+    ) -> SwitchUnknowns:
         labels: list[str] = []
         scale: list[float] = []
         worth: list[float] = []
@@ -72,7 +72,7 @@ class Unknowns:
         starts: dict[str, Indices] = {}
         for s in samples:
             leg, begin = s.leg, len(labels)
-            starts[leg.name] = np.flatnonzero(~leg.initial_bounds.fixed)
+            starts[leg.name] = np.flatnonzero(~leg.initial_bounds.is_fixed)
             times = ("initial time", *switches[leg.name].labels, "final time")
             labels += [f"phase {leg.name}, {what}" for what in times]
             labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
@@ -85,14 +85,14 @@ class Unknowns:
                 s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
             )
             worth += list(start_worth)
-            free += [not leg.initial_time_bounds.fixed[0], *[True] * (len(times) - 2)]
-            free += [not leg.final_time_bounds.fixed[0], *[True] * starts[leg.name].size]
+            free += [not leg.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
+            free += [not leg.final_time_bounds.is_fixed[0], *[True] * starts[leg.name].size]
             own[leg.name] = np.arange(begin, len(labels))
         problem = solution.need_problem("verify")
         shared = len(labels) + np.arange(solution.parameter_values.size)
         labels += [f"parameter {label}" for label in solution.free_parameters.labels]
         scale += list(compute_parameter_scales(solution))
-        free += list(~problem.parameter_interval().fixed)
+        free += list(~problem.parameter_interval().is_fixed)
         worth += [max(s.cost_scale for s in samples)] * shared.size
         places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
         return cls(
@@ -108,7 +108,7 @@ def _initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]
 
 
 @dataclass(frozen=True)
-class Conditions:
+class EndConditions:
     """End conditions: on end values, boundary constraints, then others.
 
     Attributes
@@ -126,7 +126,7 @@ class Conditions:
     multipliers: Array
 
     @classmethod
-    def concatenate_conditions(cls, parts: list[Conditions]) -> Conditions:
+    def concatenate(cls, parts: list[EndConditions]) -> EndConditions:
         return cls(
             np.concatenate([rows.values for rows in parts]),
             stack_intervals([rows.limits for rows in parts]),
@@ -144,9 +144,9 @@ class Conditions:
 class InducedProblem:
     """Switching-time problem for one order of the switches; ``gradient`` (n,): of the cost in the scaled unknowns."""
 
-    unknowns: Unknowns
+    unknowns: SwitchUnknowns
     gradient: Array
-    conditions: Conditions
+    conditions: EndConditions
     _samples: list[PhaseSamples]
     _flows: Mapping[str, BangBangFlow]
     _at_ends: Callable[[Array], tuple[Array, ...]]
@@ -159,7 +159,7 @@ class InducedProblem:
         solution: Solution,
         samples: list[PhaseSamples],
         ends: EndGradients,
-        unknowns: Unknowns,
+        unknowns: SwitchUnknowns,
         pieces: Mapping[str, PiecewiseControl],
         refinement: int = 1,
     ) -> InducedProblem:
@@ -237,7 +237,7 @@ def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -
 
 
 def _boundary_state_derivatives(
-    samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]
+    samples: list[PhaseSamples], unknowns: SwitchUnknowns, flows: Mapping[str, BangBangFlow]
 ) -> Array:
     rows = []
     for s in samples:
@@ -255,30 +255,30 @@ def _collect_boundary_conditions(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
-    unknowns: Unknowns,
+    unknowns: SwitchUnknowns,
     changes: Array,
     of_constraints: Array,
-) -> Conditions:
+) -> EndConditions:
     problem = solution.need_problem("verify")
-    at_end: list[Conditions] = []
-    others: list[Conditions] = []
+    at_end: list[EndConditions] = []
+    others: list[EndConditions] = []
     row = 0
     for s in samples:
         leg, name, size, n = s.leg, s.leg.name, _count_flow_states(s), s.leg.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
         limits = intersect(leg.final_bounds, leg.state_bounds)
-        at_end.append(Conditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
+        at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
         rows, limits = unknowns.free_start[name], intersect(leg.initial_bounds, leg.state_bounds)
         limits = Interval(limits.lower[rows], limits.upper[rows])
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
-        others.append(Conditions(s.x[rows, 0], limits, start[rows], multipliers))
+        others.append(EndConditions(s.x[rows, 0], limits, start[rows], multipliers))
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
         boxes = [leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds]
-        others.append(Conditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
+        others.append(EndConditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
         row += 2 * size
     at_end.append(
-        Conditions(
+        EndConditions(
             ends.constraints,
             problem.constraint_interval(),
             of_constraints,
@@ -286,8 +286,8 @@ def _collect_boundary_conditions(
         )
     )
     q = solution.parameter_values
-    others.append(Conditions(q, problem.parameter_interval(), changes[row:], np.zeros(q.size)))
-    return Conditions.concatenate_conditions([*at_end, *others])
+    others.append(EndConditions(q, problem.parameter_interval(), changes[row:], np.zeros(q.size)))
+    return EndConditions.concatenate([*at_end, *others])
 
 
 def boundary_function_derivatives(problem: Problem) -> Any:

@@ -116,7 +116,7 @@ def fit_trajectory(samples: Samples, rates: Rates) -> FittedPhase:
     jumps += unmarked
     jumps += _find_kinks(samples, jumps)
     jumps.sort(key=lambda jump: jump.after)
-    controls = _Controls(samples, jumps)
+    controls = _ControlFit(samples, jumps)
     controls.choose_interpolation(samples, rates)
     for interval in sorted({jump.after for jump in unmarked}):
         _locate_jump_times(samples, controls, [j for j in unmarked if j.after == interval], rates)
@@ -200,7 +200,7 @@ def _intersection_time(left: Any, right: Any, first: float, last: float, slack: 
     return float(scipy.optimize.brentq(interpolant_difference, first, last))
 
 
-class _Controls:
+class _ControlFit:
     """Controls at any time, between their jumps; ``kinked``: sampling intervals with Akima splines."""
 
     def __init__(self, samples: Samples, jumps: list[_Jump]) -> None:
@@ -246,7 +246,7 @@ def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
     return scipy.interpolate.CubicSpline(t, u), akima
 
 
-def _locate_jump_times(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> None:
+def _locate_jump_times(samples: Samples, controls: _ControlFit, jumps: list[_Jump], rates: Rates) -> None:
     """Move jumps between two samples to the time at which the dynamics connect the states."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])
@@ -279,7 +279,7 @@ def _locate_jump_times(samples: Samples, controls: _Controls, jumps: list[_Jump]
         jump.time = first if near[0] else last if near[1] else float(time)
 
 
-def _propagate_states(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) -> Array:
+def _propagate_states(x: Array, a: Array, b: Array, controls: _ControlFit, rates: Rates) -> Array:
     """Return states (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
     h, middle = (b - a) / _RUNGE_KUTTA_STEPS, 0.5 * (a + b)
     for k in range(_RUNGE_KUTTA_STEPS):
@@ -298,7 +298,9 @@ def runge_kutta_step(rates: Rates, a: Array, b: Array, x: Array, controls: list[
     return np.asarray(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(b, x + h * k3, controls[2])))
 
 
-def _fit_polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> FittedPhase:
+def _fit_polynomials(
+    samples: Samples, controls: _ControlFit, jumps: list[_Jump], rates: Rates
+) -> FittedPhase:
     t, x = samples.t, samples.x
     inner = [j for j in jumps if not np.any(t == j.time)]
     times = np.unique([*t, *(j.time for j in inner)])

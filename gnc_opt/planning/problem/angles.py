@@ -20,7 +20,7 @@ ELSEWHERE = 0.37
 
 
 @dataclass(frozen=True)
-class Turns:
+class UnboundedAngles:
     """Angular controls whose bounds exclude no direction, and the range of their returned values.
 
     Attributes

@@ -33,12 +33,12 @@ class ArcKind(Enum):
         return _SIGNS.get(self, 0)
 
     @property
-    def at_limit(self) -> bool:
+    def is_at_limit(self) -> bool:
         """Whether the constraint is active on the arc."""
         return self in _SIGNS
 
     @classmethod
-    def of_sign(cls, sign: int) -> ArcKind:
+    def from_sign(cls, sign: int) -> ArcKind:
         """Return LOWER for -1, UPPER for +1 and INTERIOR for 0."""
         return _OF_SIGNS[sign]
 
@@ -81,7 +81,7 @@ MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
 
 
 @dataclass(frozen=True)
-class Smooth:
+class SmoothControl:
     """Control (row index) that is one polynomial of the given degree on segments ``first, ..., last - 1``."""
 
     control: int
@@ -119,13 +119,13 @@ class Junction:
 
 
 @dataclass(frozen=True)
-class Held:
+class FixedArcs:
     """Prescribed arcs: rows of K kinds; interior means free within the limits."""
 
     controls: Kinds
     paths: Kinds = ()
     states: Kinds = ()
-    smooth: tuple[Smooth, ...] = ()
+    smooth: tuple[SmoothControl, ...] = ()
     junctions: tuple[Junction, ...] = ()
 
 
@@ -161,4 +161,4 @@ def _read_arc_kind(entry: Any) -> ArcKind | None:
     is_sign = (
         isinstance(entry, (int, float, np.number)) and not isinstance(entry, bool) and entry in (-1, 0, 1)
     )
-    return ArcKind.of_sign(int(entry)) if is_sign else None
+    return ArcKind.from_sign(int(entry)) if is_sign else None

@@ -111,7 +111,7 @@ class Interval:
     upper: Array
 
     @property
-    def fixed(self) -> Any:
+    def is_fixed(self) -> Any:
         """Boolean array (n,): whether lower equals upper."""
         return self.lower == self.upper
 

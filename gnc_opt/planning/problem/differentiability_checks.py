@@ -21,10 +21,10 @@ from gnc_opt.planning.problem.expressions import (
     list_table_calls,
     stack_expressions,
 )
-from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import draw_values
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.planning.problem.typical_magnitudes import typical_phase_magnitudes
 
 _IN_PHASES = "let a phase end there and link() the next one to it"
@@ -61,7 +61,7 @@ _REMEDIES = {
 _CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 
-def warn_of_kinks(problem: Statement, leg: Phase) -> None:
+def warn_of_kinks(problem: ProblemData, leg: Phase) -> None:
     """Issue a `ProblemWarning` for each kind of nonsmooth operation along a phase, and for linear tables."""
     uses = list_table_calls(problem, leg)
     for table in dict.fromkeys(use.table for use in uses):
@@ -81,7 +81,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
         warn_user(f"{kind} '{where}' of {leg.label} contains {meaning}: {remedy}.")
 
 
-def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:
+def check_guess_in_tables(problem: ProblemData, leg: Phase, *, warn: bool) -> None:
     """Raise `ProblemError` if the guess leaves a table with outside="error"; optionally warn for other tables."""
     if not list_table_calls(problem, leg):
         return
@@ -99,7 +99,7 @@ def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None
 
 
 def _find_first_kink_of_each_kind(
-    problem: Statement, leg: Phase, looked_up: frozenset[int]
+    problem: ProblemData, leg: Phase, looked_up: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield the first operation of each kind of nonsmoothness, with kind and name of its expression."""
     t, x, u, _ = leg.model.arguments()
@@ -123,7 +123,7 @@ _REMEDY = (
 )
 
 
-def warn_of_norms(problem: Statement, leg: Phase) -> None:
+def warn_of_norms(problem: ProblemData, leg: Phase) -> None:
     """Issue a `ProblemWarning` for each of `find_singular_norms` and `find_shifted_norms`."""
     for text in [*find_singular_norms(problem, leg), *find_shifted_norms(leg)]:
         warn_user(f"{text}.")
@@ -166,7 +166,7 @@ def _norm_vector(root: Any) -> Any | None:
     return ca.vertcat(*components) if len(components) > 1 else None
 
 
-def find_singular_norms(problem: Statement, leg: Phase) -> list[str]:
+def find_singular_norms(problem: ProblemData, leg: Phase) -> list[str]:
     """Return the functions whose derivatives fail or vanish at zero controls, with replacements."""
     start = build_phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
@@ -181,7 +181,9 @@ def find_singular_norms(problem: Statement, leg: Phase) -> list[str]:
     return texts
 
 
-def _find_undefined_values(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
+def _find_undefined_values(
+    leg: Phase, tried: FunctionValues, guessed: FunctionValues
+) -> Iterator[tuple[int, str]]:
     """Yield the rows with undefined or zero derivatives at zero controls and at the guess."""
     n = leg.model.states.size
     columns = slice(n, n + leg.model.controls.size)
@@ -216,7 +218,7 @@ _BOUND_OFFSET = 1e-2
 """Scaled distance by which the guess is moved inside its bounds before the evaluation, as by IPOPT."""
 
 
-def check_finite(problem: Statement) -> None:
+def check_finite(problem: ProblemData) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess."""
     ends: list[Any] = []
     for leg in problem.phases.values():
@@ -225,7 +227,7 @@ def check_finite(problem: Statement) -> None:
 
 
 @dataclass(frozen=True)
-class Tried:
+class FunctionValues:
     """Functions of one kind, their values (rows, times) and derivatives (rows, columns, times)."""
 
     what: str
@@ -235,7 +237,9 @@ class Tried:
     derivatives: Array
 
     @classmethod
-    def evaluate(cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any) -> Tried:
+    def evaluate(
+        cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any
+    ) -> FunctionValues:
         values, jacobian = (np.asarray(output.full()) for output in outputs)
         shape = (len(rows), len(columns), values.shape[1])
         return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
@@ -257,7 +261,7 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class NotFinite:
+class NonfiniteValue:
     """Function or derivative that is not finite: name, time (s), states and controls."""
 
     what: str
@@ -266,45 +270,45 @@ class NotFinite:
 
 
 def find_nonfinite_function(
-    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
-) -> NotFinite | None:
+    problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+) -> NonfiniteValue | None:
     """Return the first function along a trajectory (columns are times) that is not finite or has such a derivative."""
     for tried in evaluate_functions(problem, leg, times, states, controls, parameters).values():
         bad = tried.find_nonfinite()
         if bad:
             labels = (*leg.model.states.labels, *leg.model.controls.labels)
             values = (*states[:, bad[1]], *controls[:, bad[1]])
-            return NotFinite(bad[0], float(times[bad[1]]), dict(zip(labels, values, strict=True)))
+            return NonfiniteValue(bad[0], float(times[bad[1]]), dict(zip(labels, values, strict=True)))
     return None
 
 
 def evaluate_functions(
-    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
-) -> dict[str, Tried]:
+    problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+) -> dict[str, FunctionValues]:
     """Return functions along a phase and their derivatives by kind; arguments as in `find_nonfinite_function`."""
     columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
     tried = {}
     for what, rows, function in _build_phase_functions(problem, leg):
         outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
-        tried[what] = Tried.evaluate(what, rows, columns, outputs)
+        tried[what] = FunctionValues.evaluate(what, rows, columns, outputs)
     return tried
 
 
-def find_nonfinite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
+def find_nonfinite_at_guess(problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
     """Return the first function along the guess of a phase that is not finite or has such a derivative."""
-    return _Guessed.from_phase(leg).find_nonfinite(problem, leg)
+    return _GuessSamples.from_phase(leg).find_nonfinite(problem, leg)
 
 
 @dataclass(frozen=True)
-class _Guessed:
+class _GuessSamples:
     """Guess of a phase including its ends, its state scales, and (times, states, controls) inside the bounds."""
 
-    start: PhaseStart
+    start: SampledGuess
     scales: Array
     along: tuple[Array, Array, Array]
 
     @classmethod
-    def from_phase(cls, leg: Phase) -> _Guessed:
+    def from_phase(cls, leg: Phase) -> _GuessSamples:
         # The end points are included, since messages there name the user's functions.
         start = build_phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
         scales, control_scales = typical_phase_magnitudes(leg)
@@ -313,13 +317,13 @@ class _Guessed:
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
         return cls(start, scales, (times, states, controls))
 
-    def find_nonfinite(self, problem: Statement, leg: Phase) -> NotFinite | None:
+    def find_nonfinite(self, problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
         return find_nonfinite_function(problem, leg, *self.along, problem.guessed_parameters())
 
 
-def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
+def _check_phase_functions(problem: ProblemData, leg: Phase) -> list[Any]:
     """Evaluate the functions along a phase; return its arguments of the cost and the boundary constraints."""
-    numbers, guessed = leg.numbers, _Guessed.from_phase(leg)
+    numbers, guessed = leg.numbers, _GuessSamples.from_phase(leg)
     start = guessed.start
     bad = guessed.find_nonfinite(problem, leg)
     if bad:
@@ -338,10 +342,10 @@ def _check_phase_functions(problem: Statement, leg: Phase) -> list[Any]:
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
 
 
-def _check_end_functions(problem: Statement, ends: list[Any]) -> None:
+def _check_end_functions(problem: ProblemData, ends: list[Any]) -> None:
     """Evaluate the cost and the boundary constraints at the end points of the guess."""
     for what, rows, columns, function in _build_end_functions(problem):
-        tried = Tried.evaluate(what, rows, columns, function(*ends, problem.guessed_parameters()))
+        tried = FunctionValues.evaluate(what, rows, columns, function(*ends, problem.guessed_parameters()))
         bad = tried.find_nonfinite()
         if bad:
             raise _nonfinite_error(f"{bad[0]} at the end points of the guess", {})
@@ -354,7 +358,7 @@ def _move_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
 
 
-def _build_phase_functions(problem: Statement, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
+def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
     """Return kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
@@ -381,7 +385,7 @@ def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], 
     )
 
 
-def _build_end_functions(problem: Statement) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
     """Return kind, names, variables and function of the cost and of the boundary constraints."""
 
     def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:

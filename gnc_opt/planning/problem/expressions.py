@@ -17,7 +17,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.table import Table, TableCall
 from gnc_opt.model.variables import Layout, find_foreign_symbols
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 
 TABLE_EDGE_TOLERANCE = 1e-6
 """Share of an axis by which a trajectory may exceed a table; an optimum at its edge does so by rounding."""
@@ -50,14 +50,14 @@ def stack_expressions(leg: Phase) -> Any:
     return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
 
 
-def build_phase_function(problem: Statement, leg: Phase, name: str, column: Any) -> Any:
+def build_phase_function(problem: ProblemData, leg: Phase, name: str, column: Any) -> Any:
     """Return a column along a phase as CasADi Function of (t, x, u, p, q), with the free parameters q."""
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     values = [ca.densify(problem.bind(leg, column))]
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
 
-def list_table_calls(problem: Statement, leg: Phase) -> tuple[TableCall, ...]:
+def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
     """Return the table calls in the expressions along a phase."""
 
     def find() -> tuple[TableCall, ...]:
@@ -71,7 +71,7 @@ def list_table_calls(problem: Statement, leg: Phase) -> tuple[TableCall, ...]:
 
 
 def find_table_exits(
-    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
+    problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
 ) -> list[OutsideTable]:
     """Return where a trajectory is outside of tables: times (N,), states and controls by columns, parameters."""
     uses = list_table_calls(problem, leg)
@@ -92,22 +92,21 @@ def find_table_exits(
     return found
 
 
-def _build_table_arguments(problem: Statement, leg: Phase, uses: tuple[TableCall, ...]) -> Any:
-    """Return the function (t, x, u, p, q) -> arguments of all table calls."""
+def _build_table_arguments(problem: ProblemData, leg: Phase, uses: tuple[TableCall, ...]) -> Any:
     stacked = ca.vertcat(*(use.arguments for use in uses))
     return problem.cache(
         ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", stacked)
     )
 
 
-def endpoint_arguments(problem: Statement) -> list[Any]:
+def endpoint_arguments(problem: ProblemData) -> list[Any]:
     """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
     legs = problem.phases.values()
     own = zip(map(endpoint_symbols, legs), model_parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
-def bind_parameters(problem: Statement, expression: Any) -> Any:
+def bind_parameters(problem: ProblemData, expression: Any) -> Any:
     """Replace model parameters that the problem optimises by the symbols of the problem."""
     for leg in problem.phases.values():
         expression = problem.bind(leg, expression)

@@ -349,7 +349,7 @@ def compile_expression(problem: Problem, phase: str, expression: Any) -> Callabl
     if isinstance(expression, str):
         expression = leg.model.output_expression(expression)
     value = as_expression(expression, "the expression to evaluate", None, ProblemError)
-    value = value if leg.restatement is None else leg.restatement.restate_expression(value)
+    value = value if leg.restatement is None else leg.restatement.express_in_new_controls(value)
     problem.check_foreign_symbols(leg, value, "the expression to evaluate")
     function = build_phase_function(problem, leg, "evaluate", value)
     return lambda *arguments: evaluate_function(function, *arguments)

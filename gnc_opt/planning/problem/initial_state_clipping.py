@@ -35,7 +35,7 @@ def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
         kept, places = _clip_initial_states(leg)
         if places:
             moved = moved.clone()
-            upper = np.where(leg.numbers.initial.fixed, kept, leg.numbers.initial.upper)
+            upper = np.where(leg.numbers.initial.is_fixed, kept, leg.numbers.initial.upper)
             moved.get_phase(name).numbers = replace(leg.numbers, initial=Interval(kept, upper))
             for i in places:
                 excess = abs(float(leg.numbers.initial.lower[i] - kept[i]))
@@ -51,8 +51,8 @@ def _clip_initial_states(leg: Phase) -> tuple[Array, list[int]]:
     box, initial = leg.numbers.states, leg.numbers.initial
     width, size = box.upper - box.lower, np.where(np.isfinite(box.lower), box.lower, box.upper)
     reach = np.where(np.isfinite(width), width, np.where(np.isfinite(size), np.abs(size), 0.0))
-    given = np.where(initial.fixed, initial.lower, 0.0)
+    given = np.where(initial.is_fixed, initial.lower, 0.0)
     kept = np.clip(given, box.lower, box.upper)
-    excess = np.where(initial.fixed, np.abs(given - kept), 0.0)
+    excess = np.where(initial.is_fixed, np.abs(given - kept), 0.0)
     slightly = (excess > ROUNDING * (1.0 + np.abs(kept))) & (excess <= START_EXCESS_MAX_SHARE * reach)
     return np.where(slightly, kept, initial.lower), [int(i) for i in np.flatnonzero(slightly)]

@@ -18,7 +18,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.expressions import replace_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 
 Range: TypeAlias = "tuple[float, float]"
 
@@ -134,7 +134,7 @@ class Domain:
     boxes: tuple[Interval, ...]
 
     @classmethod
-    def from_phase(cls, problem: Statement, leg: Phase) -> Domain:
+    def from_phase(cls, problem: ProblemData, leg: Phase) -> Domain:
         """Return the domain of the functions along a phase."""
         initial, final = leg.time_ranges()
         p = leg.model.parameter_values
@@ -154,7 +154,7 @@ class Domain:
         return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
-    def from_boundary(cls, problem: Statement) -> Domain:
+    def from_boundary(cls, problem: ProblemData) -> Domain:
         """Return the domain of end points, times, integrals and free parameters."""
         symbols, boxes = [problem.parameter_symbols()], [problem.parameter_interval()]
         constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
@@ -190,7 +190,7 @@ class Domain:
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
 
-    def sign_of(self, expression: Any) -> int:
+    def expression_sign(self, expression: Any) -> int:
         """Return 1 for a nonnegative scalar, -1 for a nonpositive one, else 0."""
         found = self.evaluate_ranges(expression)
         if found.lower[0] >= 0 or found.upper[0] <= 0:
@@ -201,7 +201,7 @@ class Domain:
             if is_affine(expression, symbol) and not np.any(
                 draw_values(ca.substitute(expression, symbol, 0.0))
             ):
-                return self.sign_of(symbol) * self.sign_of(ca.jacobian(expression, symbol))
+                return self.expression_sign(symbol) * self.expression_sign(ca.jacobian(expression, symbol))
         return 0
 
 

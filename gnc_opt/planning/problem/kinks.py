@@ -12,7 +12,7 @@ from gnc_opt.arrays import Mask
 from gnc_opt.model.expressions import find_operations, list_nodes
 from gnc_opt.planning.problem.expressions import build_phase_function, list_table_calls, stack_expressions
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 
 _OF_ONE = (ca.OP_FABS, ca.OP_SIGN)
 _OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
@@ -47,7 +47,7 @@ def has_kinks(expression: Any) -> bool:
     return bool(find_operations(expression) & _WORDS.keys())
 
 
-def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
+def find_kinks(problem: ProblemData, leg: Phase) -> Kinks | None:
     """Return the nonsmooth operations along a phase, except tables; None if there are none."""
 
     def find() -> Kinks | None:
@@ -71,7 +71,7 @@ def find_kinks(problem: Statement, leg: Phase) -> Kinks | None:
     return problem.cache(("kinks", leg.name), find)
 
 
-def find_feature_centres(problem: Statement, leg: Phase) -> Any:
+def find_feature_centres(problem: ProblemData, leg: Phase) -> Any:
     """Return ``(t, x, u, p, q)`` -> differences of time or a state and a constant that are compared; None if none are.
 
     Narrow features such as gusts or time windows are at their zeros.

@@ -17,7 +17,7 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
-from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_arc_kinds
+from gnc_opt.planning.problem.arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
     default_control_bounds,
@@ -39,18 +39,18 @@ from gnc_opt.planning.problem.control_states import (
     split_time_bounds,
 )
 from gnc_opt.planning.problem.guess.profiles import GuessValue
-from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement, read_duration
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers, read_duration
 
 
-class Owner(Protocol):
+class PhaseOwner(Protocol):
     """Interface of a problem for its phases."""
 
     name: str
     phases: dict[str, Phase]
 
-    def refuse_if_frozen(self) -> None: ...
+    def require_mutable(self) -> None: ...
 
-    def forget_builds(self) -> None: ...
+    def clear_cache(self) -> None: ...
 
     def check_foreign_symbols(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
@@ -97,7 +97,7 @@ class Phase(StrictAttributes):
         "told",
     )
 
-    def __init__(self, name: str, model: Model, owner: Owner) -> None:
+    def __init__(self, name: str, model: Model, owner: PhaseOwner) -> None:
         self.name = name
         self.model = model
         self._owner = owner
@@ -114,7 +114,7 @@ class Phase(StrictAttributes):
         self._told_on_sphere: dict[str, bool] = {}
         for vector in self.vector_controls:
             self._limit_direction_length(vector)
-        self.restatement: Restatement | None = None
+        self.restatement: ControlForm | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
         self.follows: str | None = None
         self.told: dict[tuple[str, str], Array] = {}
@@ -175,7 +175,7 @@ class Phase(StrictAttributes):
             final_time=read_interval(final, 1, f"the final time of {self.label}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.label),
         )
-        self._owner.forget_builds()
+        self._owner.clear_cache()
 
     def initial(self, **values: Any) -> None:
         """Set initial values by name, for states and for controls with `rates` or `polynomials`; others are free."""
@@ -235,10 +235,10 @@ class Phase(StrictAttributes):
             raise ProblemError(f"{self.label} has two path constraints '{name}': rename one.")
         constraint = make_constraint(name, expression, lower, upper, equals, what)
         self._owner.check_foreign_symbols(self, constraint.expression, what)
-        self._owner.refuse_if_frozen()
+        self._owner.require_mutable()
         self.paths[name] = constraint
         self._record_nonaffine_vectors(constraint.expression)
-        self._owner.forget_builds()
+        self._owner.clear_cache()
 
     @property
     def is_linked(self) -> bool:
@@ -249,9 +249,9 @@ class Phase(StrictAttributes):
 
     def drop_path(self, name: str) -> None:
         """Remove the path constraint with this name, if it exists."""
-        self._owner.refuse_if_frozen()
+        self._owner.require_mutable()
         if self.paths.pop(name, None) is not None:
-            self._owner.forget_builds()
+            self._owner.clear_cache()
 
     def integral(self, integrand: Any, name: str | None = None) -> Any:
         """Return the symbol of the integral of ``integrand(t, x, u, p)`` over the phase.
@@ -266,11 +266,11 @@ class Phase(StrictAttributes):
             raise ProblemError(f"{self.label} has two integrals '{label}': rename one.")
         value = as_expression(integrand, what, 1, ProblemError)
         self._owner.check_foreign_symbols(self, value, what)
-        self._owner.refuse_if_frozen()
+        self._owner.require_mutable()
         symbol = ca.SX.sym(f"{self.name}_{label}")
         self.integrands[label] = (symbol, value)
         self._record_nonaffine_vectors(value)
-        self._owner.forget_builds()
+        self._owner.clear_cache()
         return symbol
 
     def guess(self, time: ArrayLike | None = None, **values: GuessValue) -> None:
@@ -342,7 +342,7 @@ class Phase(StrictAttributes):
     ) -> None:
         """Add states (possibly former controls) with their rates and end-point symbols; named bounds are kept."""
         old, box = self.model, self.numbers
-        self._owner.refuse_if_frozen()
+        self._owner.require_mutable()
         model = old.with_states(rates, controls)
         bounds = {**ranges_by_name(box.states, old.states), **ranges_by_name(box.controls, old.controls)}
         self._replace_numbers(
@@ -356,7 +356,7 @@ class Phase(StrictAttributes):
             symbols.update({} if ends is None else ends[end])
             for v in model.states.variables:
                 symbols.setdefault(v.name, ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size))
-        self._owner.forget_builds()
+        self._owner.clear_cache()
 
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
@@ -376,7 +376,7 @@ class Phase(StrictAttributes):
         *,
         paths: ArrayLike | None = None,
         states: ArrayLike | None = None,
-        smooth: tuple[Smooth, ...] = (),
+        smooth: tuple[SmoothControl, ...] = (),
         junctions: tuple[Junction, ...] = (),
     ) -> None:
         """Prescribe arcs segment by segment, for a mesh of K segments.
@@ -409,7 +409,7 @@ class Phase(StrictAttributes):
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
-        self._replace_numbers(arcs=Held(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
+        self._replace_numbers(arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -423,9 +423,9 @@ class Phase(StrictAttributes):
         initial, final, span = self.numbers.initial_time, self.numbers.final_time, self.numbers.duration
         if initial is None or final is None:
             raise ProblemError(f"{self.label} has no times: call time(initial=..., final=...).")
-        if initial.fixed[0] and not final.fixed[0]:
+        if initial.is_fixed[0] and not final.is_fixed[0]:
             return initial, intersect(final, Interval(initial.lower + span.lower, initial.lower + span.upper))
-        if final.fixed[0] and not initial.fixed[0]:
+        if final.is_fixed[0] and not initial.is_fixed[0]:
             return intersect(initial, Interval(final.lower - span.upper, final.lower - span.lower)), final
         return initial, final
 
@@ -516,7 +516,7 @@ class Phase(StrictAttributes):
         order = list(self._owner.phases)
         return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
 
-    def clone(self, owner: Owner | None = None) -> Phase:
+    def clone(self, owner: PhaseOwner | None = None) -> Phase:
         """Return a copy, optionally for another problem; it shares symbols and has its own numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
@@ -527,7 +527,7 @@ class Phase(StrictAttributes):
         return twin
 
     def _replace_numbers(self, **numbers: Any) -> None:
-        self._owner.refuse_if_frozen()
+        self._owner.require_mutable()
         self.numbers = replace(self.numbers, **numbers)
 
     def _replace_end_values(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:

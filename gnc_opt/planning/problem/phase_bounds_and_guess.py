@@ -1,6 +1,6 @@
 """Phase data: numbers that may change without a new transcription, initial guess, and reformulated controls.
 
-A reformulated phase is solved with other controls than stated; a `Restatement` maps between them.
+A reformulated phase is solved with other controls than stated; a `ControlForm` maps between them.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.model import Model
-from gnc_opt.planning.problem.angles import Turns
-from gnc_opt.planning.problem.arcs import Held
+from gnc_opt.planning.problem.angles import UnboundedAngles
+from gnc_opt.planning.problem.arcs import FixedArcs
 from gnc_opt.planning.problem.bounds import Interval, read_interval
 from gnc_opt.planning.problem.guess.profiles import (
     GuessValue,
@@ -78,8 +78,8 @@ class PhaseNumbers:
     controls: Interval
     guess: PhaseGuess = PhaseGuess()
     scales: Mapping[str, Array] = field(default_factory=dict)
-    arcs: Held | None = None
-    turns: Turns | None = None
+    arcs: FixedArcs | None = None
+    turns: UnboundedAngles | None = None
 
 
 def read_duration(duration: Any, where: str) -> Interval:
@@ -91,7 +91,7 @@ def read_duration(duration: Any, where: str) -> Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class Restatement:
+class ControlForm:
     """Reformulated controls, with the maps between stated and solved controls.
 
     Attributes
@@ -113,22 +113,22 @@ class Restatement:
     texts: tuple[str, ...]
 
     @classmethod
-    def from_limits(cls, model: Model, texts: tuple[str, ...]) -> Restatement:
+    def identity(cls, model: Model, texts: tuple[str, ...]) -> ControlForm:
         """Return a restatement that does not change the controls."""
         none = ca.SX(0, 1)
         return cls(model, none, none, model.symbols("control"), texts)
 
-    def restate_expression(self, expression: Any) -> Any:
+    def express_in_new_controls(self, expression: Any) -> Any:
         """Return an expression of the stated controls in terms of the solved ones."""
         return ca.substitute(expression, self.stated, self.solved)
 
-    def compose_after(self, earlier: Restatement | None) -> Restatement:
+    def compose_after(self, earlier: ControlForm | None) -> ControlForm:
         if earlier is None:
             return self
-        return Restatement(
+        return ControlForm(
             earlier.model,
             ca.vertcat(earlier.stated, self.stated),
-            ca.vertcat(self.restate_expression(earlier.solved), self.solved),
+            ca.vertcat(self.express_in_new_controls(earlier.solved), self.solved),
             ca.substitute(self.values, self.model.symbols("control"), earlier.values),
             (*earlier.texts, *self.texts),
         )

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.phase import Owner, Phase
+from gnc_opt.planning.problem.phase import Phase, PhaseOwner
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 
 
-class Divisible(Owner, Protocol):
+class DivisibleProblem(PhaseOwner, Protocol):
     """Interface of a problem whose phases can be divided."""
 
     cost: Any
@@ -33,7 +33,7 @@ class Divisible(Owner, Protocol):
 
 
 def divide_phase(
-    problem: Divisible, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
+    problem: DivisibleProblem, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
     _refuse_after_statements(problem, leg)
     begin, end, total = leg.numbers.initial_time, leg.numbers.final_time, leg.numbers.duration
@@ -51,13 +51,13 @@ def divide_phase(
             part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.label)
         )
         problem.phases[part.name] = part
-    problem.forget_builds()
+    problem.clear_cache()
     for one, other in pairwise(parts):
         problem.link(one, other, states=leg.model.states.names)
     duration = parts[-1].final_time - leg.initial_time
     if fractions is not None:
         for part, share, mark in zip(parts[1:], np.ravel(fractions), marks[1:], strict=False):
-            if not mark.fixed[0]:
+            if not mark.is_fixed[0]:
                 elapsed = part.initial_time - leg.initial_time
                 problem.constrain(f"start of {part.name}", elapsed - float(share) * duration, equals=0.0)
     if total.lower[0] > 0.0 or np.isfinite(total.upper[0]):
@@ -93,9 +93,9 @@ def _division_times(
             yield Interval(*limits)
 
 
-def _refuse_after_statements(problem: Divisible, leg: Phase) -> None:
+def _refuse_after_statements(problem: DivisibleProblem, leg: Phase) -> None:
     """Raise `ProblemError` if a statement of the phase cannot be divided."""
-    problem.refuse_if_frozen()
+    problem.require_mutable()
     stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
     if (
         leg.integrands

@@ -18,7 +18,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_vector
-from gnc_opt.planning.problem.arcs import Junction, Smooth
+from gnc_opt.planning.problem.arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import (
@@ -33,11 +33,11 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 from gnc_opt.planning.problem.phase_division import divide_phase
 from gnc_opt.planning.problem.problem_check import check_problem
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.text_formatting import html_heading, html_table
 
 
-def compute_fingerprint(problem: Statement) -> str:
+def compute_fingerprint(problem: ProblemData) -> str:
     """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
     digest = hashlib.sha256()
     digest.update(
@@ -69,7 +69,7 @@ def _variable_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 
-def _fixed_parameter_values(problem: Statement, leg: Phase) -> Array:
+def _fixed_parameter_values(problem: ProblemData, leg: Phase) -> Array:
     """Return the values of the model parameters; the values of optimised parameters are ignored."""
     values = leg.model.parameter_values
     for name in problem.parameters.names:
@@ -87,7 +87,7 @@ def _list_bound_arrays(box: Any) -> Iterable[Array]:
             yield value
 
 
-def _serialise_phase_expressions(problem: Statement, leg: Phase) -> bytes:
+def _serialise_phase_expressions(problem: ProblemData, leg: Phase) -> bytes:
     expressions = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
     return _serialise_expressions([*leg.model.arguments(), problem.parameter_symbols()], expressions)
 
@@ -140,7 +140,7 @@ def _read_state_names(states: Iterable[str], what: str) -> list[str]:
     raise ProblemError(f"{what} are {quote(states)}: give a list of names.")
 
 
-class Problem(Statement):
+class Problem(ProblemData):
     """An optimal control problem in Bolza form over one or more phases.
 
     Parameters
@@ -194,7 +194,7 @@ class Problem(Statement):
 
     def phase(self, name: str, model: Model) -> Phase:
         """Add a phase with the given model and return it."""
-        self.refuse_if_frozen()
+        self.require_mutable()
         read_label(name, f"phase of problem '{self.name}'", ProblemError)
         if name in self.phases:
             raise ProblemError(f"problem '{self.name}' has two phases '{name}': rename one.")
@@ -206,7 +206,7 @@ class Problem(Statement):
         model.derivative()
         model.mark_in_use(f"problem '{self.name}'")
         self.phases[name] = Phase(name, model, self)
-        self.forget_builds()
+        self.clear_cache()
         return self.phases[name]
 
     def parameter(
@@ -241,7 +241,7 @@ class Problem(Statement):
         ProblemError
             Name already declared or not an identifier, size < 1, crossed bounds.
         """
-        self.refuse_if_frozen()
+        self.require_mutable()
         read_name(name, f"parameter of problem '{self.name}'", ProblemError)
         if name in self._parameters:
             raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
@@ -259,7 +259,7 @@ class Problem(Statement):
         for leg in self.phases.values():
             check_parameter_size(name, size, leg.model, self.name)
         self.add_parameter(Symbol(Variable(name, size, unit)), bounds, start)
-        self.forget_builds()
+        self.clear_cache()
         return self._parameters[name]
 
     def constrain(
@@ -284,7 +284,7 @@ class Problem(Statement):
         ProblemError
             Name already declared, missing or contradictory limits, or a symbol that varies along a phase.
         """
-        self.refuse_if_frozen()
+        self.require_mutable()
         read_label(name, f"constraint of problem '{self.name}'", ProblemError)
         what = f"constraint '{name}' of problem '{self.name}'"
         if name in self.constraints:
@@ -293,7 +293,7 @@ class Problem(Statement):
         check_boundary_symbols(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
         record_known_states(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
-        self.forget_builds()
+        self.clear_cache()
 
     def link(
         self,
@@ -486,7 +486,7 @@ class Problem(Statement):
         arcs: ArrayLike | None,
         paths: ArrayLike | None = None,
         states: ArrayLike | None = None,
-        smooth: tuple[Smooth, ...] = (),
+        smooth: tuple[SmoothControl, ...] = (),
         junctions: tuple[Junction, ...] = (),
     ) -> Problem:
         """Return a copy with prescribed arcs, segment by segment; see ``Phase.hold``."""
@@ -528,7 +528,7 @@ class Problem(Statement):
 
     # --- internals --------------------------------------------------------------------------------
 
-    def refuse_if_frozen(self) -> None:
+    def require_mutable(self) -> None:
         """Raise `ProblemError` if the problem belongs to a solution."""
         if self._frozen:
             raise ProblemError(
@@ -536,7 +536,7 @@ class Problem(Statement):
                 "create a variation with with_bounds(), with_initial() or similar, or a new problem."
             )
 
-    def forget_builds(self) -> None:
+    def clear_cache(self) -> None:
         """Delete objects cached from earlier declarations."""
         self.builds = {}
 
@@ -558,7 +558,7 @@ class Problem(Statement):
         return twin
 
     def _set_cost(self, cost: Any, sense: float, unit: str) -> None:
-        self.refuse_if_frozen()
+        self.require_mutable()
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
         expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
@@ -566,7 +566,7 @@ class Problem(Statement):
         check_boundary_symbols(self.phases.values(), self.parameter_symbols(), expression, what)
         expect(unit, str, f"the unit of {what}", 'write unit="kg"')
         self.cost, self.sense, self.stated_cost_unit = expression, sense, unit
-        self.forget_builds()
+        self.clear_cache()
 
 
 def _stated_time_range(interval: Interval) -> Any:

@@ -26,14 +26,14 @@ from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_gue
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import ROUNDING
 
 OFF_LIMIT = 1e-5
 """Violation, relative to magnitude or 1, up to which a constraint may be intended to be at its limit."""
 
 
-def check_problem(problem: Statement) -> None:
+def check_problem(problem: ProblemData) -> None:
     """Raise `ProblemError` at the first mistake; ``Problem.check`` lists the checks."""
     check_bounds_and_times(problem)
     first = "checked" not in problem.builds
@@ -58,7 +58,7 @@ def check_problem(problem: Statement) -> None:
             warn_of_norms(solved, leg)
 
 
-def check_bounds_and_times(problem: Statement) -> None:
+def check_bounds_and_times(problem: ProblemData) -> None:
     """Raise `ProblemError` for missing declarations and contradictory times, bounds and end values."""
     if not problem.phases:
         raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
@@ -111,7 +111,7 @@ def _check_boundary_values(leg: Phase) -> None:
             )
 
 
-def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
+def _check_paths_at_ends(problem: ProblemData, leg: Phase) -> None:
     """Raise an error if a path constraint cannot hold at an end for any controls and free parameters."""
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
@@ -132,7 +132,7 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
             )
 
 
-def _warn_of_duplicate_bounds(problem: Statement, leg: Phase) -> None:
+def _warn_of_duplicate_bounds(problem: ProblemData, leg: Phase) -> None:
     """Issue a `ProblemWarning` for path constraint rows that repeat a bound of a state or control."""
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
@@ -145,7 +145,7 @@ def _warn_of_duplicate_bounds(problem: Statement, leg: Phase) -> None:
     with np.errstate(invalid="ignore"):
         same = (np.abs(reached.upper - box.upper) <= slack) | (np.abs(reached.lower - box.lower) <= slack)
     rows = ca.vertsplit(leg.path_expression())
-    for k in np.flatnonzero(same & np.isfinite(slack) & ~box.fixed):
+    for k in np.flatnonzero(same & np.isfinite(slack) & ~box.is_fixed):
         symbols = ca.symvar(rows[int(k)])
         if len(symbols) == 1:
             warn_user(
@@ -160,13 +160,13 @@ def _rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
     return [int(i) for i in np.flatnonzero(outside)]
 
 
-def _build_path_function(problem: Statement, leg: Phase) -> Any:
+def _build_path_function(problem: ProblemData, leg: Phase) -> Any:
     return leg.cache(
         "paths and parameters", lambda: build_phase_function(problem, leg, "paths", leg.path_expression())
     )
 
 
-def _check_phase_order(problem: Statement, leg: Phase) -> None:
+def _check_phase_order(problem: ProblemData, leg: Phase) -> None:
     """Raise an error for a phase that starts with its predecessor, because ``time()`` sets the start to 0."""
     if leg.follows is None:
         return
@@ -178,7 +178,7 @@ def _check_phase_order(problem: Statement, leg: Phase) -> None:
         )
 
 
-def _check_constraints(problem: Statement) -> None:
+def _check_constraints(problem: ProblemData) -> None:
     """Raise an error for boundary constraints that cannot hold for any free end values."""
     box, legs = problem.constraint_interval(), problem.phases.values()
     if not box.lower.size:
@@ -222,7 +222,7 @@ def _find_unused_components(variable: Variable, symbol: Any, used: set[int]) -> 
     return [name for name, s in zip(variable.labels, scalars, strict=True) if s.element_hash() not in used]
 
 
-def check_unused_controls(problem: Statement) -> None:
+def check_unused_controls(problem: ProblemData) -> None:
     """Raise `ProblemError` for a control without effect on dynamics, limits and integrals of the cost."""
     ends = _collect_used_symbols([ca.vertcat(problem.cost, problem.constraint_expression())])
     for leg in problem.phases.values():
@@ -238,7 +238,7 @@ def check_unused_controls(problem: Statement) -> None:
                 )
 
 
-def _check_unused_parameters(problem: Statement) -> None:
+def _check_unused_parameters(problem: ProblemData) -> None:
     ends = ca.vertcat(problem.cost, problem.constraint_expression())
     legs = problem.phases.values()
     used = _collect_used_symbols(
@@ -271,7 +271,7 @@ def _check_unused_parameters(problem: Statement) -> None:
                 )
 
 
-def missing_bounds_text(problem: Statement) -> str:
+def missing_bounds_text(problem: ProblemData) -> str:
     """Return which controls lack bounds in a minimum-time problem; "" if none does."""
     times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))

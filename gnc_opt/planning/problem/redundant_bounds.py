@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import ROUNDING
 
 LOOSE = 0.1
@@ -31,7 +31,7 @@ def loosen_bounds(leg: Phase) -> Interval:
     return Interval(bounds.lower - room, bounds.upper + room)
 
 
-def find_monotone_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     """Return which bounded states never decrease and which never increase, for all controls and `loosen_bounds`."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
@@ -62,7 +62,7 @@ def _empty_state_mask(leg: Phase) -> Mask:
     return np.zeros(leg.model.states.size, dtype=bool)
 
 
-def _control_dependent_rates(problem: Statement, leg: Phase) -> tuple[Array, Any]:
+def _control_dependent_rates(problem: ProblemData, leg: Phase) -> tuple[Array, Any]:
     rates = leg.model.derivative()
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, leg.model.symbols("control")).row(), dtype=int))
     return rows, build_phase_function(problem, leg, "rates", rates[rows.tolist()])
@@ -72,7 +72,7 @@ NORM_BOUND_SLACK_SHARE = 1e-2
 """Share of a length by which an implied bound may exceed it."""
 
 
-def find_implied_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+def find_implied_bounds(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of states (n_states,) are implied by the constant length of a vector."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
@@ -102,12 +102,12 @@ def _find_state_vectors(leg: Phase) -> list[Indices]:
 def _find_boundary_length(leg: Phase, places: Indices) -> float:
     """Return the length of a vector at a fixed end of the phase; NaN if neither end is fixed."""
     for value in (leg.numbers.initial, leg.numbers.final):
-        if np.all(value.fixed[places]):
+        if np.all(value.is_fixed[places]):
             return float(np.linalg.norm(value.lower[places]))
     return np.nan
 
 
-def _conserves_length(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
+def _conserves_length(problem: ProblemData, leg: Phase, places: Indices, length: float) -> bool:
     """Return whether the length of a vector is constant for all values of the other variables."""
 
     def build() -> Any:

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 
 STATE_CONSTRAINT_MAX_ORDER = 4
 """Largest order that is determined."""
@@ -43,14 +43,14 @@ class ConstraintOrder:
     controls: tuple[int, ...]
 
 
-def constraint_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
+def constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
     """Return the order of one row of the path constraints of a phase, then of its states."""
     return problem.cache(
         ("constraint order", leg.name, row), lambda: _derive_constraint_order(problem, leg, row)
     )
 
 
-def _derive_constraint_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
+def _derive_constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
     t, x, u, _ = leg.model.arguments()
     rates = problem.bind(leg, leg.model.derivative())
     value = problem.bind(leg, ca.vertcat(leg.path_expression(), x)[row])

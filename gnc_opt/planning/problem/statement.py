@@ -17,11 +17,11 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.phase import Phase
 
-S = TypeVar("S", bound="Statement")
+S = TypeVar("S", bound="ProblemData")
 T = TypeVar("T")
 
 
-class Statement(StrictAttributes):
+class ProblemData(StrictAttributes):
     """Phases, cost, boundary constraints and free parameters.
 
     Attributes
@@ -175,7 +175,7 @@ class Statement(StrictAttributes):
         built: T = self.builds[key]
         return built
 
-    def has_variation(self, other: Statement) -> bool:
+    def has_variation(self, other: ProblemData) -> bool:
         """Return whether another problem is a variation of this one or of its reformulation, with other numbers."""
         return other.builds is self.builds or _shares_build_cache(self.builds, other.builds)
 

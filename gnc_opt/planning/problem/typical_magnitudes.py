@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, build_phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.tolerances import ROUNDING
 
@@ -56,7 +56,7 @@ def typical_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Ar
     return states, controls
 
 
-def _estimate_state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
+def _estimate_state_motion(leg: Phase, start: SampledGuess, magnitudes: Array) -> Array:
     """Return the motion of each state with controls at their bounds, at the guess, or at their magnitudes."""
     bounds = leg.numbers.controls
     times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
@@ -72,7 +72,7 @@ def _estimate_state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> 
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 
-def _rate_change_by_control(leg: Phase, start: PhaseStart, times: Array, magnitudes: Array) -> Array:
+def _rate_change_by_control(leg: Phase, start: SampledGuess, times: Array, magnitudes: Array) -> Array:
     """Return the largest change of each state's rate by a single control of its magnitude, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])

@@ -55,12 +55,12 @@ class Candidate:
 
     @property
     def is_solved(self) -> bool:
-        return self.solution.status.solved and self.history.final.solved
+        return self.solution.status.solved and self.history.final_iteration.solved
 
     @property
     def largest_error(self) -> float:
         """Largest local error; infinite without a solution."""
-        return self.history.final.error if self.is_solved else math.inf
+        return self.history.final_iteration.error if self.is_solved else math.inf
 
     @property
     def minimised_cost(self) -> float:
@@ -73,7 +73,7 @@ class Candidate:
         if not self.is_solved:
             return math.inf
         found = self.solution.objective_error
-        return found.value + self.largest_error**2 * found.scale
+        return found.absolute_error + self.largest_error**2 * found.scale
 
     @cached_property
     def minimum_principle_loss(self) -> float:
@@ -103,7 +103,7 @@ class Candidate:
         """Return whether the optimality check failed by at most `OPEN_MAX_RATIO`, so that a finer mesh may pass it."""
         if self.known_verdict is None:
             return False
-        necessary = [c for c in self.known_verdict.open if not c.sufficient]
+        necessary = [c for c in self.known_verdict.open_conditions if not c.sufficient]
         return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
 
     def is_objective_within(self, tol: float) -> bool:
@@ -111,11 +111,11 @@ class Candidate:
         if not self.largest_error <= LOCAL_ERROR_RATIO * tol:
             return False
         found = self.solution.objective_error
-        if found.relative <= tol:
+        if found.relative_error <= tol:
             return True
         return (
-            found.infeasible <= tol * found.scale
-            and found.infeasible + self.minimum_principle_loss <= tol * found.scale
+            found.infeasibility <= tol * found.scale
+            and found.infeasibility + self.minimum_principle_loss <= tol * found.scale
         )
 
     def ranking_errors(self, tol: float) -> tuple[float, float]:
@@ -126,8 +126,8 @@ class Candidate:
         if not self.is_solved:
             return math.inf, self.largest_error
         found, estimate = self.solution.objective_error, self.objective_error
-        if estimate > tol * found.scale and self.minimum_principle_loss < found.suboptimal:
-            estimate = found.infeasible + self.minimum_principle_loss + self.largest_error**2 * found.scale
+        if estimate > tol * found.scale and self.minimum_principle_loss < found.suboptimality:
+            estimate = found.infeasibility + self.minimum_principle_loss + self.largest_error**2 * found.scale
         return max(estimate / found.scale, tol), self.largest_error
 
     def costs_less(self, other: Candidate) -> bool:
@@ -251,10 +251,10 @@ def _format_status_message(
     if status is RefinementStatus.CONVERGED:
         return f"{text}, optimality check passed"
     if error > tol:
-        text += f" at {best.history.final.where}"
+        text += f" at {best.history.final_iteration.where}"
     if best.is_solved:
-        text += f"; estimated error of the objective {best.solution.objective_error.value:.1e}"
-    left = () if verdict is None else verdict.open
+        text += f"; estimated error of the objective {best.solution.objective_error.absolute_error:.1e}"
+    left = () if verdict is None else verdict.open_conditions
     if left:
         named = "; ".join(
             f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}"

@@ -63,7 +63,7 @@ class Accuracy:
     miss_where: str
 
     @property
-    def text(self) -> str:
+    def summary_text(self) -> str:
         """Accuracy of final states and limits: "final state within 2e-12 m/s; limits satisfied"."""
         ends = (
             f"final state within {self.miss:.1g}{_parse_unit(self.miss_where)}"
@@ -74,7 +74,7 @@ class Accuracy:
         return f"{ends}; {limits if self.violation else 'limits satisfied'}"
 
     def __str__(self) -> str:
-        return f"objective ± {self.objective_error:.1g}; {self.text}"
+        return f"objective ± {self.objective_error:.1g}; {self.summary_text}"
 
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:

@@ -40,7 +40,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.arcs import Held
+from gnc_opt.planning.problem.arcs import FixedArcs
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
@@ -54,13 +54,13 @@ SIDES: tuple[Side, Side] = ("right", "left")
 
 
 def correct_path_arc_costates(
-    leg: PhaseSolution, held: Held | None, functions: PhaseFunctions
+    leg: PhaseSolution, held: FixedArcs | None, functions: PhaseFunctions
 ) -> PhaseSolution:
     """Return a phase solution with costates and multipliers corrected along active segments."""
     if held is None or not held.paths or leg.scheme != GAUSS:
         return leg
     at_limit = (
-        np.array([[kind.at_limit for kind in row] for row in held.paths]) & ~functions.mixed_paths[:, None]
+        np.array([[kind.is_at_limit for kind in row] for row in held.paths]) & ~functions.mixed_paths[:, None]
     )
     if not np.any(at_limit):
         return leg
@@ -102,7 +102,7 @@ def _fit_direction_coefficients(directions: Array, vector: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Iterate:
+class NlpIterate:
     """Physical x, lam_x (n_variables,) and lam_g (n_constraints,); multipliers of the minimised functional."""
 
     x: Array
@@ -111,7 +111,7 @@ class Iterate:
 
 
 @dataclass(frozen=True, eq=False)
-class Costates:
+class PhaseCostates:
     """Result of the covector mapping for one phase.
 
     Attributes
@@ -159,11 +159,11 @@ def dynamics_multipliers(collocation: PhaseCollocation, costates: Array, end_cos
 def map_costates(
     collocation: PhaseCollocation,
     breaks: Array,
-    iterate: Iterate,
+    iterate: NlpIterate,
     weights: Array,
     gradient: Array,
     path_push: Array,
-) -> Costates:
+) -> PhaseCostates:
     """Return the costates and state bound multipliers of a phase.
 
     Parameters
@@ -182,7 +182,7 @@ def map_costates(
         pieces.extrapolate_costates_along_bounds()
     else:
         pieces.split_boundary_multipliers()
-    return Costates(
+    return PhaseCostates(
         pieces.build_polynomial(breaks),
         pieces.start,
         pieces.end,
@@ -261,7 +261,7 @@ class _CostatePieces:
     def from_multipliers(
         cls,
         collocation: PhaseCollocation,
-        iterate: Iterate,
+        iterate: NlpIterate,
         weights: Array,
         gradient: Array,
         path_push: Array,

@@ -42,7 +42,7 @@ class Statistics:
     compiled_before: bool = False
 
     @property
-    def text(self) -> str:
+    def summary_text(self) -> str:
         """Text such as ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
         if self.iterations == 0 and self.solve_s == 0.0:
             return "Newton's method on the switching times"
@@ -202,19 +202,19 @@ class RefinementIteration:
     stage: str = ""
 
     @property
-    def points(self) -> int:
+    def n_points(self) -> int:
         """Number of collocation points of all phases."""
         return sum(mesh.size for mesh in self.meshes.values())
 
     @property
-    def segments(self) -> int:
+    def n_segments(self) -> int:
         """Number of segments of all phases."""
         return sum(mesh.segments for mesh in self.meshes.values())
 
     @property
     def work(self) -> float:
         """Work, in iterations at one collocation point."""
-        return compute_solve_work(self.points, self.iterations)
+        return compute_solve_work(self.n_points, self.iterations)
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ class History(PrintableResult):
 
     Examples
     --------
-    >>> print(solution.history.status.value, solution.history.final.error < 1e-6)
+    >>> print(solution.history.status.value, solution.history.final_iteration.error < 1e-6)
     converged True
     """
 
@@ -254,7 +254,7 @@ class History(PrintableResult):
         return self.status is RefinementStatus.CONVERGED
 
     @property
-    def final(self) -> RefinementIteration:
+    def final_iteration(self) -> RefinementIteration:
         """Iteration whose solution was returned."""
         return self.passes[self.chosen]
 
@@ -264,7 +264,7 @@ class History(PrintableResult):
         for i, p in enumerate(self.passes):
             mark = "*" if i == self.chosen else " "
             lines.append(
-                f"{i:>3}{mark} {p.segments:>8} {p.points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
+                f"{i:>3}{mark} {p.n_segments:>8} {p.n_points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
                 f"{p.iterations:>4} {p.seconds:>6.2f}  {p.stage:<16} {p.actions}"
             )
         return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s)"])

@@ -55,7 +55,7 @@ class PhaseObjectiveError:
     suboptimal: Array
 
     @property
-    def segments(self) -> Array:
+    def errors(self) -> Array:
         """|d| + o + |g| of each segment (K,)."""
         return np.abs(self.defects) + self.exceeded + self.suboptimal
 
@@ -68,23 +68,23 @@ class ObjectiveError:
     scale: float
 
     @property
-    def value(self) -> float:
+    def absolute_error(self) -> float:
         """A, in units of the objective; infinite if a function of the problem is not finite."""
-        return _replace_nan_by_infinity(float(sum(np.sum(phase.segments) for phase in self.phases.values())))
+        return _replace_nan_by_infinity(float(sum(np.sum(phase.errors) for phase in self.phases.values())))
 
     @property
-    def relative(self) -> float:
+    def relative_error(self) -> float:
         """A relative to the objective."""
-        return self.value / self.scale
+        return self.absolute_error / self.scale
 
     @property
-    def infeasible(self) -> float:
+    def infeasibility(self) -> float:
         """Sum of |d| + o: contribution of defects and exceeded limits to A."""
         parts = (np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values())
         return _replace_nan_by_infinity(float(sum(parts)))
 
     @property
-    def suboptimal(self) -> float:
+    def suboptimality(self) -> float:
         """Sum of |g|: contribution of the controls to A."""
         return _replace_nan_by_infinity(
             float(sum(np.sum(phase.suboptimal) for phase in self.phases.values()))
@@ -159,7 +159,7 @@ def _weigh_violations(s: PhaseSamples, values: Array, bounds: Interval, multipli
     above = np.where(multipliers > 0, np.maximum(values - bounds.upper[:, None], 0.0), 0.0)
     below = np.where(multipliers < 0, np.maximum(bounds.lower[:, None] - values, 0.0), 0.0)
     priced = np.abs(multipliers) * (above + below)
-    equations = bounds.fixed
+    equations = bounds.is_fixed
     priced[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
     return np.asarray(np.sum(np.abs(_segment_integrals(s, priced)), axis=0))
 

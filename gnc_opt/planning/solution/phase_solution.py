@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.composed_controls import ComposedControl, VectorControl
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.angles import Turns
+from gnc_opt.planning.problem.angles import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
@@ -40,7 +40,7 @@ class Signal:
     name: str
     unit: str
     labels: tuple[str, ...]
-    source: PiecewisePolynomial | SaturatedControl | ComposedSignal | TurnedSignal
+    source: PiecewisePolynomial | SaturatedControl | ComposedSignal | WrappedSignal
     rows: slice
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
@@ -66,11 +66,11 @@ class ComposedSignal:
 
 
 @dataclass(frozen=True)
-class TurnedSignal:
+class WrappedSignal:
     """Controls over time with angles shifted by whole turns into their range."""
 
     source: PiecewisePolynomial | SaturatedControl
-    turns: Turns
+    turns: UnboundedAngles
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the values at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
@@ -161,7 +161,7 @@ class PhaseSolution:
     final_time_bounds: Interval
     duration_bounds: Interval
     composed_controls: tuple[ComposedControl, ...] = ()
-    turns: Turns | None = None
+    turns: UnboundedAngles | None = None
 
     @cached_property
     def rules(self) -> tuple[CollocationRule, ...]:
@@ -253,7 +253,7 @@ class PhaseSolution:
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
         signal = self._segment_signal(name, self.controls, source)
-        return signal if self.turns is None else replace(signal, source=TurnedSignal(source, self.turns))
+        return signal if self.turns is None else replace(signal, source=WrappedSignal(source, self.turns))
 
     def _segment_signal(
         self, name: str, layout: Layout, source: PiecewisePolynomial | SaturatedControl

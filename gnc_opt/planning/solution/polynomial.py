@@ -133,7 +133,7 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _cached_grid(self) -> "_Grid":
+    def _cached_grid(self) -> "_TimeGrid":
         return _time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
@@ -177,7 +177,7 @@ class _EqualNodeSegments:
         return cls(nodes, barycentric_weights(nodes), values, places)
 
 
-class _Basis(NamedTuple):
+class _LagrangeBasis(NamedTuple):
     """Times in one group of segments: their indices, the index of each segment in the group, and the basis."""
 
     group: int
@@ -186,7 +186,7 @@ class _Basis(NamedTuple):
     basis: Array
 
 
-class _Grid:
+class _TimeGrid:
     """Breaks and nodes shared by the signals of a solution, with a cache of bases.
 
     Attributes
@@ -213,7 +213,7 @@ class _Grid:
     def __reduce__(self) -> tuple[Any, ...]:
         return _time_grid, self._given
 
-    def interpolation_bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
+    def interpolation_bases(self, at: bytes, side: Side) -> tuple[_LagrangeBasis, ...]:
         """Return the bases at times within the interval, by group."""
         times, found = np.frombuffer(at), []
         segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, self.breaks.size - 2)
@@ -224,17 +224,16 @@ class _Grid:
             here = np.flatnonzero(places >= 0)
             if here.size:
                 basis = barycentric_interpolation(nodes, weights, tau[here])
-                found.append(_Basis(group, here, places[here], basis))
+                found.append(_LagrangeBasis(group, here, places[here], basis))
         return tuple(found)
 
 
 @lru_cache(maxsize=KEPT_GRIDS)
-def _time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _Grid:
-    return _Grid(np.frombuffer(breaks), nodes)
+def _time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _TimeGrid:
+    return _TimeGrid(np.frombuffer(breaks), nodes)
 
 
 def _integrate_lagrange_basis(nodes: Array) -> Array:
-    """Return the integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
     gauss = gauss_rule((nodes.size + 1) // 2)
     return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
 

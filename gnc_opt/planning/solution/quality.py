@@ -107,7 +107,7 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
         return Violations(limits, nothing, nothing, x, u)
     controls = samples.u if applied else samples.u_polynomial
     signal = samples.leg.applied if applied else samples.leg.u
-    tops = _Tops.from_samples(samples, limits, controls)
+    tops = _ExcessPeaks.from_samples(samples, limits, controls)
     k, j, excess = tops.limits, tops.samples, tops.excess
     times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
     promise = excess + PEAK_RISE_RATIO * tops.swing
@@ -135,7 +135,7 @@ def _find_highest_peaks(groups: Indices, values: Array) -> Indices:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tops:
+class _ExcessPeaks:
     """Samples whose excess is a local maximum within the segment.
 
     Attributes
@@ -159,7 +159,7 @@ class _Tops:
     room: Array
 
     @classmethod
-    def from_samples(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _Tops:
+    def from_samples(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _ExcessPeaks:
         times, last = samples.times, samples.is_segment_end
         first = np.append(True, last[:-1])
         excess = limits.compute_excess(times, samples.x, controls)

@@ -294,7 +294,7 @@ class PhaseSamples:
         the curvature of H; for vanishing costates, from the terms that cancel in their rates. Constant states, and
         drift without controls, are excluded.
         """
-        return max(float(np.sum(self._hamiltonian_changes)), self.rounding_gain)
+        return max(float(np.sum(self._hamiltonian_changes)), self.rounding_level)
 
     @property
     def control_gain(self) -> Array:
@@ -305,7 +305,7 @@ class PhaseSamples:
         )
 
     @property
-    def rounding_gain(self) -> float:
+    def rounding_level(self) -> float:
         """Cost per second below which differences of H are rounding."""
         return (
             COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
@@ -349,14 +349,14 @@ class PhaseSamples:
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return max(float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.rounding_gain)
+        return max(float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.rounding_level)
 
     @property
     def has_fixed_duration(self) -> bool:
         """Whether initial and final time of the phase, or its duration, are fixed."""
         leg = self.leg
-        ends = leg.initial_time_bounds.fixed[0] and leg.final_time_bounds.fixed[0]
-        return bool(ends or leg.duration_bounds.fixed[0])
+        ends = leg.initial_time_bounds.is_fixed[0] and leg.final_time_bounds.is_fixed[0]
+        return bool(ends or leg.duration_bounds.is_fixed[0])
 
     @property
     def span(self) -> float:

@@ -90,5 +90,5 @@ class SaturatedControl:
 def _bound_ranges(bounds: Interval) -> Array:
     """Return the ranges of bounds; for fixed controls their magnitude; 1 if both are zero or infinite."""
     span = bounds.upper - bounds.lower
-    fixed = nonzero_magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))
-    return np.where(np.isfinite(span) & ~bounds.fixed, span, fixed)
+    fixed = nonzero_magnitude(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))
+    return np.where(np.isfinite(span) & ~bounds.is_fixed, span, fixed)

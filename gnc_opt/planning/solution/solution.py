@@ -19,7 +19,7 @@ from gnc_opt.model.composed_controls import AssembledControl, SplitControl, Unit
 from gnc_opt.model.trajectory import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.problem.angles import Turns
+from gnc_opt.planning.problem.angles import UnboundedAngles
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, list_table_calls
@@ -241,7 +241,7 @@ class Solution(PrintableResult):
 
         The applied control is integrated independently of the collocation. Needs the problem.
         """
-        return measure_accuracy(self.samples().values(), self.objective, self.objective_error.value)
+        return measure_accuracy(self.samples().values(), self.objective, self.objective_error.absolute_error)
 
     @cached_property
     def objective_error(self) -> ObjectiveError:
@@ -478,7 +478,7 @@ SOLUTION_FILES = FileFormat(
     DataclassPacking(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
-            *(SplitControl, VectorControl, AssembledControl, UnitVectorControl, Turns),
+            *(SplitControl, VectorControl, AssembledControl, UnitVectorControl, UnboundedAngles),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
             *(History, RefinementIteration, Actions, RefinementStatus),
         ),

@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.costates import (
-    Iterate,
+    NlpIterate,
     correct_path_arc_costates,
     map_costates,
     point_costates,
@@ -72,7 +72,7 @@ def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
 
 
 def extract_phases(
-    transcription: Transcription, problem: Problem, iterate: Iterate
+    transcription: Transcription, problem: Problem, iterate: NlpIterate
 ) -> tuple[dict[str, PhaseSolution], EndGradients]:
     """Return the solution of every phase, and the end-point gradients."""
     q = iterate.x[transcription.parameter_places]
@@ -148,7 +148,7 @@ def _extract_phase(
     transcription: Transcription,
     problem: Problem,
     part: PhasePart,
-    iterate: Iterate,
+    iterate: NlpIterate,
     integrals: Array,
     gradients: EndGradients,
 ) -> PhaseSolution:

@@ -116,7 +116,7 @@ def summary(solution: SummarisedSolution) -> str:
     if not solution.converged:
         lines += list(_node_violation_lines(quality))
     lines += list(_overshoot_lines(solution))
-    lines += [_labelled_line("table", str(found)) for found in exited_tables(solution)]
+    lines += [_labelled_line("table", str(found)) for found in list_table_exits(solution)]
     if quality is not None and solution.problem is None:
         lines.append(_labelled_line("note", "accuracy and defect were measured when the solution was saved"))
     return "\n".join(lines)
@@ -208,7 +208,7 @@ def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
     yield _labelled_line("optimality", optimality_text(solution))
     if solution.verdict is None:
         return
-    for c in solution.verdict.open[:SUMMARY_MAX_NAMES]:
+    for c in solution.verdict.open_conditions[:SUMMARY_MAX_NAMES]:
         yield _labelled_line(
             "open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}"
         )
@@ -220,7 +220,7 @@ def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> It
     """Yield the accuracy of a solved problem; without the problem the stored figures."""
     if solution.problem is not None:
         if solution.status.solved:
-            yield _labelled_line("accuracy", solution.accuracy.text)
+            yield _labelled_line("accuracy", solution.accuracy.summary_text)
     elif quality is None:
         yield _labelled_line("accuracy", "unknown: load the solution with its problem")
     else:
@@ -236,7 +236,7 @@ def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
         return
     if BETTER_COARSE_SOLVE in solution.provenance:
         yield _labelled_line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
-    final = history.final
+    final = history.final_iteration
     yield _labelled_line(
         "refinement",
         f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
@@ -276,7 +276,7 @@ def _time_spent_line(solution: SummarisedSolution) -> str:
     """Return the wall time of all refinement iterations, and the statistics of the last solve."""
     spent = solution.statistics
     seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
-    return f"{seconds:.2f} s; last solve: {spent.text}"
+    return f"{seconds:.2f} s; last solve: {spent.summary_text}"
 
 
 def _node_violation_lines(quality: Quality | None) -> Iterator[str]:
@@ -311,7 +311,7 @@ def _overshoot_lines(solution: SummarisedSolution) -> Iterator[str]:
         )
 
 
-def exited_tables(solution: SummarisedSolution) -> list[OutsideTable]:
+def list_table_exits(solution: SummarisedSolution) -> list[OutsideTable]:
     """Return where the trajectory is outside tables; empty without the problem."""
     return [] if solution.problem is None else solution.outside_tables()
 

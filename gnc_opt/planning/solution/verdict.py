@@ -155,7 +155,7 @@ class Verdict:
     Examples
     --------
     >>> verdict = go.verify(solution)
-    >>> print(verdict.word, len(verdict.failed))
+    >>> print(verdict.outcome, len(verdict.failed))
     ok 0
     """
 
@@ -194,12 +194,12 @@ class Verdict:
         return tuple(c for c in self.conditions if c.result is ConditionResult.INCONCLUSIVE)
 
     @property
-    def open(self) -> tuple[Condition, ...]:
+    def open_conditions(self) -> tuple[Condition, ...]:
         """Conditions that prevent ``ok``: failed ones, followed by inconclusive necessary ones."""
         return (*self.failed, *(c for c in self.inconclusive if not c.sufficient))
 
     @property
-    def word(self) -> str:
+    def outcome(self) -> str:
         """Short form of the verdict: "ok", "NOT ok", or the reason why it is missing: "not checked: no costates"."""
         if self.failed:
             return "NOT ok"
@@ -213,7 +213,7 @@ class Verdict:
             return f"every condition passes: a strict local minimum{self._distance_from_tolerance}"
         if self.ok:
             return f"ok: necessary conditions hold, sufficient ones are not known to{self._distance_from_tolerance}"
-        return self.word
+        return self.outcome
 
     @property
     def _distance_from_tolerance(self) -> str:
@@ -245,25 +245,25 @@ class Verdict:
         return "\n".join(
             [
                 *_condition_rows([(c.name, c, "") for c in self.conditions], "condition"),
-                f"verdict: {self.word}",
+                f"verdict: {self.outcome}",
             ]
         )
 
     def __str__(self) -> str:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
-        groups = list(self.groups.items())
-        failing = next((found for _, found in groups if any(c in self.open for c in found)), ())
-        messages = [line for c in failing if c in self.open for line in _condition_message(c)]
-        also = ", ".join(c.name for c in self.open if c not in failing)
+        groups = list(self.condition_groups.items())
+        failing = next((found for _, found in groups if any(c in self.open_conditions for c in found)), ())
+        messages = [line for c in failing if c in self.open_conditions for line in _condition_message(c)]
+        also = ", ".join(c.name for c in self.open_conditions if c not in failing)
         if also:
             messages.append(f"also: {also}")
         worst = [(group, worst_condition(found)) for group, found in groups]
         entries = [(g, replace(c, where=c.where.partition(";")[0]), f"{c.name}: ") for g, c in worst]
         rows = _condition_rows(entries, "group")
-        return "\n".join([*messages, *rows, f"verdict: {self.word}"])
+        return "\n".join([*messages, *rows, f"verdict: {self.outcome}"])
 
     @property
-    def groups(self) -> dict[str, list[Condition]]:
+    def condition_groups(self) -> dict[str, list[Condition]]:
         """Conditions by group: feasibility, first order, second order; others form a group each."""
         known = {name: group for group, names in GROUPS.items() for name in names}
         groups: dict[str, list[Condition]] = {}
@@ -272,7 +272,7 @@ class Verdict:
         return groups
 
     def __repr__(self) -> str:
-        return f"<verdict on '{self.problem_name}': {self.word}>"
+        return f"<verdict on '{self.problem_name}': {self.outcome}>"
 
     def _repr_html_(self) -> str:
         """Return HTML for notebooks: all conditions with value and location, and the meaning of failed ones."""
@@ -281,7 +281,7 @@ class Verdict:
             for c in self.conditions
         ]
         titles = ("condition", "result", "violation", "tolerance", "largest at")
-        shown = html_heading(f"verdict on '{self.problem_name}': {self.word}") + html_table(titles, rows)
+        shown = html_heading(f"verdict on '{self.problem_name}': {self.outcome}") + html_table(titles, rows)
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
         return shown if passed else shown + html_preformatted(self.explain())
 

@@ -32,11 +32,11 @@ from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
-from gnc_opt.planning.optimality.kkt import SaddlePoint
+from gnc_opt.planning.optimality.kkt import SaddlePointSystem
 from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.solution.costates import Iterate
+from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.solution.warm_start import ProgramStart, choose_program_start
@@ -49,7 +49,7 @@ SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class MovedSolution:
+class PredictedSolution:
     """Predicted solution as a guess, with its physical variables and their scales (n_variables,)."""
 
     guess: Solution
@@ -66,7 +66,7 @@ class MovedSolution:
 
 def predict_solution(
     problem: Problem, last: Solution, before: Solution | None, ratio: float
-) -> MovedSolution:
+) -> PredictedSolution:
     """Return the predicted solution of ``problem`` from the ``last`` one and the one ``before`` it.
 
     The prediction uses the sensitivities of the last solution if both problems are variations of one another; otherwise
@@ -82,10 +82,10 @@ def predict_solution(
     box = transcription.variable_interval(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     assert start.lam_x is not None and start.lam_g is not None, "a solution has multipliers"
-    phases, _ = extract_phases(transcription, problem, Iterate(x, start.lam_x, start.lam_g))
+    phases, _ = extract_phases(transcription, problem, NlpIterate(x, start.lam_x, start.lam_g))
     values = x[transcription.parameter_places]
     guess = replace(last, phases=phases, parameter_values=values, problem=problem.frozen())
-    return MovedSolution(guess, x, choose_variable_scales(transcription, problem, start.x))
+    return PredictedSolution(guess, x, choose_variable_scales(transcription, problem, start.x))
 
 
 def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
@@ -210,7 +210,7 @@ class KktPoint:
         free, held = np.flatnonzero(~self.program.variables.active), np.flatnonzero(self.program.rows.active)
         matrix = saddle_matrix(point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free])
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
-        self._system = SaddlePoint(matrix, free.size, labels, self.program.problem.name)
+        self._system = SaddlePointSystem(matrix, free.size, labels, self.program.problem.name)
 
     def _find_wrong_limit(self) -> str:
         """Return an error message if a multiplier has the wrong sign or a limit is violated; else ""."""
@@ -233,7 +233,7 @@ class KktPoint:
         weak = [
             limits.labels[i]
             for limits, values, multipliers in self._limits_and_multipliers()
-            for i in np.flatnonzero(limits.weakly_active(values, multipliers))
+            for i in np.flatnonzero(limits.is_weakly_active(values, multipliers))
         ]
         if weak:
             others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""

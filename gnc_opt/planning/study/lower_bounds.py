@@ -143,7 +143,7 @@ def _fulfils_time_optimal_theorem(problem: Problem, solution: Solution) -> bool:
     leg = next(iter(problem.phases.values()))
     return (
         _is_time_optimal(problem, leg, solution.phase().final_time)
-        and bool(np.all(leg.numbers.final.fixed))
+        and bool(np.all(leg.numbers.final.is_fixed))
         and _has_linear_dynamics(leg)
         and _is_final_state_equilibrium(leg, solution)
     )
@@ -157,7 +157,7 @@ def _is_time_optimal(problem: Problem, leg: Phase, found: float) -> bool:
     time_alone = all(s.element_hash() == leg.initial_time.element_hash() for s in others)
     grows = slope.is_constant() and float(ca.DM(slope)) > 0
     span = found - initial.lower[0]
-    return bool(initial.fixed[0] and time_alone and grows and found > final.lower[0] + AT_LIMIT * span)
+    return bool(initial.is_fixed[0] and time_alone and grows and found > final.lower[0] + AT_LIMIT * span)
 
 
 def _has_linear_dynamics(leg: Phase) -> bool:
@@ -178,7 +178,6 @@ def _has_linear_dynamics(leg: Phase) -> bool:
 
 
 def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
-    """Return whether ``lower <= row(x) <= upper`` is a convex set, by its constant Hessian."""
     hessian = ca.hessian(row, x)[0]
     p = leg.model.symbols("parameter")
     if _does_depend(hessian, x) or has_kinks(row):
@@ -211,11 +210,11 @@ def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
 
     if not box.lower.size:
         return bool(np.all(np.abs(residuals(np.zeros(0))) <= EQUAL))
-    inner = np.where(box.fixed, np.inf, box.upper), np.where(box.fixed, -np.inf, box.lower)
+    inner = np.where(box.is_fixed, np.inf, box.upper), np.where(box.is_fixed, -np.inf, box.lower)
     starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), flown.applied(t, "left"))
     for start in starts:
-        free = ~box.fixed
-        held = np.where(box.fixed, box.lower, start)
+        free = ~box.is_fixed
+        held = np.where(box.is_fixed, box.lower, start)
 
         def of_free(values: Array, held: Array = held, free: Any = free) -> Array:
             control = held.copy()

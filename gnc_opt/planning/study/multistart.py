@@ -45,7 +45,7 @@ MISS = 0.1
 
 
 @dataclass(frozen=True)
-class Refining:
+class RefinementTask:
     """Return a refined and checked minimum; unchanged after a failure."""
 
     structure: StructureChoice
@@ -270,13 +270,13 @@ def multistart(
     stated = shared.value
     with WorkerPool(shared, executor, "multistart()") as pool:
         stated.check()
-        search = _Search(pool, stated, progress)
-        coarse = _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen)
+        search = _MultistartSearch(pool, stated, progress)
+        coarse = _CoarseTask(seed, COARSE_MESH if mesh is None else mesh, chosen)
         endings = search.solve_starts(coarse, n)
         minima = merge_minima(_collect_coarse_minima(endings))
         if refine and not pool.interrupted:
             count = _count_worth_refining(minima, within)
-            refined = search.refine_minima(Refining(structure, tol), minima[:count], max_refined)
+            refined = search.refine_minima(RefinementTask(structure, tol), minima[:count], max_refined)
             minima = merge_minima([*refined, *minima[count:]])
     return Multistart(
         stated.name,
@@ -290,14 +290,14 @@ def multistart(
 
 
 @dataclass(frozen=True)
-class _Search:
+class _MultistartSearch:
     pool: WorkerPool[Problem]
     problem: Problem
     progress: bool
 
-    def solve_starts(self, coarse: _Coarse, n: int) -> list[_StartEnding]:
+    def solve_starts(self, coarse: _CoarseTask, n: int) -> list[_StartResult]:
         """Solve n starts: the problem's guess and random ones, every second one with about the best duration so far."""
-        endings: list[_StartEnding] = []
+        endings: list[_StartResult] = []
         with _progress_meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
             try:
                 for starts in (range(0, n, 2), range(1, n, 2)):
@@ -311,7 +311,7 @@ class _Search:
                 self.pool.interrupted = True
         return endings
 
-    def refine_minima(self, refining: Refining, minima: Sequence[Minimum], most: int) -> list[Minimum]:
+    def refine_minima(self, refining: RefinementTask, minima: Sequence[Minimum], most: int) -> list[Minimum]:
         """Refine minima in ascending order up to a number of distinct ones; return the others unchanged."""
         finer: list[Minimum] = []
         waiting = list(minima)
@@ -327,7 +327,7 @@ class _Search:
         return [*finer, *waiting]
 
 
-def _find_phase_durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
+def _find_phase_durations(endings: Sequence[_StartResult]) -> dict[str, float]:
     """Return the duration of each phase in the best solution; empty without a solution."""
     best = next(iter(merge_minima(_collect_coarse_minima(endings))), None)
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
@@ -389,9 +389,7 @@ def _progress_meter(name: str, total: int, visible: bool, sense: float) -> Abstr
 
 
 @dataclass(frozen=True)
-class _StartEnding:
-    """Result of one start; if it is a minimum, the solution without its problem."""
-
+class _StartResult:
     index: int
     failure: str = ""
     solution: Solution | None = None
@@ -402,15 +400,13 @@ class _StartEnding:
 
 
 @dataclass(frozen=True)
-class _Coarse:
-    """Task: solve one start, with the phase ``durations`` of another solution if known, and check its local errors."""
-
+class _CoarseTask:
     seed: int
     mesh: MeshLike | Mapping[str, MeshLike]
     options: SolverOptions
     durations: Mapping[str, float] = field(default_factory=dict)
 
-    def __call__(self, problem: Problem, index: int) -> _StartEnding:
+    def __call__(self, problem: Problem, index: int) -> _StartResult:
         options = self.options
         if index and options.mu_init is None:
             small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if keeps_guess_shape(index) else None
@@ -423,19 +419,19 @@ class _Coarse:
         except ProblemError:
             if index == 0:
                 raise
-            return _StartEnding(index, "bad guess")
+            return _StartResult(index, "bad guess")
         if solution.status.solved and is_spurious(solution):
             finer = {name: _halve_segments(leg.mesh) for name, leg in solution.phases.items()}
             solution = solve_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
             raise_interrupt(solution, options)
-            return _StartEnding(index, solution.status.value)
+            return _StartResult(index, solution.status.value)
         if is_spurious(solution):
-            return _StartEnding(index, "spurious")
-        return _StartEnding(index, solution=replace(solution, problem=None))
+            return _StartResult(index, "spurious")
+        return _StartResult(index, solution=replace(solution, problem=None))
 
 
-def _collect_coarse_minima(endings: Iterable[_StartEnding]) -> Iterator[Minimum]:
+def _collect_coarse_minima(endings: Iterable[_StartResult]) -> Iterator[Minimum]:
     for ending in endings:
         if ending.solution is not None:
             objective = ending.solution.objective

@@ -65,7 +65,7 @@ class Continuation(PrintableResult):
     Examples
     --------
     >>> family = go.continuation(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 0.25])
-    >>> print(family.status.value, family.values[-1], f"{family.final.objective:.6f}")  # 2 / sqrt(a)
+    >>> print(family.status.value, family.values[-1], f"{family.final_solution.objective:.6f}")  # 2 / sqrt(a)
     complete 0.25 4.000000
     """
 
@@ -75,12 +75,12 @@ class Continuation(PrintableResult):
     events: tuple[str, ...] = ()
 
     @property
-    def final(self) -> Solution:
+    def final_solution(self) -> Solution:
         """Last solution."""
         return self.solutions[-1]
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether the last requested value was reached."""
         return self.status is ContinuationStatus.COMPLETE
 
@@ -89,7 +89,7 @@ class Continuation(PrintableResult):
         """Objectives of the solutions (n,), as stated."""
         return np.array([solution.objective for solution in self.solutions])
 
-    def at(self, value: float) -> Solution:
+    def solution_at(self, value: float) -> Solution:
         """Return the solution at a solved value; raise `ArgumentError` for other values."""
         near = np.flatnonzero(np.isclose(self.values, value, rtol=1e-9, atol=1e-12))
         if not near.size:
@@ -97,12 +97,12 @@ class Continuation(PrintableResult):
         return self.solutions[int(near[0])]
 
     def __repr__(self) -> str:
-        span = f"{self.values[0]:g} to {self.values[-1]:g}"
-        return f"Continuation({self.final.problem_name!r}, {self.status.value}, {self.values.size} solutions, {span})"
+        span, name = f"{self.values[0]:g} to {self.values[-1]:g}", self.final_solution.problem_name
+        return f"Continuation({name!r}, {self.status.value}, {self.values.size} solutions, {span})"
 
     def __str__(self) -> str:
         lines = [
-            f"{self.final.problem_name}: continuation {self.status.value}, {self.values.size} solutions from "
+            f"{self.final_solution.problem_name}: continuation {self.status.value}, {self.values.size} solutions from "
             f"{self.values[0]:g} to {self.values[-1]:g}",
             f"{'value':>14} {'objective':>18} {'iterations':>10}",
         ]
@@ -195,7 +195,7 @@ def continuation(
             "easier value.",
             start,
         )
-    return _Walk(problem_of, way, max(least, 1e-14 * whole), tol, options).follow_branch(start, length)
+    return _Branch(problem_of, way, max(least, 1e-14 * whole), tol, options).follow_branch(start, length)
 
 
 def _build_problem(problem_of: Family, value: float) -> Problem:
@@ -207,7 +207,7 @@ def _build_problem(problem_of: Family, value: float) -> Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class _Walk:
+class _Branch:
     problem_of: Family
     way: Array
     least: float

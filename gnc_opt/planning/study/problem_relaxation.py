@@ -81,7 +81,6 @@ def _transitive_closure(needs: Mask) -> Mask:
 
 
 def _dependence_matrix(expression: Any, symbols: Any) -> Mask:
-    """Return which rows depend on which symbols, (n_rows, n_symbols)."""
     pattern = np.zeros((expression.numel(), symbols.numel()), dtype=bool)
     if pattern.size:
         rows, columns = ca.jacobian_sparsity(expression, symbols).get_triplet()
@@ -101,9 +100,7 @@ def _end_dependence_on_states(problem: Problem, expression: Any) -> Mask:
     return np.hstack(columns)
 
 
-class _Part:
-    """Phase restricted to a closed set of states, with the integrals in the cost and the end conditions."""
-
+class _ReducedPhase:
     def __init__(self, leg: Phase, states: Mask, integrals: Mask) -> None:
         self.leg, self.states = leg, states
         _, x, u, _ = leg.model.arguments()
@@ -168,13 +165,13 @@ def _restrict_problem(problem: Problem, kept: Mask) -> Relaxation | None:
     for leg in problem.phases.values():
         last = first + leg.model.states.size
         integrals = np.any(_dependence_matrix(ends, leg.integral_symbols()), axis=0)
-        parts.append(_Part(leg, kept[first:last], integrals))
+        parts.append(_ReducedPhase(leg, kept[first:last], integrals))
         first = last
     return _build_relaxed_problem(problem, parts, conditions, problem.constraint_interval(), alone)
 
 
 def _build_relaxed_problem(
-    problem: Problem, parts: list[_Part], conditions: Any, limits: Interval, alone: Mask
+    problem: Problem, parts: list[_ReducedPhase], conditions: Any, limits: Interval, alone: Mask
 ) -> Relaxation:
     used = {
         s.element_hash()
@@ -209,7 +206,7 @@ def _build_relaxed_problem(
 
 
 def _declare_parameters(
-    problem: Problem, relaxed: Problem, parts: list[_Part], used: set[int]
+    problem: Problem, relaxed: Problem, parts: list[_ReducedPhase], used: set[int]
 ) -> tuple[list[Any], list[Any]]:
     """Declare the used free parameters with all their components; return old and new symbols."""
     before, after = [], []
@@ -228,7 +225,7 @@ def _declare_parameters(
     return before, after
 
 
-def _declare_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
+def _declare_phase(leg: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
     """Declare the limits, path constraints and integrals of the reduced phase."""
     old, states, controls = part.leg.numbers, part.states, part.controls
     leg.numbers = replace(

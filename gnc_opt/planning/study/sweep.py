@@ -67,7 +67,7 @@ class Sweep(PrintableResult):
     interrupted: bool = False
 
     @property
-    def solved(self) -> Any:
+    def is_solved(self) -> Any:
         """Whether each point has a solution, bool array of the grid's shape."""
         return np.array([s is not None for s in self.solutions.flat]).reshape(self.solutions.shape)
 
@@ -87,7 +87,7 @@ class Sweep(PrintableResult):
             return self.outputs[name]
         if name in self.grid and name not in own:
             axes = dict(zip(self.grid, np.meshgrid(*self.grid.values(), indexing="ij"), strict=True))
-            return np.asarray(np.where(self.solved, axes[name], np.nan))
+            return np.asarray(np.where(self.is_solved, axes[name], np.nan))
         if name not in own:
             known = [*own, *self.outputs, *self.grid]
             raise ArgumentError(f"the sweep has no quantity {quote(name)}: {did_you_mean(str(name), known)}")
@@ -107,10 +107,10 @@ class Sweep(PrintableResult):
 
     def __repr__(self) -> str:
         sizes = " x ".join(f"{values.size} {name}" for name, values in self.grid.items())
-        return f"Sweep({sizes}, {int(np.sum(self.solved))} of {self.solutions.size} solved)"
+        return f"Sweep({sizes}, {int(np.sum(self.is_solved))} of {self.solutions.size} solved)"
 
     def __str__(self) -> str:
-        total, good = self.solutions.size, int(np.sum(self.solved))
+        total, good = self.solutions.size, int(np.sum(self.is_solved))
         sizes = " x ".join(f"{values.size} {name}" for name, values in self.grid.items())
         lines = [f"sweep over {sizes}: {good} of {total} solved{', interrupted' if self.interrupted else ''}"]
         if good:
@@ -185,9 +185,9 @@ def sweep(
             raise ArgumentError(
                 f"output '{name}' of sweep() is {quote(output)}: give a function of a solution."
             )
-    line = _Line(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
+    line = _GridLineTask(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
     shared = SharedObject.from_picklable(
-        _Functions(problem_of, dict(named)),
+        _UserFunctions(problem_of, dict(named)),
         "the family of problems, or an output,",
         'define them with def at the top of a module, or use executor="serial"',
     )
@@ -248,30 +248,30 @@ def _read_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:
 
 
 @dataclass(frozen=True)
-class _Point:
+class _GridPoint:
     solution: Solution | None
     ending: str
     outputs: Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class _Functions:
+class _UserFunctions:
     problem_of: Family
     outputs: Mapping[str, Output]
 
 
 @dataclass(frozen=True)
-class _Line:
+class _GridLineTask:
     names: tuple[str, ...]
     values: Array
     mesh: MeshLike | Mapping[str, MeshLike] | None
     tol: float | None
     options: SolverOptions | None
 
-    def __call__(self, functions: _Functions, item: tuple[int, tuple[float, ...]]) -> list[_Point]:
+    def __call__(self, functions: _UserFunctions, item: tuple[int, tuple[float, ...]]) -> list[_GridPoint]:
         return list(self._grid_points(functions, item[1]))
 
-    def _grid_points(self, functions: _Functions, fixed: tuple[float, ...]) -> Iterator[_Point]:
+    def _grid_points(self, functions: _UserFunctions, fixed: tuple[float, ...]) -> Iterator[_GridPoint]:
         neighbour: Solution | None = None
         for value in self.values:
             arguments = dict(zip(self.names, (*map(float, fixed), float(value)), strict=True))
@@ -288,18 +288,18 @@ class _Line:
                 outputs = functions.outputs if solution.status.solved else {}
                 more = {name: float(output(solution)) for name, output in outputs.items()}
             except GncOptError as error:  # invalid grid point
-                yield _Point(None, str(error), {})
+                yield _GridPoint(None, str(error), {})
                 continue
             except MISTAKES:
                 raise
             except Exception as error:  # error of a user function, such as a division by zero
-                yield _Point(None, f"{type(error).__name__}: {error}", {})
+                yield _GridPoint(None, f"{type(error).__name__}: {error}", {})
                 continue
             if not solution.status.solved:
-                yield _Point(None, solution.status.value, {})
+                yield _GridPoint(None, solution.status.value, {})
                 continue
             neighbour = solution
-            yield _Point(replace(solution, problem=None), solution.status.value, more)
+            yield _GridPoint(replace(solution, problem=None), solution.status.value, more)
 
     @property
     def _has_time_limit(self) -> bool:

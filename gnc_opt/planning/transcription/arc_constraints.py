@@ -10,7 +10,7 @@ from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.problem.arcs import ArcKind, Held, Junction, Kinds, Smooth
+from gnc_opt.planning.problem.arcs import ArcKind, FixedArcs, Junction, Kinds, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -30,18 +30,18 @@ def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
             )
 
 
-def fix_controls_on_arcs(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_arc_controls(box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Apply the limits of controls at the points of their arcs to ``box``."""
     _apply_arc_bounds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
 
 
-def fix_paths_on_arcs(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_arc_paths(box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Apply the limits of path constraint rows at the points of their arcs to ``box``."""
     if held.paths:
         _apply_arc_bounds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
 
 
-def fix_states_on_arcs(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
+def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: PhaseCollocation) -> None:
     """Apply the limits of states at the start and the points of their arcs to ``box``.
 
     The collocation rows imply them at the ends of the segments. A start linked from an arc on the same bound gets no
@@ -58,7 +58,7 @@ def fix_states_on_arcs(box: Interval, leg: Phase, held: Held, collocation: Phase
                 box.lower[inner], box.upper[inner] = -np.inf, np.inf
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
-            if not kind.at_limit:
+            if not kind.is_at_limit:
                 continue
             start, end = collocation.boundary_states[i, k : k + 2]
             if k == 0 and i in going_on:
@@ -68,7 +68,7 @@ def fix_states_on_arcs(box: Interval, leg: Phase, held: Held, collocation: Phase
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
-def _find_continued_states(leg: Phase, held: Held) -> set[int]:
+def _find_continued_states(leg: Phase, held: FixedArcs) -> set[int]:
     """Return the states that the previous phase links from an arc on the same bound."""
     found = set()
     for name in leg.model.states.names:
@@ -107,7 +107,7 @@ def drop_implied_state_bounds(
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 
-def fix_junction_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_junctions(box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Fix states at their bounds at junctions; other junction conditions are rows."""
     for junction in held.junctions:
         i = junction.constraint - collocation.n_paths
@@ -163,33 +163,33 @@ def junction_right_sides(junction: Junction, paths: Interval, order: int | None)
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class SideControls:
     """Controls of a segment, variables (m, n) or (m, 0), and weights (n,) that interpolate them at one of its ends."""
 
     points: Indices
     weights: Array
 
 
-def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> Beside:
+def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> SideControls:
     """Return the controls of the segment on the tangent side of a junction."""
     places = collocation.point_controls
     if not junction.tangent:
-        return Beside(places[:, :0], np.zeros(0))
+        return SideControls(places[:, :0], np.zeros(0))
     segment = junction.boundary - (junction.tangent < 0)
     points = slice(*collocation.mesh.offsets[segment : segment + 2])
     rule = collocation.rules[segment]
-    return Beside(places[:, points], interpolation_matrix(rule.points, [-float(junction.tangent)])[0])
+    return SideControls(places[:, points], interpolation_matrix(rule.points, [-float(junction.tangent)])[0])
 
 
 # --- smooth controls ----------------------------------------------------------------------------------------
 
 
-def list_smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
+def list_smooth_controls(leg: Phase) -> tuple[SmoothControl, ...]:
     """Return the controls of a phase that are one polynomial over several segments."""
     return () if leg.numbers.arcs is None else leg.numbers.arcs.smooth
 
 
-def build_smoothness_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices, Array]:
+def build_smoothness_rows(smooth: SmoothControl, collocation: PhaseCollocation) -> tuple[Indices, Array]:
     """Return control variables of segments (N,), and orthonormal rows that vanish for polynomials of the degree."""
     mesh = collocation.mesh
     points = slice(mesh.offsets[smooth.first], mesh.offsets[smooth.last])

@@ -26,7 +26,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.point_families import Family, Scheme, get_family
+from gnc_opt.planning.transcription.point_families import PointFamily, Scheme, get_family
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
 
 
@@ -43,7 +43,7 @@ class PhaseCollocation:
     first_row: int
 
     @property
-    def family(self) -> Family:
+    def family(self) -> PointFamily:
         return get_family(self.scheme)
 
     @cached_property

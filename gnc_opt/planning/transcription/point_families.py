@@ -26,7 +26,7 @@ Numbers: TypeAlias = NDArray[Any]
 """Arrays of float64 or (as objects) of Decimal; formulas apply to both."""
 
 
-class Family(ABC):
+class PointFamily(ABC):
     """Family of collocation points on [-1, 1], with the rows of a segment.
 
     Attributes
@@ -97,7 +97,7 @@ class Family(ABC):
         return f"point {row + 1}"
 
 
-class Gauss(Family):
+class Gauss(PointFamily):
     """Legendre-Gauss: neither end is a point; the end state is the value of the polynomial, with its own row."""
 
     extra_rows = 1
@@ -130,7 +130,7 @@ class Gauss(Family):
         return "end" if row == n else super().row_location(row, n)
 
 
-class Radau(Family):
+class Radau(PointFamily):
     """Legendre-Gauss-Radau: the start is a point; the end state is a node without collocation."""
 
     starts_at_point = True
@@ -151,7 +151,7 @@ class Radau(Family):
         return np.hstack([points, end])
 
 
-class Lobatto(Family):
+class Lobatto(PointFamily):
     """Legendre-Gauss-Lobatto: both ends are points; states follow from the first one by integration (IIIA)."""
 
     fewest = 2
@@ -187,11 +187,11 @@ class Lobatto(Family):
         return f"point {row + 2}"
 
 
-_FAMILIES: dict[str, Family] = {"LG": Gauss(), "LGR": Radau(), "LGL": Lobatto()}
+_FAMILIES: dict[str, PointFamily] = {"LG": Gauss(), "LGR": Radau(), "LGL": Lobatto()}
 _SPELLINGS = {"lg": "LG", "gauss": "LG", "lgr": "LGR", "radau": "LGR", "lgl": "LGL", "lobatto": "LGL"}
 
 
-def get_family(scheme: Scheme) -> Family:
+def get_family(scheme: Scheme) -> PointFamily:
     """Return the family with this name; raise `ArgumentError` for other names."""
     if not isinstance(scheme, str) or scheme not in _FAMILIES:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)

@@ -39,7 +39,7 @@ class PhasePart:
     times: Indices
 
 
-class Numbering:
+class ProgramNumbering:
     """Indices and labels of all variables and rows of a problem on given meshes.
 
     Attributes
@@ -199,4 +199,4 @@ class Numbering:
 
 def is_time_fixed(leg: Phase, end: int) -> bool:
     """Return whether the initial (0) or final (1) time of the phase is fixed."""
-    return bool(leg.time_ranges()[end].fixed[0])
+    return bool(leg.time_ranges()[end].is_fixed[0])

@@ -26,10 +26,10 @@ from gnc_opt.planning.transcription.arc_constraints import (
     controls_at_junction,
     drop_implied_state_bounds,
     find_junctions,
-    fix_controls_on_arcs,
-    fix_junction_states,
-    fix_paths_on_arcs,
-    fix_states_on_arcs,
+    fix_arc_controls,
+    fix_arc_paths,
+    fix_arc_states,
+    fix_junctions,
     junction_derivative_orders,
     junction_right_sides,
     list_smooth_controls,
@@ -39,7 +39,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
 from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.point_families import Scheme
-from gnc_opt.planning.transcription.program_layout import Numbering, PhasePart, is_time_fixed
+from gnc_opt.planning.transcription.program_layout import PhasePart, ProgramNumbering, is_time_fixed
 from gnc_opt.tolerances import SHORTEST
 
 
@@ -60,7 +60,7 @@ CACHED_PROGRAMS = 8
 """Largest number of cached programs of a problem; each may have a solver of many megabytes."""
 
 
-class Transcription(Numbering):
+class Transcription(ProgramNumbering):
     """Nonlinear program of a problem on given meshes; independent of the problem's numbers."""
 
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
@@ -331,7 +331,7 @@ class Transcription(Numbering):
     def fixed_times(self, problem: Problem) -> Array:
         """Return initial and final time of each phase if fixed, else 0, shape (2 * n_phases,)."""
         times = [leg.time_ranges()[end] for leg in problem.phases.values() for end in (0, 1)]
-        return np.asarray([t.lower[0] if t.fixed[0] else 0.0 for t in times])
+        return np.asarray([t.lower[0] if t.is_fixed[0] else 0.0 for t in times])
 
     def variable_interval(self, problem: Problem) -> Interval:
         """Return the bounds of all variables in physical units."""
@@ -357,7 +357,7 @@ class Transcription(Numbering):
         drop_implied_state_bounds(box, problem, leg, collocation)
         check_arc_segments(leg, collocation)
         if numbers.arcs is not None:
-            fix_controls_on_arcs(box, numbers.arcs, numbers.controls, collocation)
+            fix_arc_controls(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value beyond a bound by rounding must not cross it.
@@ -367,8 +367,8 @@ class Transcription(Numbering):
                 np.clip(values.upper, lower, upper),
             )
         if numbers.arcs is not None:
-            fix_states_on_arcs(box, leg, numbers.arcs, collocation)
-            fix_junction_states(box, numbers.arcs, numbers.states, collocation)
+            fix_arc_states(box, leg, numbers.arcs, collocation)
+            fix_junctions(box, numbers.arcs, numbers.states, collocation)
         for place, time in zip(part.times[[0, -1]], leg.time_ranges(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
@@ -382,7 +382,7 @@ class Transcription(Numbering):
             box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
             held = problem.phases[name].numbers.arcs
             if held is not None:
-                fix_paths_on_arcs(box, held, paths, part.collocation)
+                fix_arc_paths(box, held, paths, part.collocation)
         for i, name in enumerate(self._durations):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]

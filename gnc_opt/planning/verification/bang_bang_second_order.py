@@ -28,7 +28,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.switches import Switches, find_inner_switches
-from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, Unknowns
+from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.quality import find_worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -140,7 +140,7 @@ def _find_zero_without_crossing(s: PhaseSamples) -> str:
 
 
 @dataclass(frozen=True)
-class SecondOrder:
+class SecondOrderResult:
     """Second-order result of the switching-time problem for one order of its switches; values are dimensionless.
 
     Attributes
@@ -183,12 +183,12 @@ def check_bang_bang_second_order(
 
     reason = explain_inapplicable_theorem(samples)
     switches = {} if reason else {s.leg.name: Switches.from_samples(s) for s in samples}
-    if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
+    if not reason and np.prod([float(s.n_switch_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders of simultaneous switches"
     if reason:
         return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
-    unknowns = Unknowns.from_switches(solution, samples, switches)
-    every = itertools.product(*(s.list_orders() for s in switches.values()))
+    unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
+    every = itertools.product(*(s.list_switch_orders() for s in switches.values()))
     found = [
         _second_order_for_switch_order(
             solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches
@@ -214,16 +214,16 @@ def _second_order_for_switch_order(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
-    unknowns: Unknowns,
+    unknowns: SwitchUnknowns,
     orders: dict[str, tuple[int, ...]],
     switches: dict[str, Switches],
-) -> SecondOrder:
+) -> SecondOrderResult:
     pieces = {name: switches[name].piecewise_control(order) for name, order in orders.items()}
     coarse, fine = (
         InducedProblem.integrate_controls(solution, samples, ends, unknowns, pieces, n) for n in (1, 2)
     )
     if not (coarse.is_finite and fine.is_finite):
-        return SecondOrder(np.nan, np.nan, unknowns.scale.size, False)
+        return SecondOrderResult(np.nan, np.nan, unknowns.scale.size, False)
     free, conditions = unknowns.free, fine.conditions
     gradient, jacobian = _extrapolate_richardson(fine.gradient, coarse.gradient), conditions.jacobian
     jacobian = _extrapolate_richardson(jacobian, coarse.conditions.jacobian)
@@ -247,7 +247,7 @@ def _second_order_for_switch_order(
     )
     null = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(kept.shape[1])
     if not null.shape[1]:
-        return SecondOrder(np.inf, 0.0, 0, True)
+        return SecondOrderResult(np.inf, 0.0, 0, True)
     (h_fine, size), (h_coarse, _) = fine.lagrangian_hessian(every), coarse.lagrangian_hessian(every)
     hessian = _extrapolate_richardson(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = null.T @ hessian @ null
@@ -256,7 +256,7 @@ def _second_order_for_switch_order(
     error += EQUAL + violation
     keeps = sided @ (null @ vectors[:, 0])
     attained = bool(np.all(keeps >= -AT_LIMIT) or np.all(keeps <= AT_LIMIT))
-    return SecondOrder(float(eigenvalues[0]) / (size + cost), error, null.shape[1], attained)
+    return SecondOrderResult(float(eigenvalues[0]) / (size + cost), error, null.shape[1], attained)
 
 
 def estimate_nearest_multipliers(
@@ -292,7 +292,7 @@ def _extrapolate_richardson(fine: Array, coarse: Array) -> Array:
 
 
 def _switch_order_constraints(
-    unknowns: Unknowns, orders: dict[str, tuple[int, ...]], switches: dict[str, Switches]
+    unknowns: SwitchUnknowns, orders: dict[str, tuple[int, ...]], switches: dict[str, Switches]
 ) -> Array:
     """Return the combinations of unknowns that must be >= 0 for the order of the switches to hold (k, n)."""
     rows = [np.zeros((0, unknowns.scale.size))]

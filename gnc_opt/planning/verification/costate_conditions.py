@@ -72,7 +72,7 @@ def add_active_constraints_at_ends(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
         pushes.append(explain_transversality(s, at, ends).multipliers[rows])
-    problem.forget_builds()
+    problem.clear_cache()
     stated = replace(
         solution,
         problem=problem,
@@ -91,7 +91,7 @@ def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     values = np.hstack([s.functions.paths(t, leg.x(t), leg.applied(t)) for t in (end, point)])
     near = (
         np.any(leg.path_bounds.near(values, AT_LIMIT * s.path_scale), axis=0)
-        & ~leg.path_bounds.fixed[:, None]
+        & ~leg.path_bounds.is_fixed[:, None]
     )
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
@@ -120,7 +120,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
         worst = worst.select_worse(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
             jumps = explain_costate_jumps(s)[0]
-            share = along.maximise_change(jumps) / cost
+            share = along.largest_change(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
             i = int(np.argmax(np.abs(jumps[:, k]) * along.radius))
@@ -135,8 +135,8 @@ def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: fl
     gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, mu)
     residual = s.lam_rate + gradient + s.state_multiplier
     total = s.segment_integrals(residual)
-    inside = s.segment_maxima(along.maximise_change(s.running_integrals(residual))) * np.sqrt(tolerance)
-    share = np.fmax(along.maximise_change(total), inside) / scales.cost
+    inside = s.segment_maxima(along.largest_change(s.running_integrals(residual))) * np.sqrt(tolerance)
+    share = np.fmax(along.largest_change(total), inside) / scales.cost
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
 
@@ -161,7 +161,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
         for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
             left = push.gap - push.explained
             left = np.copysign(_multipliers_of_wrong_sign(left, s.x[:, at], push.limits, s.state_scale), left)
-            violation = float(ellipsoid.maximise_change(left)) / scales.cost
+            violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_cheap_control_error(s, left))
             i = int(np.argmax(np.abs(left) * ellipsoid.radius))
@@ -205,7 +205,7 @@ def _multipliers_of_wrong_sign(multipliers: Array, values: Array, box: Interval,
     """Return the size of inadmissible bound multipliers: > 0 requires the upper, < 0 the lower bound to be active."""
     at_lower, at_upper = box.near(values, AT_LIMIT * scale)
     # A fixed value allows any multiplier; the boundary conditions check the value.
-    allowed = np.where(multipliers > 0, at_upper, at_lower) | box.fixed
+    allowed = np.where(multipliers > 0, at_upper, at_lower) | box.is_fixed
     return np.where(allowed, 0.0, np.abs(multipliers))
 
 

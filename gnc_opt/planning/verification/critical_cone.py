@@ -155,9 +155,9 @@ class CriticalCone:
             (point.rows, point.row_values, point.multiplier_densities[1], of_rows),
         ):
             told = ProgramLimits.from_values(limits.box, values, multipliers, limits.labels)
-            doubtful = told.weakly_active(values, multipliers)
+            doubtful = told.is_weakly_active(values, multipliers)
             held = told.active & ~doubtful
-            _extend_active_limits_along_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
+            _extend_active_limits_along_arcs(lines, values, held & ~limits.box.is_fixed, held, doubtful)
             strong.append(held)
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
@@ -192,7 +192,7 @@ class CriticalCone:
             (paths, dc, s.leg.path_bounds, s.path_scale),
         ):
             at_lower, at_upper = box.near(values, AT_LIMIT * scale)
-            free = ~box.fixed[:, None]
+            free = ~box.is_fixed[:, None]
             beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
             # A direction along a limit hardly changes it and does not violate it.
             least = np.maximum(NOTABLE * scale, TINY)
@@ -228,7 +228,6 @@ def _extend_active_limits_along_arcs(
 
 
 def _variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
-    """Return the variables at the collocation points of segment k (n, n_points)."""
     return np.asarray(places[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]])
 
 

@@ -40,7 +40,7 @@ _STEP_LENGTHS = (1.0, 0.3, 0.1, 0.01, 0.001)
 
 
 @dataclass(frozen=True)
-class Gain:
+class HamiltonianGain:
     """Decrease of H by other controls of a group.
 
     Attributes
@@ -80,7 +80,7 @@ def draw_low_discrepancy_points(n: int, dimensions: int) -> Array:
 
 def compute_coupled_gains(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
-) -> tuple[list[Gain], bool]:
+) -> tuple[list[HamiltonianGain], bool]:
     """Return the decrease for every group of controls in which H is not affine, and whether a search was needed.
 
     Shares refer to moves of the size of the control deviations (m,), and to the cost scale.
@@ -88,7 +88,7 @@ def compute_coupled_gains(
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     gains, searched = [], False
     for group in s.functions.coupled_controls:
-        search = _Search(s, group, chosen, deviation, cost / s.span)
+        search = _MinimumSearch(s, group, chosen, deviation, cost / s.span)
         vector = find_vector_control(s, group)
         if vector is not None:
             gains.append(search.average_gain(search.minimise_over_vector(vector)))
@@ -105,7 +105,7 @@ def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     u = s.u[:, chosen].copy()
     for group in s.functions.coupled_controls:
-        search = _Search(s, group, chosen)
+        search = _MinimumSearch(s, group, chosen)
         vector = find_vector_control(s, group)
         u[group] = search.scale_to_controls(
             search.find_global_minima() if vector is None else search.minimise_over_vector(vector)
@@ -114,7 +114,7 @@ def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _MinimumSearch:
     """Search for the minimum of H over one group of controls, as shares of their ranges (group, n), at some samples."""
 
     s: PhaseSamples
@@ -187,7 +187,6 @@ class _Search:
         return shares
 
     def _path_gradients(self, shares: Array, at: Indices) -> Array:
-        """Return the derivatives of the path constraints in shares of the range (n, n_paths, group)."""
         jacobian = (
             self.s.functions.path_control_jacobian(*self._expand_controls(shares, at))[:, self.group]
             * self._control_box[1]
@@ -255,7 +254,7 @@ class _Search:
         shares, _, _, _, best = self._sample_trial_points()
         return self._descend_from_best_of(np.zeros((self.group.size, 0)), shares[:, best])
 
-    def find_largest_gain(self, tolerance: float) -> Gain:
+    def find_largest_gain(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
         shares, at, value, first, best = self._sample_trial_points()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
@@ -272,7 +271,7 @@ class _Search:
             most = np.zeros((2, self.chosen.size))
             for row, values in zip(most, (gain, share), strict=True):
                 np.maximum.at(row, when, values)
-            return Gain(self.s.times[self.chosen], *most)
+            return HamiltonianGain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: max(1, when.size // 4)]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
         return self.average_gain(self._descend_from_best_of(kept, shares[:, best]))
@@ -306,11 +305,11 @@ class _Search:
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
         return self.descend_by_newton(trials[lowest, :, every].T, every)[0]
 
-    def average_gain(self, better: Array) -> Gain:
+    def average_gain(self, better: Array) -> HamiltonianGain:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
         gain, share = self._compute_gain_and_share(better, self.evaluate_hamiltonian(better, every), every)
-        return Gain(times, *average_over_time(times, np.stack([gain, share])))
+        return HamiltonianGain(times, *average_over_time(times, np.stack([gain, share])))
 
     def _compute_gain_and_share(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
@@ -354,7 +353,7 @@ class _Search:
             values = self.evaluate_hamiltonian(trials, here).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
-            lower = reached < value[active] - NEGLIGIBLE * self.s.rounding_gain
+            lower = reached < value[active] - NEGLIGIBLE * self.s.rounding_level
             if not np.any(lower):
                 break
             shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]

@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_set import with_free_touch_times
-from gnc_opt.planning.optimality.cost_scale import Magnitudes
+from gnc_opt.planning.optimality.cost_scale import LargestChanges
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.sampling_grid import find_feature_edges
 from gnc_opt.planning.problem.expressions import list_table_calls
@@ -135,7 +135,7 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
 def _check_solution(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, recompute_from_problem(solution)
     samples = list(solution.samples().values())
-    ends, amounts = boundary_gradients(solution), Magnitudes.from_solution(solution, samples)
+    ends, amounts = boundary_gradients(solution), LargestChanges.from_solution(solution, samples)
     with_costates = has_costates(samples, ends, amounts.cost)
     missing = find_nonfinite_entry(stored, with_costates)
     problem = solution.need_problem("verify")

@@ -238,7 +238,7 @@ def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
             s.times[1:], s.leg.breaks[list(s.leg.mesh.movable)]
         )
         jumps = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
-        jumps &= np.any(changes, axis=1) & ~s.leg.control_bounds.fixed
+        jumps &= np.any(changes, axis=1) & ~s.leg.control_bounds.is_fixed
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
             return f"phase {s.leg.name}, {label}: switching times are not variables of the mesh"

@@ -52,7 +52,7 @@ def touch_terms(
         np.repeat(s.leg.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
     )
     values = shifted.evaluate_rows(t, x, after)
-    near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
+    near = np.any(rows.near(values)[..., -1], axis=0)
     active = [int(i) for i in np.flatnonzero(near) if rows.row_order(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
     gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
@@ -70,7 +70,7 @@ def touch_terms(
     return np.asarray(terms)
 
 
-def find_acting_limits(s: PhaseSamples, times: Array) -> Mask:
+def find_costly_limits(s: PhaseSamples, times: Array) -> Mask:
     """Return whether path constraints and state bounds affect the cost at times (n_rows, n_times), in this order."""
     density = np.vstack([s.leg.path_multiplier(times), s.leg.state_multiplier(times)])
     scale = np.concatenate([s.path_scale, s.state_scale])[:, None]
@@ -80,17 +80,17 @@ def find_acting_limits(s: PhaseSamples, times: Array) -> Mask:
 def find_held_controls(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
     """Return whether an active path constraint or state limit determines each control (m, n_times)."""
     held = np.zeros((s.leg.controls.size, times.size), dtype=bool)
-    for row, acting in enumerate(find_acting_limits(s, times)):
+    for row, acting in enumerate(find_costly_limits(s, times)):
         if np.any(acting):
             held[list(constraint_order(problem, problem.phases[s.leg.name], row).controls)] |= acting
     return held
 
 
-def find_active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
+def active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     """Return the gradients (n,) of limits active along arcs at cell edges, scaled by their effect on the cost."""
     chosen = edges[1:-1]
     chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
-    if not chosen.size or not np.any(acting := find_acting_limits(s, chosen)):
+    if not chosen.size or not np.any(acting := find_costly_limits(s, chosen)):
         return {}
     leg, found = s.leg, {}
     units = np.repeat(np.eye(leg.states.size)[:, :, None], chosen.size, axis=2)

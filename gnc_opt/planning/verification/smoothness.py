@@ -40,7 +40,7 @@ SAME_RATIO = 0.3
 
 
 @dataclass(frozen=True)
-class Roughness:
+class KinkPoint:
     """Worst nonsmooth point of a trajectory: size, location, whether it is a crossed jump, and whether in states."""
 
     value: float
@@ -49,7 +49,7 @@ class Roughness:
     of_states: bool = True
 
 
-def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
+def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> KinkPoint | None:
     """Return the first jump that a trajectory crosses inside a phase, else a kink on which it stays, else None."""
     rests = None
     for s in samples:
@@ -68,7 +68,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
     return rests
 
 
-def check_concave_kinks(found: Roughness | None, fails: bool, *, falls: bool = False) -> Condition:
+def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool = False) -> Condition:
     """Return the condition; on a kink failures are inconclusive, otherwise only sufficiency is."""
     if found is None:
         return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
@@ -81,7 +81,7 @@ def check_concave_kinks(found: Roughness | None, fails: bool, *, falls: bool = F
     )
 
 
-def mark_theorem_inapplicable(condition: Condition, found: Roughness) -> Condition:
+def mark_theorem_inapplicable(condition: Condition, found: KinkPoint) -> Condition:
     """Return a failed condition that requires smoothness as inconclusive.
 
     The minimum principle compares values of H and does not require smoothness in the controls.
@@ -98,7 +98,7 @@ def mark_theorem_inapplicable(condition: Condition, found: Roughness) -> Conditi
     )
 
 
-def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness | None:
+def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint | None:
     """Return a kink at which the cost decreases to both sides, or None.
 
     It evaluates ends, times, integrals and parameters, and states of phases on one of their kinks: second differences
@@ -107,7 +107,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
     found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
     share = _largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
     if share > 0:
-        return Roughness(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
+        return KinkPoint(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
     for s in samples:
         principal = scales.phases[s.leg.name].along.nonzero_axes
         coarse = hamiltonian_differences(s, principal, STEPS[0])
@@ -117,7 +117,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness 
             coarse, hamiltonian_differences(s, principal, STEPS[1]), scales.cost
         )
         if share > 0:
-            return Roughness(
+            return KinkPoint(
                 share, f"phase {s.leg.name}: H falls to both sides of a kink in the states", False
             )
     return None
@@ -141,7 +141,7 @@ def _evaluate_kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Arr
     return evaluate_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
 
 
-def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> Roughness | None:
+def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
     def arguments_at(times: Array) -> Array:
@@ -156,12 +156,12 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
     size = float(np.max(np.append(rates, abs(integrands) / max(s.cost_scale, TINY)), initial=0.0))
     if not size > tolerance:
         return None
-    return Roughness(
+    return KinkPoint(
         size, f"{s.describe_time(float(right[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
     )
 
 
-def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
+def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> KinkPoint | None:
     """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
     sizes = nonzero_magnitude(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
@@ -173,4 +173,4 @@ def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Rough
     i = int(np.argmax(np.where(kinks.is_state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
     where = f"from {s.describe_sample(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
-    return Roughness(float(lengths[i]), where, False, of_states)
+    return KinkPoint(float(lengths[i]), where, False, of_states)

@@ -31,7 +31,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.cost_scale import (
     AVERAGING_SHARE_OF_PHASE,
     SMEARED,
-    Magnitudes,
+    LargestChanges,
     lasts_for_share_of_phase,
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect
@@ -65,8 +65,10 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
         conditions.numel(), dtype=bool
     )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
-    equal = rows[problem.constraint_interval().fixed & of_ends]
-    same = np.concatenate([np.append(leg.numbers.initial.fixed, leg.numbers.final.fixed) for leg in legs])
+    equal = rows[problem.constraint_interval().is_fixed & of_ends]
+    same = np.concatenate(
+        [np.append(leg.numbers.initial.is_fixed, leg.numbers.final.is_fixed) for leg in legs]
+    )
     waiting, places = legs, _index_boundary_states(legs)
     while waiting:
         settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
@@ -146,7 +148,7 @@ def _read_constant_matrix(expression: Any) -> Array | None:
 def is_convex(problem: Problem) -> bool:
     """Return whether a problem is convex in its trajectory, as far as constant Hessians show."""
     return (
-        all(time.fixed[0] for leg in problem.phases.values() for time in leg.time_ranges())
+        all(time.is_fixed[0] for leg in problem.phases.values() for time in leg.time_ranges())
         and _is_endpoint_problem_convex(problem)
         and _are_phases_affine(problem)
     )
@@ -244,7 +246,7 @@ def _excess_over_lower_bounds(solution: Solution) -> Array:
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
         for k, term in enumerate(terms)
     }
-    problem.forget_builds()
+    problem.clear_cache()
     none = {name: np.zeros(len(leg.integrands)) for name, leg in problem.phases.items()}
     apart = replace(
         solution,
@@ -257,7 +259,7 @@ def _excess_over_lower_bounds(solution: Solution) -> Array:
         constraint_multipliers=np.zeros(len(terms)),
     )
     apart = recompute_from_problem(apart)
-    amounts = Magnitudes.from_solution(apart, list(apart.samples().values())).constraints
+    amounts = LargestChanges.from_solution(apart, list(apart.samples().values())).constraints
     return np.asarray(
         (boundary_gradients(apart).constraints - _boundary_lower_bounds(problem, terms)) / amounts
     )

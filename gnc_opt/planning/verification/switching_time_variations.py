@@ -34,9 +34,9 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.summary import time_unit
 from gnc_opt.planning.verification.shifted_limits import (
-    find_acting_limits,
-    find_active_limits,
+    active_limit_gradients,
     find_costate_jumps,
+    find_costly_limits,
     find_held_controls,
     touch_terms,
 )
@@ -167,7 +167,7 @@ class ShiftedTrajectory:
             box = leg.final_bounds
             radius = self.scales.phases[name].end.radius
             at_limit = box.near(leg.x(leg.breaks[-1], "left"), AT_LIMIT * radius)
-            held = box.fixed | at_limit[0] | at_limit[1]
+            held = box.is_fixed | at_limit[0] | at_limit[1]
             rows.append(moved[held] / np.where(radius[held] > 0, radius[held], 1.0)[:, None])
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
@@ -180,7 +180,7 @@ class ShiftedTrajectory:
         size = np.where(reach > 0, reach, unreached)  # without range: links of times
         box = problem.constraint_interval()
         at = box.near(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
-        active = (at[0] | at[1] | box.fixed) & (size > 0)
+        active = (at[0] | at[1] | box.is_fixed) & (size > 0)
         rows.append(moved[active] / size[active, None])
         misses = np.vstack(rows)
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
@@ -310,7 +310,7 @@ class _ShiftedPhase:
         """
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
-        limits, jumps = find_active_limits(self.samples, self.edges), find_costate_jumps(self.samples)
+        limits, jumps = active_limit_gradients(self.samples, self.edges), find_costate_jumps(self.samples)
         states = {time: np.repeat(x[:, -1:], x.shape[1], axis=1) for time in {*limits, *jumps}}
         for k, (a, b) in enumerate(itertools.pairwise(self.nodes)):
             if np.array_equal(a, b):
@@ -360,7 +360,7 @@ def _has_active_limits(s: PhaseSamples) -> bool:
     """Return whether path constraints or state bounds have multipliers along a phase or at its ends."""
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
-    return bool(np.any(find_acting_limits(s, s.times)) or np.any(at_ends))
+    return bool(np.any(find_costly_limits(s, s.times)) or np.any(at_ends))
 
 
 def _parameter_variations(
@@ -386,7 +386,7 @@ def _steps_within_limits(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
-    held = box.fixed | np.logical_or(*box.near(values, AT_LIMIT * scale))
+    held = box.is_fixed | np.logical_or(*box.near(values, AT_LIMIT * scale))
     chosen = [row for row in rows if np.any(row) and not np.any(row[held])]
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 

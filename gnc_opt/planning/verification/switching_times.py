@@ -23,8 +23,8 @@ from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.shifted_limits import (
-    find_acting_limits,
     find_costate_jumps,
+    find_costly_limits,
     find_held_controls,
 )
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
@@ -67,7 +67,7 @@ def _are_jumps_optimised(jumps: list[Jump], samples: list[PhaseSamples]) -> bool
     if not explain_inapplicable_theorem(samples):
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
-    limited = any(np.any(find_acting_limits(s, s.times)) or find_costate_jumps(s) for s in samples)
+    limited = any(np.any(find_costly_limits(s, s.times)) or find_costate_jumps(s) for s in samples)
     movable = all(s.leg.mesh.movable for s in samples)
     return movable and not limited and len(set(times)) == len(times)
 

@@ -63,4 +63,4 @@ def test_a_quaternion_that_begins_on_its_bounds_is_no_harder_and_right() -> None
     bounded = go.solve(slew(), tol=None)
     assert abs(bounded.objective - 12.0 * ANGLE**2 / TIME**3) < 1e-6
     assert bounded.statistics.iterations <= 12  # on the bounds 21, and no solution of many others
-    assert not [c for c in go.verify(bounded).open if c.name == "limits"]
+    assert not [c for c in go.verify(bounded).open_conditions if c.name == "limits"]

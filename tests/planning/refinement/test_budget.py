@@ -128,7 +128,7 @@ def test_all_solves_share_one_budget(corner_turn: go.Solution, seconds: float) -
     variables = 4
     spent = [p.work * variables / WORK_PER_SECOND for p in refined.history.passes]
     assert sum(spent[:-1]) <= 2.0 * seconds + max(spent)
-    assert refined.objective_error.value <= corner_turn.objective_error.value
+    assert refined.objective_error.absolute_error <= corner_turn.objective_error.absolute_error
 
 
 # The budget: no solve goes on when it is spent, and the answer is then the best of what was found.

@@ -40,7 +40,7 @@ def test_a_jerk_limited_lift(numbers: tuple[float, float, float, float], mesh: s
     rise, ramp = speed / acceleration + acceleration / jerk, acceleration / jerk
     duration = distance / speed + rise
     assert solution.objective == pytest.approx(duration, rel=1e-10)
-    arcs = [(a.start, a.end) for a in solution.structure if a.channel == "j" and not a.kind.at_limit]
+    arcs = [(a.start, a.end) for a in solution.structure if a.channel == "j" and not a.kind.is_at_limit]
     half = [(ramp, rise - ramp), (rise, duration - rise), (duration - rise + ramp, duration - ramp)]
     np.testing.assert_allclose(arcs, half, atol=1e-8)
     held = {(a.channel, a.kind) for a in solution.structure if a.channel in "va"}

@@ -47,7 +47,7 @@ def test_a_limit_that_takes_over_from_heat_ends_its_arc(charged: go.Solution) ->
     strict=True, reason="two limits of one control in one segment: hp refinement, without arcs"
 )
 def test_arcs_end_where_another_limit_takes_over_from_heat(charged: go.Solution) -> None:
-    ends = {arc.channel: (arc.start, arc.end) for arc in charged.structure if arc.kind.at_limit}
+    ends = {arc.channel: (arc.start, arc.end) for arc in charged.structure if arc.kind.is_at_limit}
     assert ends["u"] == pytest.approx((0.0, KINK), abs=1e-6)
     assert ends["heat"] == pytest.approx((WARM, TAKEN_OVER), abs=1e-6)
     assert ends["falling"] == pytest.approx((TAKEN_OVER, charged.objective), abs=1e-6)

@@ -108,7 +108,7 @@ def two_phases() -> go.Problem:
 
 def check(history: History, tol: float) -> None:
     assert history.status is RefinementStatus.CONVERGED, str(history)
-    assert history.final.error <= tol
+    assert history.final_iteration.error <= tol
 
 
 # --- the estimate -------------------------------------------------------------------------------------
@@ -219,7 +219,7 @@ def test_tighter_tolerances_cost_points_and_bring_accuracy() -> None:
         solution, history = refine_mesh(first, tol=tol)
         check(history, tol)
         errors.append(abs(solution.objective / exact - 1))
-        points.append(history.final.points)
+        points.append(history.final_iteration.n_points)
     assert errors[0] < 1e-4 and errors[1] < 1e-8 and points[0] < points[1]
 
 
@@ -247,7 +247,7 @@ def test_phases_are_refined_together() -> None:
     check(history, 1e-8)
     assert solution.objective == pytest.approx(np.tanh(5.0), rel=1e-8)
     assert solution.state("x", "second")(5.0) == pytest.approx(1 / np.cosh(5.0), abs=1e-6)
-    sizes = [mesh.size for mesh in history.final.meshes.values()]
+    sizes = [mesh.size for mesh in history.final_iteration.meshes.values()]
     assert all(size > 6 for size in sizes) and abs(sizes[0] - sizes[1]) <= 6
 
 
@@ -265,7 +265,7 @@ def test_point_limit() -> None:
 def test_pass_limit() -> None:
     solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, limits=IterationLimits(1))
     assert history.status is RefinementStatus.ITERATION_LIMIT and len(history.passes) == 2
-    assert "max_passes" in history.message and solution.objective == history.final.objective
+    assert "max_passes" in history.message and solution.objective == history.final_iteration.objective
 
 
 @pytest.mark.slow
@@ -283,7 +283,7 @@ def test_work_limit() -> None:
     solution, history = refine_mesh(first, tol=1e-10, limits=IterationLimits(work=1.1 * enough))
     assert history.status is RefinementStatus.BUDGET_LIMIT and len(history.passes) == 3
     assert history.chosen == 1
-    assert "max_work" in history.message and solution.objective == history.final.objective
+    assert "max_work" in history.message and solution.objective == history.final_iteration.objective
     _, at_once = refine_mesh(solution, tol=1.0, limits=IterationLimits(work=0.0))
     assert at_once.converged
 
@@ -327,8 +327,8 @@ def test_history_says_what_happened() -> None:
     solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-6)
     text = str(history)
     assert text.count("\n") == len(history.passes) + 1 and "converged" in text
-    assert history.final.meshes["leg"] == solution.phase().mesh
-    assert history.passes[0].error > history.tolerance >= history.final.error
+    assert history.final_iteration.meshes["leg"] == solution.phase().mesh
+    assert history.passes[0].error > history.tolerance >= history.final_iteration.error
 
 
 def test_figure_has_a_row_per_pass() -> None:

@@ -33,7 +33,7 @@ from gnc_opt.planning.problem.guess.random_guess import (
     keeps_guess_shape,
     with_random_guess,
 )
-from gnc_opt.planning.study.multistart import Refining, _Coarse, _task_result
+from gnc_opt.planning.study.multistart import RefinementTask, _CoarseTask, _task_result
 from gnc_opt.workers.pool import TaskResult, WorkerDiedError
 from problems import rendezvous
 
@@ -172,7 +172,7 @@ def test_spurious_solutions_are_rejected(monkeypatch: pytest.MonkeyPatch) -> Non
     # between two nodes; start 29 beats the true minimum time by 0.3 s. Their own dynamics miss by metres.
     monkeypatch.setattr(sys.modules[with_random_guess.__module__], "VIGOUR", (1.0, 1.0))
     unguarded = rendezvous.build(case=1).with_bounds(sigma=None)
-    coarse = _Coarse(1, "10x4", go.SolverOptions(max_iterations=400))
+    coarse = _CoarseTask(1, "10x4", go.SolverOptions(max_iterations=400))
     endings = [coarse(unguarded, index) for index in (0, 29)]
     best = rendezvous.REFERENCE[1, "printed"]["exact"].value
     assert all(ending.objective >= best for ending in endings if ending.objective is not None)
@@ -277,14 +277,14 @@ def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_sam
     # arc and that the verdict rejects; on halved segments the arc is seen.
     problem = rendezvous.build(case=2)
     options = go.SolverOptions(max_iterations=400)
-    endings = (_Coarse(1, "20x3", options)(problem, k) for k in (41, 59))
+    endings = (_CoarseTask(1, "20x3", options)(problem, k) for k in (41, 59))
     # Where a start ends may depend on the machine's rounding, hence two of them.
     coarse = next(e for e in endings if e.objective is not None and abs(e.objective - 26.2288) < 1e-3)
     assert coarse.solution is not None and coarse.objective is not None
     known = set(problem.builds)
     minimum = go.Minimum(coarse.solution, coarse.objective, 1, (coarse.index,), 1, (coarse.objective,))
     assert minimum.standing == "coarse"
-    fine = Refining("bang-bang", 1e-8)(problem, minimum)
+    fine = RefinementTask("bang-bang", 1e-8)(problem, minimum)
     assert fine.standing == "ok"
     assert fine.objective == pytest.approx(26.22674, abs=1e-5)
     assert set(problem.builds) == known  # what was built for it is released

@@ -561,7 +561,9 @@ def refined(request: pytest.FixtureRequest) -> go.Solution:
 
 def test_nothing_is_left_to_solve_and_the_mesh_is_as_fine_as_was_asked_for(refined: go.Solution) -> None:
     assert refined.history is not None and refined.history.converged
-    assert [p.iterations for p in refined.history.passes] == [0] and refined.history.final.error < 1e-9
+    assert [p.iterations for p in refined.history.passes] == [
+        0
+    ] and refined.history.final_iteration.error < 1e-9
     assert refined.status is go.Status.OPTIMAL and str(refined.phase().mesh) in refined.provenance["mesh"]
     assert go.verify(refined).minimum
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from testing.internals import ArcMesh, Junction, PhaseStructure, Resolution
+from testing.internals import ArcMesh, Junction, PhaseStructure, PieceMesh
 
 from gnc_opt.planning import Arc, ArcKind
 
@@ -52,7 +52,7 @@ def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
 def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the_ends() -> None:
     structure = made("iii", "iiu", "iii", n_controls=1, n_paths=1, orders=(0, 0, 3))
     structure = replace(structure, touches=(((2, LOW),), (), ((1, UP),), ((2, UP),)))
-    plan = ArcMesh(structure, (Resolution(2), Resolution(3), Resolution(1)))
+    plan = ArcMesh(structure, (PieceMesh(2), PieceMesh(3), PieceMesh(1)))
     found = plan._find_junctions()
     assert found == (
         Junction(1, 2, UP, 3),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from testing.internals import PhaseStructure, Smooth
+from testing.internals import PhaseStructure, SmoothControl
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -178,7 +178,7 @@ def test_a_smooth_control_is_one_polynomial_and_costs_what_it_must() -> None:
     problem.minimize(leg.integral(u**2) - 24.0 * leg.final_state("x"))
 
     def cost(degree: int) -> float:
-        smooth = (Smooth(0, 0, 4, degree),)
+        smooth = (SmoothControl(0, 0, 4, degree),)
         return go.solve(
             problem.with_fixed_arcs(arcs=np.zeros((1, 4)), smooth=smooth), mesh="4x5", tol=None
         ).objective

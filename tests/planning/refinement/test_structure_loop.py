@@ -21,8 +21,8 @@ from testing.internals import (
     IterationLimits,
     PhaseSamples,
     PhaseStructure,
-    Resolution,
-    Smooth,
+    PieceMesh,
+    SmoothControl,
     detect_phase_structure,
 )
 from testing.models import dynamics, one_phase
@@ -329,12 +329,12 @@ RELEASED = ArcKind.RELEASED
 
 
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
-    assert Resolution() == Resolution(1, FIRST_DEGREE, 0, np.inf, ())
-    assert Resolution(1, 6).refine_by_decades(np.array([0.1])) == Resolution(1, 9)
-    assert Resolution(2, 6).refine_by_decades(np.array([-1.0, 3.5])) == Resolution(2, 10)
-    assert Resolution(1, 11).refine_by_decades(np.array([8.0])) == Resolution(1, ARC_MAX_DEGREE)
-    assert Resolution(3, 7).refine_by_decades(np.array([0.0, -1.0, -9.0])) == Resolution(3, 7)
-    many = Resolution(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
+    assert PieceMesh() == PieceMesh(1, FIRST_DEGREE, 0, np.inf, ())
+    assert PieceMesh(1, 6).refine_by_decades(np.array([0.1])) == PieceMesh(1, 9)
+    assert PieceMesh(2, 6).refine_by_decades(np.array([-1.0, 3.5])) == PieceMesh(2, 10)
+    assert PieceMesh(1, 11).refine_by_decades(np.array([8.0])) == PieceMesh(1, ARC_MAX_DEGREE)
+    assert PieceMesh(3, 7).refine_by_decades(np.array([0.0, -1.0, -9.0])) == PieceMesh(3, 7)
+    many = PieceMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
     assert many.refine_by_decades(np.full(many.segments, 5.0)) == many
 
 
@@ -349,7 +349,7 @@ def held_by(plan: ArcMesh) -> Any:
     problem = SimpleNamespace(
         phases={"leg": leg}, with_fixed_arcs=lambda name, **more: asked.update(more, name=name) or problem
     )
-    assert plan.hold_arcs(problem, "leg") is problem  # type: ignore[arg-type]
+    assert plan.prescribe_arcs(problem, "leg") is problem  # type: ignore[arg-type]
     return asked
 
 
@@ -359,12 +359,12 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
         ((LOW, FREE, FREE, FREE), (FREE, SING, UP, FREE), (FREE, UP, FREE, LOW)),
         regular=(True, False, True, False), n_controls=2, n_paths=1,
     )  # fmt: skip
-    asked = held_by(ArcMesh(structure, (Resolution(1), Resolution(2, 6, 4), Resolution(1))))
+    asked = held_by(ArcMesh(structure, (PieceMesh(1), PieceMesh(2, 6, 4), PieceMesh(1))))
     assert asked["name"] == "leg"
     assert asked["arcs"].tolist() == [[LOW, RELEASED, RELEASED, RELEASED], [FREE, FREE, FREE, UP]]
     assert asked["paths"].tolist() == [[RELEASED, UP, UP, RELEASED]]
     assert asked["states"].tolist() == [[FREE, FREE, FREE, LOW]]
-    assert asked["smooth"] == (Smooth(1, 1, 3, 4),)
+    assert asked["smooth"] == (SmoothControl(1, 1, 3, 4),)
     bang = held_by(
         ArcMesh.from_structure(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), n_controls=1))
     )
@@ -401,7 +401,7 @@ def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
 # --- resolution -------------------------------------------------------------------------------------------
 
 
-def plan_of(*resolutions: Resolution, kinds: Any = None) -> ArcMesh:
+def plan_of(*resolutions: PieceMesh, kinds: Any = None) -> ArcMesh:
     n = len(resolutions)
     structure = PhaseStructure(
         tuple(np.linspace(0, 1, n + 1)), kinds or ((LOW, FREE, FREE, FREE, FREE),) * n, (), 1, 2
@@ -415,7 +415,7 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     def lam(t: Any, k: int) -> Any:
         return [-12 - 0.5 * k * (t - 0.5), -6 + 12 * t + 0.25 * k * (t - 0.5) ** 2]
 
-    plan = plan_of(Resolution(1, 4), Resolution(1, 4))
+    plan = plan_of(PieceMesh(1, 4), PieceMesh(1, 4))
     wrong = samples(CART, lam=lam)
     share = 0.25 / 12.25
     found = f.refine_inaccurate_pieces(wrong, plan, 0.99 * share)
@@ -506,7 +506,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
 
 
 def test_plans_follow_the_switch_times_of_their_solution() -> None:
-    plan = ArcMesh(THREE, (Resolution(1), Resolution(2), Resolution(1)))
+    plan = ArcMesh(THREE, (PieceMesh(1), PieceMesh(2), PieceMesh(1)))
     leg = SimpleNamespace(breaks=np.array([1.0, 1.5, 2.0, 4.5, 5.0]))
     there: Any = SimpleNamespace(phases={"leg": leg})
     assert s._update_plan_times(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)

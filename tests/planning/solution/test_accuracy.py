@@ -69,7 +69,7 @@ def test_a_refined_answer_is_accurate_to_rounding() -> None:
 
 def test_the_stated_error_of_the_objective_is_not_below_rounding() -> None:
     solution = go.solve(minimum_time())
-    assert solution.objective_error.value < 1e-15 * solution.objective
+    assert solution.objective_error.absolute_error < 1e-15 * solution.objective
     assert solution.accuracy.objective_error == 5 * np.finfo(float).eps * solution.objective
     assert "objective 2 s ± 2e-15 (minimised)" in str(solution)
 
@@ -137,4 +137,4 @@ def test_errors_of_equations_cancel_within_a_segment() -> None:
     best = go.solve(turning(), tol=1e-9).objective
     solution = go.solve(turning(), mesh="6x3", tol=None)
     true = abs(solution.objective - best)
-    assert 0.5 * true <= solution.objective_error.value <= 3 * true
+    assert 0.5 * true <= solution.objective_error.absolute_error <= 3 * true

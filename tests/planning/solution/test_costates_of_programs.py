@@ -7,14 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, phase, solution
-from testing.internals import SCHEMES, Attempt, Held, PhaseCollocation, Scheme, start_from_guess, transcribe
+from testing.internals import (
+    SCHEMES,
+    FixedArcs,
+    MeshProblem,
+    PhaseCollocation,
+    Scheme,
+    start_from_guess,
+    transcribe,
+)
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind, Mesh, SolverOptions, guess_from_solution
 from gnc_opt.planning.solution.costates import (
-    Iterate,
+    NlpIterate,
     _boundary_costates,
     _CostatePieces,
     correct_path_arc_costates,
@@ -162,7 +170,7 @@ def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, 
     def found(c: float, t: float) -> _CostatePieces:
         weights = 2 * t * part.quadrature_weights
         return _CostatePieces.from_multipliers(
-            part, Iterate(x0, c * lam_x, c * lam_g), weights, c / t * gradient, c / t * push
+            part, NlpIterate(x0, c * lam_x, c * lam_g), weights, c / t * gradient, c / t * push
         )
 
     usual, other = found(1.0, 1.0), found(unit, second)
@@ -204,11 +212,11 @@ def two_phases() -> go.Problem:
 
 
 @pytest.fixture(scope="module", params=SCHEMES)
-def solved(request: pytest.FixtureRequest) -> tuple[Attempt, Any, go.Solution]:
+def solved(request: pytest.FixtureRequest) -> tuple[MeshProblem, Any, go.Solution]:
     problem = two_phases()
     meshes = {"first": Mesh((0.0, 0.4, 1.0), (4, 5)), "second": Mesh((0.0, 0.3, 1.0), (4, 4), (1,))}
-    attempt = Attempt.from_problem(problem, meshes, request.param, None, SolverOptions())
-    point = attempt.build_point(attempt.start)
+    attempt = MeshProblem.from_problem(problem, meshes, request.param, None, SolverOptions())
+    point = attempt.build_nlp_point(attempt.start)
     attempt.solver.create_solver(point)
     result = attempt.solver.solve(point)
     assert result.status.solved, result.raw_status
@@ -220,7 +228,7 @@ def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> 
     attempt, result, solution = solved
     scaling = attempt.scaling
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}  # one boundary has moved
-    transcription = Attempt.from_problem(
+    transcription = MeshProblem.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
     start = start_from_solution(
@@ -243,7 +251,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     """Signals at the new points from within their segments; impulses where a phase begins and ends, none between."""
     attempt, _, solution = solved
     meshes = {"first": Mesh((0.0, 0.3, 0.7, 1.0), (5, 3, 4)), "second": Mesh((0.0, 0.5, 1.0), (6, 6), (1,))}
-    other = Attempt.from_problem(
+    other = MeshProblem.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
     start = start_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
@@ -315,7 +323,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
     x[whole.segment_nodes(0)[0]] = 1e3
     weights, breaks = 5.0 * whole.quadrature_weights, 5.0 * np.asarray(mesh.breaks)
 
-    def settled(part: PhaseCollocation, numbers: Iterate, gradient: Array, push: Array) -> _CostatePieces:
+    def settled(part: PhaseCollocation, numbers: NlpIterate, gradient: Array, push: Array) -> _CostatePieces:
         found = _CostatePieces.from_multipliers(part, numbers, weights, gradient, push)
         if scheme == "LG":
             found.extrapolate_costates_along_bounds()
@@ -323,7 +331,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
             found.split_boundary_multipliers()
         return found
 
-    together = settled(whole, Iterate(x, lam_x, lam_g), gradient, push)
+    together = settled(whole, NlpIterate(x, lam_x, lam_g), gradient, push)
     assert together.still[0, 0] and not together.still[0].all() and not together.still[1:].any()
     assert 0 < together.held.sum() < together.held.size and 0 < together.bounded.sum() < together.bounded.size
     single = collocation(scheme, mesh, 1)
@@ -335,7 +343,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
             own[2][single.dynamics_rows[k][0]] = lam_g[whole.dynamics_rows[k][i]]
         for vector, given in zip(own, (x, lam_x), strict=False):
             vector[single.point_states[0]] = given[states[i]]
-        alone = settled(single, Iterate(*own), gradient[[i]], push[[i]])
+        alone = settled(single, NlpIterate(*own), gradient[[i]], push[[i]])
         for name in (
             "held",
             "still",
@@ -415,7 +423,7 @@ def guessed(free: bool = True) -> go.Problem:
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> None:
     problem = guessed()
-    attempt = Attempt.from_problem(
+    attempt = MeshProblem.from_problem(
         problem, {"leg": Mesh((0.0, 0.25, 1.0), (3, 3))}, scheme, None, SolverOptions()
     )
     transcription = attempt.transcription
@@ -456,7 +464,7 @@ def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
 def test_a_guess_of_another_problem_is_refused(solved: Any) -> None:
     _, _, solution = solved
     with pytest.raises(go.ProblemError, match="the guess has no phase 'leg', only"):
-        Attempt.from_problem(cart(), {"leg": Mesh.uniform(2, 3)}, "LG", solution, SolverOptions())
+        MeshProblem.from_problem(cart(), {"leg": Mesh.uniform(2, 3)}, "LG", solution, SolverOptions())
 
 
 # --- attempts ---------------------------------------------------------------------------------------------
@@ -505,8 +513,8 @@ def leg(**changes: Any) -> go.PhaseSolution:
     )  # fmt: skip
 
 
-def held(*rows: tuple[ArcKind, ...]) -> Held:
-    return Held(((FREE,) * 3,), paths=rows)
+def held(*rows: tuple[ArcKind, ...]) -> FixedArcs:
+    return FixedArcs(((FREE,) * 3,), paths=rows)
 
 
 def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> None:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import scipy
 from testing.constructed_solutions import interval
-from testing.internals import SCHEMES, Attempt, Scheme, transcribe
+from testing.internals import SCHEMES, MeshProblem, Scheme, transcribe
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.direct.minimum_norm_multipliers import _null_space_part, minimum_norm_multipliers
 from gnc_opt.planning.optimality import kkt as saddle
-from gnc_opt.planning.optimality.kkt import SaddlePoint
+from gnc_opt.planning.optimality.kkt import SaddlePointSystem
 from gnc_opt.planning.optimality.nlp_point import (
     ProgramLimits,
     ProgramPoint,
@@ -32,9 +32,11 @@ from gnc_opt.tolerances import ACTIVE, SMALL
 RNG = np.random.default_rng(3)
 
 
-def system(hessian: Any, rows: Any, labels: str = "abcdefgh") -> SaddlePoint:
+def system(hessian: Any, rows: Any, labels: str = "abcdefgh") -> SaddlePointSystem:
     hessian, rows = np.atleast_2d(np.asarray(hessian, float)), np.atleast_2d(np.asarray(rows, float))
-    return SaddlePoint(scipy.sparse.csc_array(dense(hessian, rows)), len(hessian), list(labels), "by hand")
+    return SaddlePointSystem(
+        scipy.sparse.csc_array(dense(hessian, rows)), len(hessian), list(labels), "by hand"
+    )
 
 
 def dense(hessian: Any, rows: Any) -> Any:
@@ -96,7 +98,7 @@ def test_what_is_singular_but_for_rounding_is_distinguished_from_its_condition(s
     """(a + share b)^2 / 2 leaves a line open; its last pivot is rounding, not zero."""
     matrix = np.array([[1.0, share], [share, share * share]])
     with pytest.raises(go.GncOptError, match=r"do not determine '(a|b)'"):
-        SaddlePoint(scipy.sparse.csc_array(matrix), 2, ["a", "b"], "by hand")
+        SaddlePointSystem(scipy.sparse.csc_array(matrix), 2, ["a", "b"], "by hand")
 
 
 def test_a_free_direction_shows_among_redundant_rows_too() -> None:
@@ -119,7 +121,7 @@ def test_rows_that_contradict_each_other_are_named() -> None:
 
 
 def test_a_single_unknown() -> None:
-    found = SaddlePoint(scipy.sparse.csc_array(np.array([[4.0]])), 1, ["a"], "by hand")
+    found = SaddlePointSystem(scipy.sparse.csc_array(np.array([[4.0]])), 1, ["a"], "by hand")
     assert not found.redundant and found.solve_system(np.array([2.0])).tolist() == [0.5]
 
 
@@ -157,7 +159,7 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
     room = np.array([NAN, 0.01, NAN, 0.01, 0.01, 0.01, NAN, INF, NAN, NAN, 0.0])
     np.testing.assert_allclose(found.slack(values), room, atol=1e-15)
     # Needed by less than 1e-5, or closer than that without being needed.
-    assert np.flatnonzero(found.weakly_active(values, multipliers)).tolist() == [8, 9, 10]
+    assert np.flatnonzero(found.is_weakly_active(values, multipliers)).tolist() == [8, 9, 10]
     assert 1e-9 < ACTIVE < 5e-3
 
 
@@ -301,8 +303,8 @@ def turn(components: int) -> go.Problem:
 def solved(components: int) -> tuple[Any, Any, Any, Any]:
     """Transcription, point, result, and the Jacobian of the rows (dense)."""
     options = go.SolverOptions(tolerance=1e-12)
-    attempt = Attempt.from_problem(turn(components), {"leg": go.Mesh.uniform(3, 4)}, GAUSS, None, options)
-    point = attempt.build_point(attempt.start)
+    attempt = MeshProblem.from_problem(turn(components), {"leg": go.Mesh.uniform(3, 4)}, GAUSS, None, options)
+    point = attempt.build_nlp_point(attempt.start)
     result = attempt.solver.solve(point)
     assert result.status.solved
     jacobian = attempt.transcription.nlp.jac_g(result.x, point.p)[1].full()

@@ -274,7 +274,8 @@ def test_only_the_highest_of_each_limit_are_returned() -> None:
 def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> None:
     for upper, count in ((1.5, 0), (1.5 - 1e-13, 0), (1.5 - 1e-9, 1), (0.0, 1)):
         found = find_limit_violations(
-            samples(CART, breaks=(0.0, 1.0)), Limits.from_interval(identity, interval([-9, -9], [9, upper]))
+            samples(CART, breaks=(0.0, 1.0)),
+            Limits.from_interval(identity, interval([-9, -9], [9, upper])),
         )
         assert found.times.size == count
     assert find_limit_violations(samples(CART), Limits.from_interval(identity, unbounded(2))).times.size == 0

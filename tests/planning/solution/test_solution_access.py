@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, phase, rest, solution
-from testing.internals import Attempt, NlpResult, RefinementIteration
+from testing.internals import MeshProblem, NlpResult, RefinementIteration
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -178,12 +178,12 @@ def test_a_solution_has_converged_if_its_refinement_has(moved: Solution, history
 # --- what is wrong with an iterate ------------------------------------------------------------------------
 
 
-def attempt() -> tuple[Attempt, NlpResult]:
+def attempt() -> tuple[MeshProblem, NlpResult]:
     """A cart's program and an iterate that meets everything."""
     problem = cart()
     problem.get_phase().bounds(a=(-8.0, 8.0))
-    tried = Attempt.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
-    point = tried.build_point(tried.start)
+    tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    point = tried.build_nlp_point(tried.start)
     return tried, tried.solver.solve(point)
 
 
@@ -248,7 +248,7 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
     problem, leg = one_phase("root", model, 0.0, 1.0)
     leg.guess(x=(1.0, 1.0))
     problem.minimize(leg.integral(u**2))
-    tried = Attempt.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     n = tried.transcription.n_constraints
     result = NlpResult(
         tried.start.x, 0.0, np.zeros(n), np.zeros(tried.start.x.size), np.zeros(n),
@@ -302,7 +302,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     leg.time(0.0, (0.5, 9.0))
     leg.guess(time=(0.0, 2.0))
     leg.bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
-    tried = Attempt.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     place = int(tried.transcription.parts["leg"].times[-1])
     starts = list(tries.generate_feasibility_starts(tried.transcription, problem, tried.start.x))
     assert [s.held.tolist() for s in starts] == [[], [place], [place], [place], [], []]
@@ -313,7 +313,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     assert not np.allclose(starts[4].variables, starts[5].variables)
     fixed = cart()
     fixed.get_phase().bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
-    still = Attempt.from_problem(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    still = MeshProblem.from_problem(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     assert [
         s.held.tolist() for s in tries.generate_feasibility_starts(still.transcription, fixed, still.start.x)
     ] == [[]] * 3
@@ -336,7 +336,7 @@ def test_the_mesh_of_a_solve_is_that_of_its_guess_unless_one_is_given(
 ) -> None:
     taken: list[Any] = []
     monkeypatch.setattr(
-        tries._Task, "solve", lambda task, guess=None, **_: taken.append((task, guess)) or moved
+        tries._MeshTask, "solve", lambda task, guess=None, **_: taken.append((task, guess)) or moved
     )
     problem = moved.need_problem("x")
     tries.solve_mesh(problem, guess=moved)
@@ -355,7 +355,7 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
         taken.append((guess, task.options.max_iterations, task.options.mu_init, after))
         return replace(moved, status=Status.ITERATION_LIMIT if guess is not None else Status.OPTIMAL)
 
-    monkeypatch.setattr(tries._Task, "solve", solve)
+    monkeypatch.setattr(tries._MeshTask, "solve", solve)
     problem = moved.need_problem("x")
     found = tries.solve_mesh(
         problem, guess=moved, limits=tries.SolveLimits(7), options=SolverOptions(max_iterations=50)
@@ -372,7 +372,7 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
         problem, guess=moved, limits=tries.SolveLimits(70), options=SolverOptions(max_iterations=50)
     )
     assert taken[2][1] == 50
-    monkeypatch.setattr(tries._Task, "solve", lambda *a, **k: replace(moved, status=Status.INTERRUPTED))
+    monkeypatch.setattr(tries._MeshTask, "solve", lambda *a, **k: replace(moved, status=Status.INTERRUPTED))
     assert tries.solve_mesh(problem, guess=moved, limits=tries.SolveLimits(7)).status is Status.INTERRUPTED
 
 

@@ -21,20 +21,23 @@ def test_every_solution_on_the_way_is_the_closed_form(variations: bool) -> None:
     problem = stiff()
     family = (lambda k: problem.with_parameters(k=k)) if variations else stiff
     found = go.continuation(family, [1.0, 20.0, 100.0], step=2.0, mesh="10x4")
-    assert found.complete and found.status is go.ContinuationStatus.COMPLETE and not found.events
+    assert found.is_complete and found.status is go.ContinuationStatus.COMPLETE and not found.events
     assert {1.0, 20.0, 100.0} <= set(found.values) and found.values[-1] == 100.0
     np.testing.assert_allclose(found.objectives, [closed_form(k) for k in found.values], rtol=1e-7)
-    assert found.at(20.0).objective == pytest.approx(closed_form(20.0)) and found.final is found.solutions[-1]
+    assert (
+        found.solution_at(20.0).objective == pytest.approx(closed_form(20.0))
+        and found.final_solution is found.solutions[-1]
+    )
     assert np.max(np.diff(found.values)) > 2.0  # steps grow where predictions are good
     assert str(found).startswith("stiff: continuation complete, ")
     with pytest.raises(go.ArgumentError, match=r"no solution at 3\.5"):
-        found.at(3.5)
+        found.solution_at(3.5)
 
 
 def test_it_goes_down_too() -> None:
     found = go.continuation(stiff, [4.0, 1.0], mesh="5x4")
     assert repr(found).startswith("Continuation(") and repr(found).endswith("solutions, 4 to 1)")
-    assert found.complete and found.objectives[-1] == pytest.approx(closed_form(1.0), rel=1e-7)
+    assert found.is_complete and found.objectives[-1] == pytest.approx(closed_form(1.0), rel=1e-7)
 
 
 def test_predictions_by_sensitivity_are_of_second_order() -> None:
@@ -63,7 +66,7 @@ def test_where_a_solution_vanishes() -> None:
     """Less than 2 s cannot be done."""
     problem = rest_to_rest()
     found = go.continuation(lambda t: problem.with_time(final=t), [3.0, 1.5], smallest=0.02, mesh="10x4")
-    assert found.status is go.ContinuationStatus.BRANCH_ENDED and not found.complete
+    assert found.status is go.ContinuationStatus.BRANCH_ENDED and not found.is_complete
     assert 2.0 - 1e-3 < found.values[-1] < 2.05
     assert found.events[-1].startswith("no solution beyond 2.0") and "infeasible" in found.events[-1]
     early = found.values > np.sqrt(6.0)
@@ -88,12 +91,12 @@ def cubic(k: float) -> go.Problem:
 @pytest.mark.slow
 def test_the_end_of_a_branch_is_a_jump() -> None:
     found = go.continuation(cubic, [0.0, 0.6], smallest=2e-3, mesh="2x3")
-    assert found.complete and len(found.events) == 1
+    assert found.is_complete and len(found.events) == 1
     fold = 2 / np.sqrt(27)
     before, after = (float(text) for text in found.events[0].split(":")[0].split()[2::2])
     assert before <= fold + 2e-3 and after >= fold - 2e-3 and after - before < 5e-3
     assert found.solutions[0].parameter("p") == pytest.approx(1.0, abs=1e-6)
-    assert float(found.final.parameter("p")) < -1.0
+    assert float(found.final_solution.parameter("p")) < -1.0
 
 
 @pytest.mark.slow
@@ -101,8 +104,8 @@ def test_a_structure_is_carried_along() -> None:
     """Saturated, free, saturated: below T^2 = 6 the control meets its bounds."""
     problem = rest_to_rest(2.2)
     found = go.continuation(lambda t: problem.with_time(final=t), [2.2, 2.3], tol=1e-8)
-    assert found.complete and not found.events
-    first, last = found.solutions[0], found.final
+    assert found.is_complete and not found.events
+    first, last = found.solutions[0], found.final_solution
     assert [arc.kind for arc in first.structure] == [arc.kind for arc in last.structure] and len(
         last.structure
     ) == 3
@@ -142,7 +145,7 @@ def test_ctrl_c_keeps_what_was_found() -> None:
         return stiff(k)
 
     found = go.continuation(family, [1.0, 2.0, 3.0, 4.0, 5.0], mesh="5x4")
-    assert found.status is go.ContinuationStatus.INTERRUPTED and not found.complete
+    assert found.status is go.ContinuationStatus.INTERRUPTED and not found.is_complete
     assert 1.0 < found.values[-1] < 5.0
     np.testing.assert_allclose(found.objectives, [closed_form(k) for k in found.values], rtol=1e-7)
 
@@ -164,5 +167,5 @@ def two_phases(duration: float = 4.0) -> go.Problem:
 @pytest.mark.slow
 def test_several_phases() -> None:
     found = go.continuation(two_phases, [4.0, 3.0, 2.0], step=0.5, mesh="3x4")
-    assert found.complete and not found.events
+    assert found.is_complete and not found.events
     np.testing.assert_allclose(found.objectives, 12 / found.values**3, rtol=1e-7)

@@ -26,7 +26,7 @@ def test_objectives_and_outputs_are_the_closed_form(swept: go.Sweep) -> None:
     root = np.sqrt(k)
     np.testing.assert_allclose(swept.objective, root * target**2 * np.tanh(root), rtol=1e-6)
     np.testing.assert_allclose(swept.array("start"), -root * target * np.tanh(root), rtol=1e-4)
-    assert swept.solved.all() and set(swept.endings.flat) == {"optimal"} and not swept.interrupted
+    assert swept.is_solved.all() and set(swept.endings.flat) == {"optimal"} and not swept.interrupted
     np.testing.assert_array_equal(swept.array("final_time"), 1.0)
     assert swept.solutions[1, 2].with_problem(stiff(target=2.0, k=9.0)).quality.max_defect < 1e-6
     with pytest.raises(go.ArgumentError, match="did you mean 'objective'"):
@@ -73,7 +73,7 @@ def family(duration: float) -> go.Problem:
 @pytest.mark.slow
 def test_points_without_a_solution_cost_only_themselves() -> None:
     found = go.sweep(family, {"duration": [5.0, 1.0, 3.0, 4.0]}, mesh="10x4", executor="serial")
-    assert found.solved.tolist() == [True, False, False, True]
+    assert found.is_solved.tolist() == [True, False, False, True]
     assert found.endings.tolist() == [
         "optimal",
         "infeasible",
@@ -87,7 +87,7 @@ def test_points_without_a_solution_cost_only_themselves() -> None:
 def test_mistakes_in_outputs_are_reported() -> None:
     outputs = {"none": lambda s: 1 / 0}
     found = go.sweep(stiff, {"k": [1.0]}, outputs=outputs, mesh="2x3", executor="serial")
-    assert found.endings.tolist() == ["ZeroDivisionError: division by zero"] and not found.solved.any()
+    assert found.endings.tolist() == ["ZeroDivisionError: division by zero"] and not found.is_solved.any()
 
 
 @pytest.mark.parametrize(

@@ -11,19 +11,19 @@ from testing.internals import (
     DEFAULT_MESH,
     NEARBY,
     SCHEMES,
-    Held,
+    FixedArcs,
     Interval,
     PhaseCollocation,
     Scheme,
-    Smooth,
+    SmoothControl,
     Transcription,
     build_smoothness_rows,
     check_arc_segments,
     choose_row_scales,
     choose_variable_scales,
-    fix_controls_on_arcs,
-    fix_paths_on_arcs,
-    fix_states_on_arcs,
+    fix_arc_controls,
+    fix_arc_paths,
+    fix_arc_states,
     get_family,
 )
 
@@ -168,24 +168,26 @@ def box(size: int) -> Interval:
 def test_a_phase_without_controls_has_none_to_hold() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 1.0), (2, 1)), n=1, m=0)
     found = box(part.n_variables)
-    fix_controls_on_arcs(found, Held(()), interval([], []), part)
+    fix_arc_controls(found, FixedArcs(()), interval([], []), part)
     assert np.all(found.lower == -7) and np.all(found.upper == 7)
 
 
 def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 0.6, 1.0), (2, 1, 1)), n=1, m=2, paths=1)
     found = box(part.n_variables)
-    fix_controls_on_arcs(
-        found, Held(((LOW, FREE, UP), (RELEASED, UP, FREE))), interval([-1, -2], [3, 4]), part
+    fix_arc_controls(
+        found, FixedArcs(((LOW, FREE, UP), (RELEASED, UP, FREE))), interval([-1, -2], [3, 4]), part
     )
     assert found.lower[part.point_controls].tolist() == [[-1, -1, -7, 3], [-np.inf, -np.inf, 4, -7]]
     assert found.upper[part.point_controls].tolist() == [[-1, -1, 7, 3], [np.inf, np.inf, 4, 7]]
     rows = box(part.n_rows)
-    fix_paths_on_arcs(rows, Held(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part)
+    fix_arc_paths(
+        rows, FixedArcs(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part
+    )
     assert rows.lower[part.path_rows].tolist() == [[6, 6, -np.inf, -5]]
     assert rows.upper[part.path_rows].tolist() == [[6, 6, np.inf, -5]]
     untouched = box(part.n_rows)
-    fix_paths_on_arcs(untouched, Held(((FREE,) * 3,) * 2), interval([-5], [6]), part)
+    fix_arc_paths(untouched, FixedArcs(((FREE,) * 3,) * 2), interval([-5], [6]), part)
     assert np.all(untouched.lower == -7)
 
 
@@ -193,7 +195,7 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     """The ends of held segments follow; the start of an arc is held once, where another limit begins again."""
     part = collocation("LG", Mesh((0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (1, 1, 1, 1, 1)), n=1)
     found, (leg, _) = box(part.n_variables), stated()[1]
-    fix_states_on_arcs(found, leg, Held(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
+    fix_arc_states(found, leg, FixedArcs(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
     assert (
         found.lower[part.point_states].tolist() == [[-7, 3, 3, -1, -7]]
         and found.upper[part.point_states][0, 3] == -1
@@ -201,7 +203,7 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     assert found.lower[part.boundary_states].tolist() == [[-7, 3, -np.inf, -1, -np.inf, -7]]
     assert found.upper[part.boundary_states].tolist() == [[7, 3, np.inf, -1, np.inf, 7]]
     first = box(part.n_variables)
-    fix_states_on_arcs(first, leg, Held(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
+    fix_arc_states(first, leg, FixedArcs(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
     assert first.lower[part.boundary_states].tolist() == [[-1, -np.inf, -7, -7, -7, -7]]
 
 
@@ -219,7 +221,7 @@ def test_an_arc_that_goes_on_from_the_phase_before_has_begun_there(
         first.hold([[FREE, FREE]], states=[[FREE, before]])
     part = collocation("LG", Mesh.uniform(2, 1), n=1)
     found = box(part.n_variables)
-    fix_states_on_arcs(found, second, Held(((FREE,) * 2,), states=((LOW, LOW),)), part)
+    fix_arc_states(found, second, FixedArcs(((FREE,) * 2,), states=((LOW, LOW),)), part)
     assert found.lower[part.boundary_states].tolist() == [[start, -np.inf, -np.inf]]
 
 
@@ -247,7 +249,7 @@ def test_arcs_of_another_number_of_segments_are_refused() -> None:
 def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
     """Over the last two segments of the first arc and the whole of it; they are orthonormal."""
     part = collocation("LG", Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (3,)), m=2)
-    columns, rows = build_smoothness_rows(Smooth(1, 1, 3, degree), part)
+    columns, rows = build_smoothness_rows(SmoothControl(1, 1, 3, degree), part)
     assert columns.tolist() == part.point_controls[1, 2:9].tolist() and rows.shape == (7 - degree - 1, 7)
     t = part.fractions[2:9]
     for power in range(degree + 1):

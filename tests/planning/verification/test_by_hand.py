@@ -17,7 +17,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.cost_scale import (
-    Magnitudes,
+    LargestChanges,
     average_over_time,
     compute_integral_spans,
     compute_parameter_scales,
@@ -34,7 +34,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
     _quadrature_weights,
 )
 from gnc_opt.planning.optimality.switches import Switches
-from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
+from gnc_opt.planning.optimality.switching_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
@@ -191,7 +191,7 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     )  # fmt: skip
     samples = list(solution.samples().values())
     np.testing.assert_allclose(samples[0].state_scale, [2.0, 4.0])
-    found = Magnitudes.from_solution(solution, samples)
+    found = LargestChanges.from_solution(solution, samples)
     assert found.cost == pytest.approx(27.0)
     np.testing.assert_allclose(found.constraints[:2], [20.0, 14.0])
     assert 0 < found.constraints[2] < 1e-3  # nothing changes it: a share of its size
@@ -272,7 +272,7 @@ def test_induced_problem_in_closed_form() -> None:
     solution = recompute_from_problem(base)
     samples, ends = list(solution.samples().values()), boundary_gradients(solution)
     switches = {"leg": Switches.from_samples(samples[0])}
-    unknowns = Unknowns.from_switches(solution, samples, switches)
+    unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     found = InducedProblem.integrate_controls(
         solution, samples, ends, unknowns, {"leg": switches["leg"].piecewise_control((0,))}, 4
     )

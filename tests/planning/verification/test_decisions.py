@@ -153,7 +153,7 @@ def test_what_keeps_a_verdict_open() -> None:
         for result in (UNTOLD, FAIL, PASS)
     ]
     verdict = go.Verdict("name", tuple(conditions))
-    assert [c.name for c in verdict.open] == ["FAIL True", "FAIL False", "INCONCLUSIVE False"]
+    assert [c.name for c in verdict.open_conditions] == ["FAIL True", "FAIL False", "INCONCLUSIVE False"]
     assert [c.name for c in verdict.failed] == ["FAIL True", "FAIL False"]
     assert [c.name for c in verdict.inconclusive] == ["INCONCLUSIVE True", "INCONCLUSIVE False"]
-    assert go.Verdict("name", tuple(conditions[::3])).open == (conditions[3],)
+    assert go.Verdict("name", tuple(conditions[::3])).open_conditions == (conditions[3],)

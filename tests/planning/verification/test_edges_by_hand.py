@@ -18,7 +18,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt as null_space
-from gnc_opt.planning.optimality.cost_scale import Magnitudes, average_over_time, compute_integral_spans
+from gnc_opt.planning.optimality.cost_scale import LargestChanges, average_over_time, compute_integral_spans
 from gnc_opt.planning.optimality.kkt import (
     LANCZOS_RESIDUAL_TOLERANCE,
     NullSpace,
@@ -27,10 +27,10 @@ from gnc_opt.planning.optimality.kkt import (
 )
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
 from gnc_opt.planning.optimality.switches import Switches, _controls_with_vanishing_switching
-from gnc_opt.planning.optimality.switching_problem import Unknowns
+from gnc_opt.planning.optimality.switching_problem import SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
     Samples,
-    _Controls,
+    _ControlFit,
     _find_control_kinks,
     _Jump,
     _locate_jump_times,
@@ -210,7 +210,9 @@ def test_unknowns_of_two_phases() -> None:
         )
     )
     samples = list(solution.samples().values())
-    found = Unknowns.from_switches(solution, samples, {s.leg.name: Switches.from_samples(s) for s in samples})
+    found = SwitchUnknowns.from_switches(
+        solution, samples, {s.leg.name: Switches.from_samples(s) for s in samples}
+    )
     assert [label.split(", ")[-1].split(" at ")[0] for label in found.labels] == [
         *("initial time", "switch of u", "final time", "initial y"),
         *("initial time", "switch of u", "final time", "initial x"),
@@ -296,7 +298,7 @@ def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
     u = np.where(t < switch, first, second)
     samples = Samples(t, way(t)[None], u[None])
     jump = _Jump(1, 0.3, (0,))
-    _locate_jump_times(samples, _Controls(samples, [jump]), [jump], rates)
+    _locate_jump_times(samples, _ControlFit(samples, [jump]), [jump], rates)
     assert jump.time == pytest.approx(switch, abs=1e-7)
 
 
@@ -530,7 +532,7 @@ def test_given_times_do_not_change_the_cost() -> None:
         breaks=(0.0, 0.5, 2.0),
     )  # fmt: skip
     solution = recompute_from_problem(by_hand.solution(problem, base))
-    found = Magnitudes.from_solution(solution, list(solution.samples().values()))
+    found = LargestChanges.from_solution(solution, list(solution.samples().values()))
     assert found.cost == pytest.approx(6.0)
 
 

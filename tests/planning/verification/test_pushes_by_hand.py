@@ -109,7 +109,7 @@ def test_multipliers_that_explain_a_trajectory(unit: float, off: float, pushes_b
 
 def test_the_side_of_a_limit_is_that_on_which_the_trajectory_is() -> None:
     box = Interval(np.array([-1.0]), np.array([-1.0]))
-    assert box.fixed[0]
+    assert box.is_fixed[0]
     problem, t = cart(1.0), np.linspace(0.0, 1.0, 7)
     # 1 % farther than asked for: nothing is active, and the end's costate of q has no explanation.
     samples = Samples(t, 1.01 * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), 1.01 * (6 - 12 * t)[None])

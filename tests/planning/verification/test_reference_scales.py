@@ -176,7 +176,7 @@ def measured(
     return (
         scales.cost / frame.cost[0],
         float(own.end.normalise_displacement(a @ displacement)),
-        float(own.along.maximise_change(inverse.T @ gradient)),
+        float(own.along.largest_change(inverse.T @ gradient)),
     )
 
 
@@ -908,7 +908,7 @@ def test_a_displacement_does_not_depend_on_how_states_are_mixed(mixture: float) 
     gramian = mixed @ np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]) @ mixed.T
     ellipsoid = Ellipsoid.from_gramian(gramian, np.sqrt(np.diag(gramian)))
     assert ellipsoid.normalise_displacement(np.array([1.0, 0.0])) == pytest.approx(np.sqrt(12), rel=1e-3)
-    assert ellipsoid.maximise_change(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
+    assert ellipsoid.largest_change(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
 
 
 @pytest.mark.parametrize("mixture", [0.0, 1e3, 1e6])

@@ -16,7 +16,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
-    _Search,
+    _MinimumSearch,
     compute_coupled_gains,
     control_search_bounds,
     draw_low_discrepancy_points,
@@ -52,8 +52,8 @@ def flown(problem: go.Problem, u: float = 0.5, w: float = 1.0, **changes: Any) -
     )
 
 
-def search(s: PhaseSamples, group: Any = (0, 1)) -> _Search:
-    return _Search(s, np.array(group), np.arange(s.times.size), cost_rate=1e-6)
+def search(s: PhaseSamples, group: Any = (0, 1)) -> _MinimumSearch:
+    return _MinimumSearch(s, np.array(group), np.arange(s.times.size), cost_rate=1e-6)
 
 
 def bowl(t: Any, x: Any, u: Any, w: Any) -> Any:
@@ -385,7 +385,9 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
     curved = 16 * np.array([[2.0, 1.0], [1.0, 2.0]])
     slope = np.array([0.0, -8.0])
     monkeypatch.setattr(
-        _Search, "gradient_and_hessian", lambda self, shares, at, mu=None: (slope[:, None], curved[None])
+        _MinimumSearch,
+        "gradient_and_hessian",
+        lambda self, shares, at, mu=None: (slope[:, None], curved[None]),
     )
     found, at = search(flown(coupled(bowl))), np.array([2])
     step = found._newton_step(np.array([[0.0], [0.25]]), at)[:, 0]

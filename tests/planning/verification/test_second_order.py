@@ -14,7 +14,7 @@ from testing.wrong_solutions import one_switch
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind, ConditionResult, refine
 from gnc_opt.planning.optimality.switches import Switches
-from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
+from gnc_opt.planning.optimality.switching_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -68,8 +68,8 @@ def induced_problem(solution: go.Solution, refinement: int = 4) -> InducedProble
     samples = list(solution.samples().values())
     name = samples[0].leg.name
     switches = {name: Switches.from_samples(samples[0])}
-    pieces = {name: switches[name].piecewise_control(next(switches[name].list_orders()))}
-    unknowns = Unknowns.from_switches(solution, samples, switches)
+    pieces = {name: switches[name].piecewise_control(next(switches[name].list_switch_orders()))}
+    unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     return InducedProblem.integrate_controls(
         solution, samples, boundary_gradients(solution), unknowns, pieces, refinement
     )

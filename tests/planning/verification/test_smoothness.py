@@ -7,7 +7,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.smoothness import Roughness, mark_theorem_inapplicable
+from gnc_opt.planning.verification.smoothness import KinkPoint, mark_theorem_inapplicable
 
 pytestmark = pytest.mark.filterwarnings("ignore::gnc_opt.ProblemWarning")
 
@@ -184,5 +184,5 @@ def test_only_values_of_the_hamiltonian_fail_at_kinks_and_of_controls_alone(
     name: str, of_states: bool, fails: bool
 ) -> None:
     failed = Condition(name, go.ConditionResult.FAIL, 1.0, 0.0, "here", "meaning")
-    found = mark_theorem_inapplicable(failed, Roughness(0.0, "there", jump=False, of_states=of_states))
+    found = mark_theorem_inapplicable(failed, KinkPoint(0.0, "there", jump=False, of_states=of_states))
     assert (found.result is go.ConditionResult.FAIL) == fails

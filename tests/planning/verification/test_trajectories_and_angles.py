@@ -19,13 +19,13 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     FittedPhase,
     Samples,
     _build_interpolants,
-    _Controls,
+    _ControlFit,
     _intersection_time,
     _Jump,
     _propagate_states,
     fit_trajectory,
 )
-from gnc_opt.planning.problem.angles import Turns
+from gnc_opt.planning.problem.angles import UnboundedAngles
 
 # Polynomials through samples of known trajectories: values, and the places of jumps and kinks.
 
@@ -226,13 +226,13 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
     s = 1.2
     u, x = np.maximum(t - s, 0.0), np.maximum(t - s, 0.0) ** 2 / 2
     samples = Samples(t, np.array([x, t]), u[None])  # time says nothing of either
-    controls = _Controls(samples, [])
+    controls = _ControlFit(samples, [])
     controls.choose_interpolation(samples, lambda t, x, u: np.array([u[0], 1 + 0 * t]))
     at = np.array([0.2, 0.6])
     assert np.max(np.abs(_build_interpolants(t, u)[0](at))) > 1e-3  # the ripples
     np.testing.assert_allclose(controls(at, at)[0], 0.0, atol=1e-12)
     smooth = Samples(t, np.array([t**4 / 4]), (t**3)[None])
-    controls = _Controls(smooth, [])
+    controls = _ControlFit(smooth, [])
     controls.choose_interpolation(smooth, lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(controls(at, at)[0], at**3, atol=1e-12)
 
@@ -240,7 +240,7 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
 def test_controls_are_those_of_the_piece_in_whose_middle_they_are_asked() -> None:
     t = np.linspace(0.0, 4.0, 9)
     u = np.array([np.where(t <= 1.5, 1.0, 2.0), t])
-    controls = _Controls(Samples(t, u, u), [_Jump(3, 1.7, (0,))])
+    controls = _ControlFit(Samples(t, u, u), [_Jump(3, 1.7, (0,))])
     np.testing.assert_allclose(controls(1.6, 1.6), [[1.0], [1.6]])
     np.testing.assert_allclose(controls(1.6, 1.8), [[2.0], [1.6]])
     np.testing.assert_allclose(controls([1.0, 3.0], [1.6, 1.8]), [[1.0, 2.0], [1.0, 3.0]])
@@ -363,14 +363,14 @@ def test_azimuth_and_elevation_are_returned_within_half_a_turn_of_elevation() ->
 
 
 def test_a_solver_has_a_turn_of_room_to_both_sides() -> None:
-    turns = Turns(np.array([-180.0, -np.inf]), np.array([180.0, np.inf]), np.array([360.0, 0.0]))
+    turns = UnboundedAngles(np.array([-180.0, -np.inf]), np.array([180.0, np.inf]), np.array([360.0, 0.0]))
     box = turns.solver_bounds(Interval(np.array([-np.inf, 2.0]), np.array([np.inf, 3.0])))
     assert (box.lower.tolist(), box.upper.tolist()) == ([-540.0, 2.0], [540.0, 3.0])
 
 
 def test_angles_are_returned_within_their_bounds_or_as_few_turns_away_as_there_are() -> None:
     lower, upper = np.array([-180.0, -360.0, -np.inf]), np.array([180.0, 360.0, np.inf])
-    turns = Turns(lower, upper, np.array([360.0, 360.0, 0.0]))
+    turns = UnboundedAngles(lower, upper, np.array([360.0, 360.0, 0.0]))
     angles = np.array([-190.0, -180.0, -10.0, 180.0, 190.0, 370.0, -800.0])
     told = turns.wrap_angles(np.stack([angles, angles, angles]))
     assert told[0] == pytest.approx([170.0, -180.0, -10.0, 180.0, -170.0, 10.0, -80.0])

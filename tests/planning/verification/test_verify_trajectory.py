@@ -401,5 +401,5 @@ def test_errors_of_interpolation_are_no_failures(samples: int, off: float, word:
     states = np.cosh(rate * (8.0 - t)) / np.cosh(rate * 8.0)
     controls = -rate * np.sinh(rate * (8.0 - t)) / np.cosh(rate * 8.0)
     verdict = go.verify_trajectory(problem, t, {"x": states}, {"u": controls})
-    assert verdict.word.startswith(word)
+    assert verdict.outcome.startswith(word)
     assert (word == "not checked") == any("samples are too coarse" in c.where for c in verdict.conditions)

@@ -33,7 +33,7 @@ def test_ok_and_minimum(necessary: ConditionResult, sufficient: ConditionResult 
 def test_without_costates_neither_holds() -> None:
     judged = verdict(PASS, PASS, "no costates")
     assert not judged.ok and not judged.minimum
-    assert judged.word == "not checked: no costates"
+    assert judged.outcome == "not checked: no costates"
 
 
 def test_headlines_say_which_of_the_three_it_is() -> None:

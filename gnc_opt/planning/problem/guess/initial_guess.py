@@ -25,7 +25,7 @@ SUSTAINED = 0.2
 
 
 @dataclass(frozen=True)
-class PhaseStart:
+class SampledGuess:
     """Guess of a phase at given fractions: times (2,), states (n, N) and controls (m, N)."""
 
     times: Array
@@ -33,7 +33,7 @@ class PhaseStart:
     controls: Array
 
 
-def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
+def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> SampledGuess:
     """Return the guess of a phase at fractions of its duration, optionally with `control_perturbation`."""
     times = guess_phase_times(leg)
     at = times[0] + fractions * (times[1] - times[0])
@@ -52,7 +52,7 @@ def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -
             states[model.states.slice(name)] = values
         else:
             set_control_values(model, controls, name, values)
-    return PhaseStart(times, states, controls)
+    return SampledGuess(times, states, controls)
 
 
 def _set_constant_vector_control(
@@ -175,13 +175,12 @@ def guess_phase_times(leg: Phase) -> Array:
     if np.isnan(wanted[1]) and after is not None and not _has_bounded_time(final):
         usual = _divide_time_equally(after, t0) or usual
     tf = _choose_guess_time(final, wanted[1], default=t0 + usual)
-    if tf <= t0 and not final.fixed[0]:
+    if tf <= t0 and not final.is_fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
 
 
 def _find_time_links(leg: Phase) -> tuple[Phase | None, Phase | None]:
-    """Return the previous and the next phase according to links of times."""
     place = next(k for k, phase in enumerate(leg.all_phases) if phase.name == leg.name)
     before = (phase for phase in leg.all_phases[:place] if phase.name == leg.follows)
     after = (phase for phase in leg.all_phases[place + 1 :] if phase.follows == leg.name)
@@ -230,7 +229,7 @@ def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Link:
+class _ChainState:
     """State in one phase of a chain: known end values (NaN: unknown), bounds, and the jump at its start."""
 
     leg: Phase
@@ -241,7 +240,7 @@ class _Link:
     jump: Array
 
     @classmethod
-    def from_phase(cls, leg: Phase, name: str) -> _Link:
+    def from_phase(cls, leg: Phase, name: str) -> _ChainState:
         numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_phase_times(leg)
         box = Interval(numbers.states.lower[rows], numbers.states.upper[rows])
         guess = np.full((box.lower.size, 2), np.nan)
@@ -263,16 +262,16 @@ class _Link:
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
-def _find_linked_phases(leg: Phase, name: str) -> list[_Link]:
+def _find_linked_phases(leg: Phase, name: str) -> list[_ChainState]:
     chain = [leg]
     while handed := chain[0].find_state_source(name):
         chain.insert(0, handed[0])
     while following := [p for p in leg.all_phases if (p.find_state_source(name) or (None,))[0] is chain[-1]]:
         chain.append(following[0])
-    return [_Link.from_phase(phase, name) for phase in chain]
+    return [_ChainState.from_phase(phase, name) for phase in chain]
 
 
-def _guess_chain_states(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
+def _guess_chain_states(chain: list[_ChainState], leg: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
         ahead, time = _find_next_known_value(chain[index:])
@@ -288,7 +287,7 @@ def _guess_chain_states(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
     return first, last
 
 
-def _find_next_known_value(chain: list[_Link]) -> tuple[Array, Array]:
+def _find_next_known_value(chain: list[_ChainState]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps before it, and the time to it."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):

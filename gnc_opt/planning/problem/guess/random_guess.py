@@ -94,12 +94,12 @@ def _draw_angle_turns(
     for i in np.flatnonzero(periods > 0):
         label, period = leg.model.states.labels[i], periods[i]
         start, end = turned.get(label), 0.0
-        if first.fixed[i]:
+        if first.is_fixed[i]:
             start = 0.0
         elif start is None:
             begin = guess[i, 0] + period * rng.uniform(-0.5, 0.5)
             start = float(np.clip(begin, first.lower[i], first.upper[i])) - guess[i, 0]
-        if not last.fixed[i]:
+        if not last.is_fixed[i]:
             turns = round((guess[i, 1] - guess[i, 0]) / period * (ratio - 1.0)) + rng.integers(-1, 2)
             low, high = ((edge - guess[i, 1] - start) / period for edge in (last.lower[i], last.upper[i]))
             end = start + period * (
@@ -122,10 +122,10 @@ def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float
     if known:
         span, spread = known, KNOWN_DURATION_MAX_RATIO
     share = rng.uniform()
-    if not initial.fixed[0]:
+    if not initial.is_fixed[0]:
         first = float(np.clip(first + shift, initial.lower[0], initial.upper[0]))
-    if final.fixed[0]:
-        if initial.fixed[0]:
+    if final.is_fixed[0]:
+        if initial.is_fixed[0]:
             return np.array([first, last])
         limits = (last - initial.upper[0], last - initial.lower[0])
     else:
@@ -134,7 +134,7 @@ def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float
     low, high = max(lower, span / spread), min(upper, span * spread)
     duration = low * (high / low) ** share if low < high else max(lower, min(span, upper))
     duration = duration if duration > 0 else span
-    return np.array([last - duration, last] if final.fixed[0] else [first, first + duration])
+    return np.array([last - duration, last] if final.is_fixed[0] else [first, first + duration])
 
 
 def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float) -> Array:
@@ -147,7 +147,7 @@ def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Gene
         (numbers.initial, offsets[0], 1 - FRACTIONS),
         (numbers.final, offsets[1], FRACTIONS),
     ):
-        states += np.where(intersect(end, numbers.states).fixed, 0.0, offset)[:, None] * ramp
+        states += np.where(intersect(end, numbers.states).is_fixed, 0.0, offset)[:, None] * ramp
     return _clip_to_bounds(states, numbers.states)
 
 

@@ -11,7 +11,7 @@ from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.planning.problem.typical_magnitudes import typical_phase_magnitudes
 
 BEND = 0.1
@@ -19,7 +19,7 @@ BEND = 0.1
 
 FRACTIONS = np.linspace(0.0, 1.0, 33)
 
-P = TypeVar("P", bound=Statement)
+P = TypeVar("P", bound=ProblemData)
 
 
 def with_curved_guess(problem: P) -> P:
@@ -35,7 +35,6 @@ def with_curved_guess(problem: P) -> P:
 
 
 def _curve_states(leg: Phase) -> dict[str, Any]:
-    """Return all states without a user guess as functions of time."""
     start, layout, box = build_phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Different shares, since r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))

@@ -31,12 +31,12 @@ from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.reformulation.unit_vectors import find_bounds_beyond_length
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 
-P = TypeVar("P", bound=Statement)
+P = TypeVar("P", bound=ProblemData)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class AlgebraicForm:
             )
         return bool(np.all(np.isfinite(values)))
 
-    def apply_to_phase(self, problem: Statement, leg: Phase) -> None:
+    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> None:
         """Make the variable a state of a phase."""
         t, x, _, _ = leg.model.arguments()
         constraint = leg.paths[self.constraint]
@@ -92,7 +92,7 @@ class AlgebraicForm:
         initial = [leg.initial_state(n) for n in leg.model.states.names if n != self.symbol.variable.name]
         value = ca.substitute(self.residual, own, ca.vertcat(leg.initial_time, *initial, start))
         text = f"{self.symbol.variable.name} is replaced by a state that follows from {self.constraint}"
-        leg.restatement = Restatement.from_limits(leg.model, (text,)).compose_after(leg.restatement)
+        leg.restatement = ControlForm.identity(leg.model, (text,)).compose_after(leg.restatement)
         problem.constraints[name] = Constraint(name, value, constraint.interval)
 
 
@@ -120,7 +120,7 @@ def _find_algebraic_forms(leg: Phase) -> Iterator[AlgebraicForm]:
     for name, constraint in leg.paths.items():
         residual = constraint.expression
         controls = [c for c in map(model.symbol, model.controls.names) if ca.depends_on(residual, c)]
-        if len(controls) != 1 or controls[0].shape != residual.shape or not all(constraint.interval.fixed):
+        if len(controls) != 1 or controls[0].shape != residual.shape or not all(constraint.interval.is_fixed):
             continue
         z, slope = controls[0], ca.jacobian(residual, controls[0])
         if not ca.depends_on(residual, ca.vertcat(t, x)) or ca.sprank(slope) < slope.shape[0]:

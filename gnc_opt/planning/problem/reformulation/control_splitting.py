@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.bounds import Interval, intersect, ranges_by_name,
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_costed_kinks,
@@ -30,12 +30,12 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
 )
 from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_variable_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import EQUAL
 
 
 @dataclass(frozen=True, eq=False)
-class Bend:
+class ControlKink:
     """Kink along the control ``place``: ``base + factor max(u - corner, 0)``, the factor signed as a cost."""
 
     node: Any
@@ -45,7 +45,7 @@ class Bend:
     corner: float
 
     @classmethod
-    def from_kink(cls, kink: Extremum, controls: Mapping[int, Any], domain: Domain) -> Bend | None:
+    def from_kink(cls, kink: Extremum, controls: Mapping[int, Any], domain: Domain) -> ControlKink | None:
         """Return the bend of a kink; None if it has more pieces, or no constant corner along one control."""
         if len(kink.pieces) != 2:
             return None
@@ -56,7 +56,7 @@ class Bend:
             if slope.nnz() and is_affine(gap, u):
                 corners, sign = (
                     draw_values(solve_affine_equation(gap, u))[0],
-                    kink.sense * domain.sign_of(slope),
+                    kink.sense * domain.expression_sign(slope),
                 )
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
@@ -90,7 +90,7 @@ def apply_constraint_bounds(leg: Phase, found: BoundsByHand) -> None:
     leg.numbers = replace(leg.numbers, controls=box)
     leg.paths = {name: c for name, c in leg.paths.items() if name not in found}
     texts = tuple(f"'{name}' is replaced by bounds of controls" for name in found)
-    leg.restatement = Restatement.from_limits(leg.model, texts).compose_after(leg.restatement)
+    leg.restatement = ControlForm.identity(leg.model, texts).compose_after(leg.restatement)
 
 
 def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
@@ -108,19 +108,21 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
 
 
 @dataclass(frozen=True, eq=False)
-class Bends:
+class ControlKinks:
     """Bends of integrals that control splitting removes, by integral; corners by the index of the control."""
 
-    at: dict[str, list[Bend]]
+    at: dict[str, list[ControlKink]]
     corners: dict[int, float]
 
     @classmethod
-    def from_phase(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
+    def from_phase(cls, problem: ProblemData, leg: Phase, domain: Domain) -> ControlKinks:
         """Return the bends of controls with exactly one corner of a cost in every component."""
         layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
         controls = {i: symbols[i] for i in index_control_symbols(leg).values()}
         bends = {
-            name: [bend for kink in kinks if (bend := Bend.from_kink(kink, controls, domain)) is not None]
+            name: [
+                bend for kink in kinks if (bend := ControlKink.from_kink(kink, controls, domain)) is not None
+            ]
             for name, kinks in find_costed_kinks(problem, leg, domain).items()
         }
         corners: dict[int, float] = {}
@@ -145,7 +147,7 @@ class SplitForm(PhaseForm):
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def split_controls(cls, leg: Phase, bends: Bends) -> SplitForm:
+    def split_controls(cls, leg: Phase, bends: ControlKinks) -> SplitForm:
         """Return the form of a phase in the parts of the split controls."""
         old, layout = leg.model, leg.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[SplitControl]()
@@ -190,7 +192,7 @@ class SplitForm(PhaseForm):
                 for name, c in leg.paths.items()
             },
             {name: (symbol, remove_kinks(name, e)) for name, (symbol, e) in leg.integrands.items()},
-            Restatement(
+            ControlForm(
                 old,
                 stated,
                 replace_nodes(stated, instead),
@@ -216,7 +218,7 @@ class SplitForm(PhaseForm):
         self.apply_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
-def _find_corners(bends: Bends, places: range) -> tuple[float, ...]:
+def _find_corners(bends: ControlKinks, places: range) -> tuple[float, ...]:
     corners = tuple(bends.corners[i] for i in places)
     return corners if any(corners) else ()
 

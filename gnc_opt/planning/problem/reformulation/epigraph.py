@@ -21,13 +21,13 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     guess_expression,
     unused_variable_name,
 )
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import EQUAL
 
 
@@ -40,7 +40,7 @@ class Extremum:
     pieces: Pieces
 
 
-def find_costed_kinks(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
+def find_costed_kinks(problem: ProblemData, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex in the sense of the cost, by the names of their integrals."""
     ignored, found = _table_node_hashes(problem, leg), {}
     wanted = find_integral_signs(problem, leg)
@@ -86,7 +86,7 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
     return True
 
 
-def find_integral_signs(problem: Statement, leg: Phase) -> dict[str, int]:
+def find_integral_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = Domain.from_boundary(problem)
     ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
@@ -96,12 +96,12 @@ def find_integral_signs(problem: Statement, leg: Phase) -> dict[str, int]:
     for name, (symbol, _) in leg.integrands.items():
         slopes = ca.jacobian(ends, symbol)
         rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
-        own = {domain.sign_of(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        own = {domain.expression_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
         senses[name] = own.pop() if len(own) == 1 else 0
     return senses
 
 
-def _table_node_hashes(problem: Statement, leg: Phase) -> frozenset[int]:
+def _table_node_hashes(problem: ProblemData, leg: Phase) -> frozenset[int]:
     return frozenset[int]().union(
         *(use.node_hashes for use in list_table_calls(problem, problem.phases[leg.name]))
     )
@@ -153,7 +153,7 @@ def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
         own, operands = extremum
         if own != sense:
             return None
-        if node.op() == ca.OP_FABS and domain.sign_of(operands[0]) > 0:
+        if node.op() == ca.OP_FABS and domain.expression_sign(operands[0]) > 0:
             operands = operands[:1]
         return _merge_smooth_pieces([_find_smooth_pieces(operand, sense, domain) for operand in operands])
     operation = node.op()
@@ -180,7 +180,7 @@ def _find_product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None
     kink, factor = node.dep(0), node.dep(1)
     if node.op() == ca.OP_MUL and not is_smooth(factor):
         kink, factor = factor, kink
-    sign = domain.sign_of(factor) if is_smooth(factor) else 0
+    sign = domain.expression_sign(factor) if is_smooth(factor) else 0
     if sign == 0:
         return None
     return _scale_smooth_pieces(
@@ -229,7 +229,7 @@ def _find_choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
         left = draw_values(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
-        sense = domain.sign_of(across) * domain.sign_of(up)
+        sense = domain.expression_sign(across) * domain.expression_sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
     return None
@@ -253,7 +253,7 @@ def split_column(column: Any) -> Iterator[Any]:
     yield from ca.vertsplit(column) if column.numel() else ()
 
 
-def has_endpoint_kinks(problem: Statement) -> bool:
+def has_endpoint_kinks(problem: ProblemData) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
     return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operations(ends)))
@@ -269,7 +269,7 @@ class EndForm:
     texts: tuple[str, ...]
 
     @classmethod
-    def from_problem(cls, problem: Statement, domain: Domain) -> EndForm:
+    def from_problem(cls, problem: ProblemData, domain: Domain) -> EndForm:
         limits = {name: split_kinked_constraint(c, domain) for name, c in problem.constraints.items()}
         changed = {name: c for name, c in limits.items() if c is not None}
         constraints, instead = {**problem.constraints, **changed}, {}
@@ -299,25 +299,25 @@ class EndForm:
         """Key that is equal for equal forms."""
         return tuple((name, c.size) for name, c in self.constraints.items())
 
-    def apply_to_problem(self, problem: Statement) -> None:
+    def apply_to_problem(self, problem: ProblemData) -> None:
         for symbol, least in self.parameters.values():
             box = Interval(np.array([least]), np.full(1, np.inf))
             problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
         if self.texts:
             leg = next(iter(problem.phases.values()))
-            leg.restatement = Restatement.from_limits(leg.model, self.texts).compose_after(leg.restatement)
+            leg.restatement = ControlForm.identity(leg.model, self.texts).compose_after(leg.restatement)
 
 
 @dataclass(frozen=True, eq=False)
-class Kinked:
+class KinkedTerms:
     """Kinks of integrals by name, and path constraints with kinked rows split into smooth ones."""
 
     costs: dict[str, list[Extremum]]
     limits: dict[str, Constraint]
 
     @classmethod
-    def from_phase(cls, problem: Statement, leg: Phase, domain: Domain) -> Kinked:
+    def from_phase(cls, problem: ProblemData, leg: Phase, domain: Domain) -> KinkedTerms:
         _, x, u, _ = leg.model.arguments()
         found = find_costed_kinks(problem, leg, domain)
         costs = {
@@ -375,7 +375,7 @@ class EpigraphForm(PhaseForm):
     least: dict[str, float]
 
     @classmethod
-    def from_phase(cls, leg: Phase, kinked: Kinked) -> EpigraphForm:
+    def from_phase(cls, leg: Phase, kinked: KinkedTerms) -> EpigraphForm:
         old = leg.model
         symbols: dict[int, Symbol] = {}
         kinks, least, texts = {}, {}, []
@@ -405,12 +405,12 @@ class EpigraphForm(PhaseForm):
             old.in_controls(controls, [], lambda expression: expression),
             paths,
             integrands,
-            Restatement(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),
+            ControlForm(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),
             kinks,
             least,
         )
 
-    def apply_to_phase(self, problem: Statement, leg: Phase) -> None:
+    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> None:
         stated = leg.clone()
         least = np.array([self.least[name] for name in self.kinks])
         box = leg.numbers.controls

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.model.expressions import ROOTS, find_operations
 from gnc_opt.model.function_evaluation import evaluate_function
-from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
+from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import build_phase_function, stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import Domain
@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.reformulation.algebraic_variables import with_algebraic_states
 from gnc_opt.planning.problem.reformulation.control_splitting import (
-    Bends,
+    ControlKinks,
     SplitForm,
     apply_constraint_bounds,
     find_constraint_bounds,
@@ -27,12 +27,12 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
     EndForm,
     EpigraphForm,
-    Kinked,
+    KinkedTerms,
     has_endpoint_kinks,
 )
 from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_bounds_beyond_length
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 
 FULL_TURN_BOUND_TOLERANCE = 1e-6
 """Largest share of a turn missing in bounds of a full turn; pi is often written with six digits."""
@@ -51,7 +51,7 @@ def _without_redundant_bounds(problem: P) -> P:
     return twin
 
 
-def _without_redundant_phase_bounds(problem: Statement, leg: Phase) -> PhaseNumbers:
+def _without_redundant_phase_bounds(problem: ProblemData, leg: Phase) -> PhaseNumbers:
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if leg.numbers.arcs is not None:
         return leg.numbers
@@ -64,10 +64,10 @@ def _without_redundant_phase_bounds(problem: Statement, leg: Phase) -> PhaseNumb
     return replace(leg.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
 
 
-def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> Turns:
+def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -> UnboundedAngles:
     """Return the angles whose bounds exclude no direction."""
     width, none = box.upper - box.lower, np.zeros(box.lower.size)
-    turns = Turns(none - np.inf, none + np.inf, none)
+    turns = UnboundedAngles(none - np.inf, none + np.inf, none)
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
@@ -86,7 +86,7 @@ def _find_unrestricted_angles(problem: Statement, leg: Phase, box: Interval) -> 
     return turns
 
 
-def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
+def build_angle_probe(problem: ProblemData, leg: Phase, *, of_states: bool = False) -> AngleProbe:
     """Return a probe of all functions along a phase at random times, states, controls and free parameters."""
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
@@ -100,7 +100,7 @@ def build_angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False
     return AngleProbe(lambda u: evaluate_function(function, times[0], states, u, values, free), controls)
 
 
-P = TypeVar("P", bound=Statement)
+P = TypeVar("P", bound=ProblemData)
 
 
 def reformulate(problem: P) -> P:
@@ -132,7 +132,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
     return twin
 
 
-def _reformulate_boundary(problem: Statement, twin: Statement) -> tuple[Any, ...]:
+def _reformulate_boundary(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
     domain = Domain.from_boundary(problem)
     form = problem.cache(("ends", domain.cache_key), lambda: EndForm.from_problem(problem, domain))
@@ -141,7 +141,7 @@ def _reformulate_boundary(problem: Statement, twin: Statement) -> tuple[Any, ...
     return form.cache_key if form.texts else ()
 
 
-def _may_have_norms(problem: Statement, leg: Phase) -> bool:
+def _may_have_norms(problem: ProblemData, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
     operations = problem.cache(("operations", leg.name), lambda: find_operations(stack_expressions(leg)))
@@ -149,7 +149,7 @@ def _may_have_norms(problem: Statement, leg: Phase) -> bool:
 
 
 def _find_next_norm_form(
-    problem: Statement, leg: Phase, key: tuple[Any, ...]
+    problem: ProblemData, leg: Phase, key: tuple[Any, ...]
 ) -> NormForm | UnitVectorForm | None:
 
     def build() -> NormForm | UnitVectorForm | None:
@@ -159,7 +159,7 @@ def _find_next_norm_form(
     return problem.cache(("form", *key), build)
 
 
-def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
+def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
     """Reformulate the kinks in a phase's costs and limits; return the key that identifies the form."""
     form_key = key
     if not _has_kinks(problem, leg, form_key):
@@ -173,7 +173,7 @@ def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> 
         apply_constraint_bounds(leg, bounds)
         domain = Domain.from_phase(problem, leg)
     bends = problem.cache(
-        ("bends", *form_key, domain.cache_key), lambda: Bends.from_phase(problem, leg, domain)
+        ("bends", *form_key, domain.cache_key), lambda: ControlKinks.from_phase(problem, leg, domain)
     )
     if bends.at:
         form_key = (*form_key, *bends.cache_key)
@@ -182,7 +182,7 @@ def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> 
     if not _has_kinks(problem, leg, form_key):
         return form_key[len(key) :]
     kinked = problem.cache(
-        ("kinked", *form_key, domain.cache_key), lambda: Kinked.from_phase(problem, leg, domain)
+        ("kinked", *form_key, domain.cache_key), lambda: KinkedTerms.from_phase(problem, leg, domain)
     )
     if kinked.costs or kinked.limits:
         form_key = (*form_key, *kinked.cache_key)
@@ -192,7 +192,7 @@ def _reformulate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> 
     return form_key[len(key) :]
 
 
-def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
+def _has_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> bool:
     return bool(
         {*KINKED} & problem.cache(("operations", *key), lambda: find_operations(stack_expressions(leg)))
     )

@@ -14,8 +14,8 @@ from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.guess.profiles import GuessValue
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers, Restatement
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers
+from gnc_opt.planning.problem.statement import ProblemData
 
 
 def used_variable_names(model: Model) -> frozenset[str]:
@@ -45,7 +45,7 @@ class PhaseForm:
     model: Model
     paths: dict[str, Constraint]
     integrands: dict[str, tuple[Any, Any]]
-    restatement: Restatement
+    restatement: ControlForm
 
     def apply_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
@@ -55,7 +55,7 @@ class PhaseForm:
         leg.restatement = self.restatement.compose_after(leg.restatement)
 
 
-def guess_expression(problem: Statement, stated: Phase, column: Any) -> GuessValue:
+def guess_expression(problem: ProblemData, stated: Phase, column: Any) -> GuessValue:
     """Return the values of a column along the guess of a phase as a function of time."""
     function = build_phase_function(problem, stated, "guessed", column)
     q = problem.guessed_parameters()

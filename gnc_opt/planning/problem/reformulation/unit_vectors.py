@@ -21,21 +21,21 @@ from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_variable_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
 
-def find_bounds_beyond_length(problem: Statement, leg: Phase) -> Interval:
+def find_bounds_beyond_length(problem: ProblemData, leg: Phase) -> Interval:
     """Return the bounds of controls without those that a constant length, of states too, implies.
 
     If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
     """
     lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
     for name, constraint in leg.paths.items():
-        if not all(constraint.interval.fixed) or constraint.interval.upper.size > 1:
+        if not all(constraint.interval.is_fixed) or constraint.interval.upper.size > 1:
             continue
         squared = partial(_find_squared_terms, leg, constraint.expression)
         key = ("vector of length", leg.name, name, *leg.model.controls.names)
@@ -113,7 +113,7 @@ class UnitVectorForm(PhaseForm):
                 if other != label
             },
             {other: (symbol, express(e)) for other, (symbol, e) in leg.integrands.items()},
-            Restatement(
+            ControlForm(
                 old,
                 vector,
                 unit,
@@ -124,7 +124,7 @@ class UnitVectorForm(PhaseForm):
             control,
         )
 
-    def apply_to_phase(self, problem: Statement, leg: Phase) -> tuple[str, ...]:
+    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> tuple[str, ...]:
         """Apply the form to a phase with its own numbers, without the bounds implied by the length."""
         old, place = leg.numbers, leg.model.controls.slice(self.names[0])
         lower, upper = old.controls.lower.copy(), old.controls.upper.copy()
@@ -140,7 +140,7 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
     layout, box = leg.model.controls, leg.numbers.controls
     stated = set(index_control_symbols(leg).values())
     for label, constraint in leg.paths.items():
-        if constraint.interval.upper.size > 1 or not all(constraint.interval.fixed):
+        if constraint.interval.upper.size > 1 or not all(constraint.interval.is_fixed):
             continue
         rows, constant = _find_squared_terms(leg, constraint.expression)
         length = _read_length(constraint.interval, constant)

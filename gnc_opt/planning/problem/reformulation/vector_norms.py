@@ -23,14 +23,14 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseGuess, Restatement
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     guess_expression,
     unused_variable_name,
     used_variable_names,
 )
-from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import EQUAL
 
 Names: TypeAlias = tuple[str, ...]
@@ -216,7 +216,7 @@ class NormForm(PhaseForm):
             old.in_controls(controls, list(_build_composed_controls(old, names, control, product)), express),
             {**paths, **{v.length_path: leg.paths[v.length_path] for v in leg.vector_controls}},
             {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
-            Restatement(old, vector, product, ca.vertcat(*values), (text,)),
+            ControlForm(old, vector, product, ca.vertcat(*values), (text,)),
             names,
             control,
             product,
@@ -224,7 +224,7 @@ class NormForm(PhaseForm):
             on_sphere or None if found.control is None else False,
         )
 
-    def apply_to_phase(self, problem: Statement, leg: Phase) -> tuple[str, ...]:
+    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> tuple[str, ...]:
         """Apply the form to a phase, with the numbers of that phase; return the names of the added constraints."""
         stated, old, magnitude = leg.clone(), leg.numbers, self.control.magnitude
         rows = self._component_constraints(stated)

@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.model import Model
-from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
+from gnc_opt.planning.problem.arcs import ArcKind, Junction, SmoothControl
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, select_kind
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -52,7 +52,7 @@ ARC_OVERLAP_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class Resolution:
+class PieceMesh:
     """Segments of a piece and their collocation degree.
 
     Attributes
@@ -80,7 +80,7 @@ class Resolution:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
-    def refine_by_decades(self, decades: Array) -> Resolution:
+    def refine_by_decades(self, decades: Array) -> PieceMesh:
         """Return a resolution that reduces the errors by a number of decades; the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, segments are subdivided, those with the largest errors
@@ -109,7 +109,7 @@ class Resolution:
         )
         return self._subdivide_segments(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
 
-    def _subdivide_segments(self, parts: Indices, order: Indices) -> Resolution:
+    def _subdivide_segments(self, parts: Indices, order: Indices) -> PieceMesh:
         """Return the resolution with subdivided segments, in the given order, up to `ARC_MAX_SEGMENTS` segments."""
         allowed, room = np.ones_like(parts), ARC_MAX_SEGMENTS - self.segments
         for k in order:
@@ -125,7 +125,7 @@ class Resolution:
         ]
         return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
 
-    def raise_control_degree(self, gradient: float) -> Resolution:
+    def raise_control_degree(self, gradient: float) -> PieceMesh:
         """Return the resolution with a higher degree of singular controls, and enough points for it and the states.
 
         The resolution is returned unchanged if the last higher degree hardly reduced dH/du: the rest is rounding, or
@@ -161,7 +161,7 @@ class ArcMesh:
     """
 
     structure: PhaseStructure
-    resolutions: tuple[Resolution, ...]
+    resolutions: tuple[PieceMesh, ...]
     points: float = 0.0
     loose: bool = False
 
@@ -210,7 +210,7 @@ class ArcMesh:
         )
         return replace(plan, resolutions=kept)
 
-    def _find_matching_resolution(self, structure: PhaseStructure, piece: int) -> Resolution | None:
+    def _find_matching_resolution(self, structure: PhaseStructure, piece: int) -> PieceMesh | None:
         """Return the resolution of the piece with the same kinds at nearly the same time, or None."""
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
@@ -221,7 +221,7 @@ class ArcMesh:
                 return self.resolutions[k]
         return None
 
-    def _inherit_smooth_degree(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+    def _inherit_smooth_degree(self, structure: PhaseStructure, piece: int, first: PieceMesh) -> PieceMesh:
         """Return the resolution with the highest control degree among pieces of the same kinds, or the first one."""
         now = [
             r
@@ -253,7 +253,7 @@ class ArcMesh:
         movable = tuple(self.piece_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
-    def hold_arcs(self, problem: Problem, phase: str) -> Problem:
+    def prescribe_arcs(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.control_kinds), len(structure.path_kinds)
@@ -291,7 +291,7 @@ class ArcMesh:
             taken = structure.find_constraint_exchange(k)[:1]
             for i in structure.rows_changing_at(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
-                if after.at_limit and (order or i in taken):
+                if after.is_at_limit and (order or i in taken):
                     found.append((k, i, after, order, -1 if i in taken else 0))
                 elif i in taken:
                     found.append((k, i, before, 0, 1))
@@ -299,7 +299,7 @@ class ArcMesh:
             paths = [i for i in structure.find_limit_exchange(k) if i >= n_controls]
             for i in paths[:1]:
                 before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
-                found.append((k, i, after, 0, -1) if after.at_limit else (k, i, before, 0, 1))
+                found.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))
         found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
             Junction(i - n_controls, self.piece_breaks[k], kind, conditions, tangent)
@@ -317,10 +317,12 @@ class ArcMesh:
         found = []
         for piece, kinds in enumerate(structure.kinds):
             held = [
-                row for row in range(n_controls, len(kinds)) if kinds[row].at_limit and structure.orders[row]
+                row
+                for row in range(n_controls, len(kinds))
+                if kinds[row].is_at_limit and structure.orders[row]
             ]
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
-                free = [i for i in structure.boundary_controls[row] if not kinds[i].at_limit]
+                free = [i for i in structure.boundary_controls[row] if not kinds[i].is_at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
                 if 0 < len(singular) < len(free) and _have_independent_effects(
                     problem.phases[phase].model, free
@@ -330,7 +332,7 @@ class ArcMesh:
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
         return tuple(found)
 
-    def _define_control_polynomials(self) -> tuple[Smooth, ...]:
+    def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
         found, ends = [], self.piece_breaks
         for i, row in enumerate(self.structure.control_kinds):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
@@ -340,7 +342,7 @@ class ArcMesh:
                     and r.smooth
                     and r.smooth < r.segments * r.degree - 1
                 ):
-                    found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
+                    found.append(SmoothControl(i, ends[k], ends[k + 1], r.smooth))
         return tuple(found)
 
 
@@ -355,21 +357,21 @@ def count_uniform_points(mesh: Mesh) -> float:
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
-def _read_resolution(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
+def _read_resolution(mesh: Mesh, first: int, last: int, coarsest: PieceMesh) -> PieceMesh:
     """Return the segments of a mesh between two breaks, with the highest control degree that their points allow."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
     shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
     smooth = min(max(coarsest.smooth, (last - first) * degree // 2), MAX_SINGULAR_DEGREE)
-    return Resolution(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
+    return PieceMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
 
 
-def _choose_initial_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
+def _choose_initial_resolution(structure: PhaseStructure, piece: int, points: float) -> PieceMesh:
     kinds, share = structure.kinds[piece], structure.piece_lengths[piece] / structure.piece_lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
     if singular - structure.find_determined_controls(piece):
-        return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
+        return PieceMesh(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.control_kinds[:, piece]:
         degree = FIRST_DEGREE if structure.has_contact(piece) else INTERIOR_DEGREE
-        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
+        return PieceMesh(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / (POINT_RATIO * ARC_MAX_DEGREE))) if points > COARSE_POINTS else 1
-    return Resolution() if segments == 1 else Resolution(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)
+    return PieceMesh() if segments == 1 else PieceMesh(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)

@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, TINY
 
@@ -44,7 +44,7 @@ def compute_dynamics_defects(samples: PhaseSamples) -> Array:
     return np.asarray(samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
-def choose_next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
+def choose_next_resolution(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
     """Return the resolution with more points or a higher control degree, whichever has the larger error.
 
     ``errors`` (segments,) are those of states and costates in every segment of the piece.

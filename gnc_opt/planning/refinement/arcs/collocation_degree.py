@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, ArcMesh, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, ArcMesh, PieceMesh
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import gauss_rule
@@ -53,13 +53,13 @@ def choose_resolutions(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol: flo
 
 def _choose_resolution(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
-) -> Resolution:
+) -> PieceMesh:
     """Return the fewest sufficiently fine segments with at most `ARC_MAX_DEGREE` points, and their degree."""
     found = _subdivide_interval(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
     fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[PIECE_MIN_POINTS:ARC_MAX_DEGREE] <= most)
     degree = PIECE_MIN_POINTS + int(fine[0]) if fine.size else ARC_MAX_DEGREE
     edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
-    return Resolution(len(found), degree, edges=edges)
+    return PieceMesh(len(found), degree, edges=edges)
 
 
 def _subdivide_interval(

@@ -86,7 +86,7 @@ class ContactNodes:
         return [
             i
             for i in structure.boundary_controls[self.row]
-            if np.mean([structure.kinds[k][i].at_limit for k in pieces]) < 0.5
+            if np.mean([structure.kinds[k][i].is_at_limit for k in pieces]) < 0.5
         ]
 
     def _nearby_switch(
@@ -107,7 +107,7 @@ class ContactNodes:
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
             changed = [i for i in structure.rows_changing_at(k) if i in boundary_controls]
-            if changed and (len(boundary_controls) > 1 or outer[changed[0]].at_limit):
+            if changed and (len(boundary_controls) > 1 or outer[changed[0]].is_at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 

@@ -45,7 +45,7 @@ BETWEEN_BOUNDS_MIN_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class Determined:
+class ArcControl:
     """A control between its bounds, from ``start`` to ``end`` (s), because it holds a state constraint on its limit.
 
     The constraint is a row of `StateConstraints`, the limit a kind.
@@ -58,7 +58,7 @@ class Determined:
     kind: ArcKind = ArcKind.INTERIOR
 
 
-def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[Determined]:
+def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[ArcControl]:
     """Return the controls that keep state constraints on their limits.
 
     On a mesh, such a control oscillates about the value that satisfies the constraint, and its switching function about
@@ -77,7 +77,7 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[De
         mean = np.mean(u[:, inside], axis=1)
         at_lower, at_upper = leg.control_bounds.near(mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale)
         found += [
-            Determined(i, float(start), float(end), run.row, run.kind)
+            ArcControl(i, float(start), float(end), run.row, run.kind)
             for i in constraints.find_determining_controls(run.row)
             if not at_lower[i] and not at_upper[i]
         ]
@@ -96,7 +96,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     """
     constraints, first = StateConstraints(problem, samples), len(structure.control_kinds)
     held = [
-        any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.n_rows)
+        any(kinds[first + row].is_at_limit for kinds in structure.kinds) for row in range(constraints.n_rows)
     ]
     orders = [0 if held[row] else constraints.row_order(row) for row in range(constraints.n_rows)]
     asked = [
@@ -146,7 +146,7 @@ def _leaves_first_order_limits(structure: PhaseStructure, piece: int, arc: int) 
     rows = structure.rows_changing_at(max(piece, arc))
     return bool(rows) and all(
         structure.is_first_order(row)
-        and structure.kinds[arc][row].at_limit
+        and structure.kinds[arc][row].is_at_limit
         and [structure.kinds[piece][i] for i in structure.boundary_controls[row]] == [ArcKind.SINGULAR]
         for row in rows
     )
@@ -193,7 +193,7 @@ def replace_saturated_controls(
         if not taken:
             continue
         state, row = taken
-        after = structure.kinds[boundary][state].at_limit
+        after = structure.kinds[boundary][state].is_at_limit
         piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
         if len(structure.boundary_controls[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
+from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
@@ -36,16 +36,16 @@ def nonconvex_controls(samples: PhaseSamples) -> Mask:
     return np.asarray(bounded & ~_linear_controls(samples) & ~convex_controls(samples))
 
 
-def linear_path_limits(samples: PhaseSamples) -> LinearLimits:
+def linear_path_limits(samples: PhaseSamples) -> LinearPathLimits:
     """Return the path constraints that limit a single control, one linear in H or always at its limits.
 
     Example of the latter: the load factor in a turn at maximum lift, whatever the curvature of H.
     """
     linear = _linear_controls(samples)
-    bent = LinearLimits.from_samples(samples, ~linear & ~convex_controls(samples))
+    bent = LinearPathLimits.from_samples(samples, ~linear & ~convex_controls(samples))
     for i in bent.rows:
         linear[i] = bent.stays_at_limits(i)
-    return LinearLimits.from_samples(samples, linear)
+    return LinearPathLimits.from_samples(samples, linear)
 
 
 def _linear_controls(samples: PhaseSamples) -> Mask:

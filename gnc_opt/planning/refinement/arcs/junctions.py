@@ -75,7 +75,7 @@ def find_junction_time(
 ) -> float:
     """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
     leg, first = constraints.samples.leg, len(structure.control_kinds)
-    entered = structure.kinds[boundary][row].at_limit
+    entered = structure.kinds[boundary][row].is_at_limit
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
     k = int(np.argmin(np.abs(leg.breaks - time)))
@@ -95,7 +95,7 @@ def find_junction_time(
 
 def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: int) -> float:
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
-    held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
+    held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
     n_controls = len(plan.structure.control_kinds)
     signals = _control_excess if row < n_controls else _path_excess

@@ -28,7 +28,7 @@ PRESSED_SHARE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class LinearLimits:
+class LinearPathLimits:
     """Path constraints linear in one control each: ``rows`` by control, ``slopes`` (n_paths, n_samples)."""
 
     samples: PhaseSamples
@@ -36,7 +36,7 @@ class LinearLimits:
     slopes: Array
 
     @classmethod
-    def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearLimits:
+    def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearPathLimits:
         """Return the path constraints on one control each, among controls that are linear in H (``linear``: (m,))."""
         leg, found = samples.leg, dict[int, tuple[int, ...]]()
         slopes = np.zeros((len(leg.path_labels), samples.times.size))
@@ -143,10 +143,10 @@ class LinearLimits:
             upward = (left is ArcKind.UPPER) == bool(self.slopes[row - first, sample] > 0)
             structure = structure.with_arc(row, *interval, ArcKind.INTERIOR)
             row, kind = holder, ArcKind.LOWER if upward else ArcKind.UPPER
-        if row not in self.rows or not kind.at_limit:
+        if row not in self.rows or not kind.is_at_limit:
             return structure.with_arc(row, *interval, kind)
         own, held = self.label_control(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
         for path, kinds in held.items():
-            if kinds[sample].at_limit:
+            if kinds[sample].is_at_limit:
                 structure = structure.with_arc(first + path, *interval, kinds[sample])
         return structure.with_arc(row, *interval, own[sample])

@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.arcs import ArcKind, Kinds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
-from gnc_opt.planning.solution.costates import Iterate
+from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.solution.warm_start import choose_program_start
@@ -66,11 +66,11 @@ def solve_with_split_switches(
 def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
     held = solution.need_problem("refine")
     for name, plan in plans.items():
-        held = plan.hold_arcs(held, name)
+        held = plan.prescribe_arcs(held, name)
     transcription = transcribe(held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme)
     own, others = (choose_program_start(transcription, held, s) for s in (solution, other))
     assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
-    iterate = Iterate(own.x, others.lam_x, others.lam_g)
+    iterate = NlpIterate(own.x, others.lam_x, others.lam_g)
     phases, _ = extract_phases(transcription, held, iterate)
     return replace(
         solution,
@@ -82,7 +82,7 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, A
 
 def _release_split_intervals(plan: ArcMesh, problem: Problem, name: str) -> tuple[Problem, Mesh]:
     """Return the problem with the arcs of a plan, free in the intervals at shared boundaries, and its mesh."""
-    problem = plan.hold_arcs(problem, name)
+    problem = plan.prescribe_arcs(problem, name)
     cuts, mesh, held = _SplitMesh.from_plan(plan), plan.mesh(), problem.phases[name].numbers.arcs
     assert held is not None, "just held"
     twin = problem.with_fixed_arcs(

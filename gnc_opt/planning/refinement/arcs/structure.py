@@ -125,7 +125,7 @@ class PhaseStructure:
         """
         found: set[int] = set()
         for i in range(self._n_free, len(self.orders)):
-            if self.kinds[piece][i].at_limit:
+            if self.kinds[piece][i].is_at_limit:
                 boundary_controls = self.boundary_controls[i] or self._find_candidate_controls(i)
                 free = [
                     c
@@ -157,7 +157,7 @@ class PhaseStructure:
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
             (self.regular[i] or self._fixes_control(i, boundary) or self.has_saturated_control(i, boundary))
-            and not (before[i].at_limit and after[i].at_limit)
+            and not (before[i].is_at_limit and after[i].is_at_limit)
             for i in self.rows_changing_at(boundary)
         )
 
@@ -178,8 +178,8 @@ class PhaseStructure:
         return any(
             order
             and row in boundary_controls
-            and all(kinds[i].at_limit for kinds in beside)
-            and not all(bound[other].at_limit for other in boundary_controls)
+            and all(kinds[i].is_at_limit for kinds in beside)
+            and not all(bound[other].is_at_limit for other in boundary_controls)
             for i, (order, boundary_controls) in enumerate(
                 zip(self.orders, self.boundary_controls, strict=True)
             )
@@ -189,7 +189,7 @@ class PhaseStructure:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
         rows = self.rows_changing_at(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
-        sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].at_limit]
+        sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].is_at_limit]
         controls = {
             i for row in rows for i in (self.boundary_controls[row] if row >= self._n_free else (row,))
         }
@@ -202,7 +202,7 @@ class PhaseStructure:
         the control is on the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
         rows, beside = self.rows_changing_at(boundary), self.kinds[boundary - 1 : boundary + 1]
-        held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
+        held = [[i for i in rows if kinds[i].is_at_limit] for kinds in beside]
         states = [i for i in rows if self.is_first_order(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
@@ -240,7 +240,7 @@ class PhaseStructure:
         """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
         held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
         for row in np.flatnonzero(self.slopes):
-            held[list(self.boundary_controls[row])] |= [kinds[row].at_limit for kinds in self.kinds]
+            held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
         return held
 
     def mask_near_exchanges(self) -> Mask:
@@ -249,7 +249,7 @@ class PhaseStructure:
         for k in range(1, self.n_pieces):
             given_out = [row for row in self.rows_changing_at(k) if self.has_saturated_control(row, k)]
             for row in [*self.find_limit_exchange(k), *self.find_constraint_exchange(k), *given_out]:
-                beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
+                beside[row, k - 1 : k + 1] = [not self.kinds[j][row].is_at_limit for j in (k - 1, k)]
         return beside
 
     def _fixes_control(self, row: int, boundary: int) -> bool:
@@ -264,7 +264,7 @@ class PhaseStructure:
         Constraints are excluded if the direction of a vector at its largest magnitude could satisfy them, as violations
         would then be large.
         """
-        held = np.array([[kind.at_limit for kind in row] for row in self.kind_matrix()])
+        held = np.array([[kind.is_at_limit for kind in row] for row in self.kind_matrix()])
         beside = np.zeros_like(held)
         for k in range(1, self.n_pieces):
             beside[:, k - 1] |= held[:, k]
@@ -279,7 +279,7 @@ class PhaseStructure:
     def has_contact(self, piece: int) -> bool:
         """Return whether a state constraint determines a control in a piece."""
         return any(
-            kind.at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
+            kind.is_at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
         )
 
     def touch_times(self, row: int, kind: ArcKind) -> list[float]:
@@ -289,7 +289,7 @@ class PhaseStructure:
         """Return whether a row is at a limit, or touches it, at times (n,)."""
         pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_pieces - 1)
         before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_pieces - 1)
-        held = np.array([kinds[row].at_limit for kinds in self.kinds])
+        held = np.array([kinds[row].is_at_limit for kinds in self.kinds])
         touched = [
             t
             for t, touches in zip(self.times, self.touches, strict=True)
@@ -329,7 +329,7 @@ class PhaseStructure:
         for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
             beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.n_pieces]
             may_touch = order > 1 if inner else order > 0 and i in paths
-            if may_touch and kind.at_limit and not any(k.at_limit for k in beside):
+            if may_touch and kind.is_at_limit and not any(k.is_at_limit for k in beside):
                 left = left.with_touch(i, time, kind)
         return left
 
@@ -372,7 +372,7 @@ class PhaseStructure:
             row = [kinds[i] for kinds in self.kinds]
             if i < self._n_free:
                 row = [
-                    ArcKind.CONSTRAINED if i in d and not k.at_limit else k
+                    ArcKind.CONSTRAINED if i in d and not k.is_at_limit else k
                     for k, d in zip(row, determined, strict=True)
                 ]
             starts = [0, *[k for k in range(1, self.n_pieces) if row[k] != row[k - 1]], self.n_pieces]

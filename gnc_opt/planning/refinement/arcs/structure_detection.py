@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
-from gnc_opt.planning.refinement.arcs.contacts import Determined, add_contacts, find_determined_controls
+from gnc_opt.planning.refinement.arcs.contacts import ArcControl, add_contacts, find_determined_controls
 from gnc_opt.planning.refinement.arcs.control_curvature import (
     SINGULAR_SHARE_OF_H,
     affine_controls,
@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.arcs.control_curvature import (
     linear_path_limits,
     regular_controls,
 )
-from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
+from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -41,7 +41,7 @@ def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
     }
 
 
-def detect_phase_structure(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> PhaseStructure:
+def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcControl] = ()) -> PhaseStructure:
     """Return the structure of a phase; controls that state constraints determine, if given, are off their bounds.
 
     For controls linear in H, the sign of the switching function determines the kind, unless it stays near zero over
@@ -123,7 +123,7 @@ def _mask_times_in_intervals(samples: PhaseSamples, spans: Sequence[tuple[float,
 
 
 def _apply_path_limits(
-    limits: LinearLimits,
+    limits: LinearPathLimits,
     i: int,
     labels: KindArray,
     paths: list[KindArray],
@@ -268,7 +268,7 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArra
 
 
 def _label_states(
-    samples: PhaseSamples, controls: KindArray, determined: Sequence[Determined] = ()
+    samples: PhaseSamples, controls: KindArray, determined: Sequence[ArcControl] = ()
 ) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every state.
 
@@ -333,7 +333,7 @@ def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> lis
     polished = [
         (i, j)
         for i, j in found
-        if rows[i][j].at_limit and rows[i][j + 1].at_limit and times[j + 1] > times[j]
+        if rows[i][j].is_at_limit and rows[i][j + 1].is_at_limit and times[j + 1] > times[j]
     ]
     at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
     if polished:

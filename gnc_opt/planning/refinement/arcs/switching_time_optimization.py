@@ -122,7 +122,7 @@ def _determine_unique_costates(
     split = solve_with_split_switches(solution, plans, options, deadline)
     if split is None or verify(split).ok:
         return split or solution
-    return min(solution, split, key=lambda each: each.objective_error.value)
+    return min(solution, split, key=lambda each: each.objective_error.absolute_error)
 
 
 Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
@@ -145,7 +145,8 @@ def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol
     if not solved or status is RefinementStatus.CONVERGED:
         return max(solved, default=None)
     return min(
-        solved, key=lambda k: (max(solved[k].solution.objective_error.relative, tol), solved[k].record.error)
+        solved,
+        key=lambda k: (max(solved[k].solution.objective_error.relative_error, tol), solved[k].record.error),
     )
 
 
@@ -261,7 +262,7 @@ def _solve_program(
 ) -> Solution:
     fixed = problem
     for name, plan in plans.items():
-        fixed = plan.hold_arcs(fixed, name)
+        fixed = plan.prescribe_arcs(fixed, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
     found = solve_mesh(fixed, meshes, guess=guess, options=options, limits=limits)
     return replace(found, problem=problem)

@@ -68,7 +68,6 @@ def _find_switches(error: PhaseError, k: int) -> list[Kink]:
 
 
 def _control_gradient(error: PhaseError, i: int, level: float, times: Array) -> Array:
-    """Return d(H + mu.c)/du_i at times with control i at a level."""
     leg, functions = error.samples.leg, error.samples.functions
     u = leg.applied.evaluate_clipped_polynomial(times)
     u[i] = level

@@ -24,7 +24,7 @@ from gnc_opt.planning.refinement.iteration_records import (
     record_iteration,
     show_progress,
 )
-from gnc_opt.planning.refinement.mesh.remesh import Past, Remesh, index_segments
+from gnc_opt.planning.refinement.mesh.remesh import MeshUpdate, Past, index_segments
 from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -194,7 +194,7 @@ class _Refinement:
     def _refine_meshes(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
-            meshes[name], actions = Remesh(error, stage, self._past.get(name, {})).build_mesh()
+            meshes[name], actions = MeshUpdate(error, stage, self._past.get(name, {})).build_mesh()
             total = total + actions
         return meshes, total
 
@@ -271,4 +271,4 @@ class _Refinement:
             return self._has_converged(new.record)
         if not new.record.solved:
             return False
-        return new.solution.objective_error.value < old.solution.objective_error.value
+        return new.solution.objective_error.absolute_error < old.solution.objective_error.absolute_error

@@ -44,7 +44,7 @@ Past = Mapping[tuple[float, float], tuple[int, float]]
 
 
 @dataclass(frozen=True)
-class Piece:
+class MeshPiece:
     """Segment of the next mesh: ends (s) and degree."""
 
     start: float
@@ -53,7 +53,7 @@ class Piece:
 
 
 @dataclass
-class Remesh:
+class MeshUpdate:
     """Computation of the next mesh of one phase.
 
     Parameters
@@ -81,14 +81,14 @@ class Remesh:
 
     def build_mesh(self) -> tuple[Mesh, Actions]:
         """Return the mesh and the numbers of changes."""
-        pieces: list[Piece] = []
+        pieces: list[MeshPiece] = []
         rates = legendre_decay_rates(self.error)
         for k, degree in enumerate(self._leg.mesh.degrees):
-            own = Piece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
+            own = MeshPiece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
             pieces += [own] if self._worst[k] <= self.tol else self._refine_segment(k, own, float(rates[k]))
         return _build_mesh(pieces), Actions(self.raised, self.split)
 
-    def _refine_segment(self, k: int, own: Piece, rate: float) -> list[Piece]:
+    def _refine_segment(self, k: int, own: MeshPiece, rate: float) -> list[MeshPiece]:
         narrow = (own.end - own.start) < SAME_TIME * self._leg.duration
         if narrow:
             return [own]
@@ -106,17 +106,17 @@ class Remesh:
             wanted = min(wanted, 2 * own.degree)
         if wanted <= self.max_degree and not self._is_degree_wasted(k, own.degree):
             self.raised += 1
-            return [Piece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
+            return [MeshPiece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
         self.split += 1
         return self._split_segment(k, own, rate, excess)
 
-    def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
+    def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[MeshPiece]:
         """Return the pieces around kinks: smooth ones with unchanged degree, those with a kink of low degree."""
         pieces = []
         for a, b in itertools.pairwise(cuts):
             middle = 0.5 * (a + b)
             inside = any(kink.start <= middle <= kink.end for kink in kinks)
-            pieces.append(Piece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
+            pieces.append(MeshPiece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
         return pieces
 
     def _is_degree_wasted(self, k: int, degree: int) -> bool:
@@ -129,7 +129,7 @@ class Remesh:
             return False
         return bool(self._worst[k] > old_error * 10.0 ** (-MIN_DECADES_PER_POINT * (degree - old_degree)))
 
-    def _split_segment(self, k: int, own: Piece, rate: float, excess: float) -> list[Piece]:
+    def _split_segment(self, k: int, own: MeshPiece, rate: float, excess: float) -> list[MeshPiece]:
         """Return the parts of a segment split where its error is large, with the degree predicted for the halves."""
         if self._density is None:
             self._density = error_density(self.error)
@@ -146,14 +146,14 @@ class Remesh:
         cuts.append(own.end)
         needed = math.ceil((excess + rate * own.degree) / (rate + DECAY_GAIN_PER_HALVING))
         degree = min(max(3, min(needed, own.degree)), 10)
-        return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
+        return [MeshPiece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
 
     def _to_fraction(self, t: float) -> float:
         return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))
 
 
 def index_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, float]]:
-    """Return degree and error of each segment by its ends, for the next `Remesh`."""
+    """Return degree and error of each segment by its ends, for the next `MeshUpdate`."""
     leg = error.samples.leg
     fractions = (leg.breaks - leg.breaks[0]) / (leg.breaks[-1] - leg.breaks[0])
     return {
@@ -166,6 +166,6 @@ def _segment_key(start: float, end: float) -> tuple[float, float]:
     return round(start, 12), round(end, 12)
 
 
-def _build_mesh(pieces: list[Piece]) -> Mesh:
+def _build_mesh(pieces: list[MeshPiece]) -> Mesh:
     times = [pieces[0].start, *(p.end for p in pieces)]
     return Mesh.at_times(times, [p.degree for p in pieces])

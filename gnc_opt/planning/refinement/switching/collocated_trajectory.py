@@ -91,7 +91,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
         duration_multiplier=0.0,
         integrals=flow.final_state[n : n + leg.integrals.size],
     )  # fmt: skip
-    nu = flight.step.multipliers[int(np.sum(leg.final_bounds.fixed)) :]
+    nu = flight.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
     flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
     if not satisfies_limits(flown, s.state_scale):
         return None
@@ -141,7 +141,7 @@ def complete_multipliers(flown: Solution) -> Solution:
     worth = functions.hamiltonian(at, x, u, lam) - np.array(
         [ends.initial_time[leg.name], -ends.final_time[leg.name]]
     )
-    fixed = np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
+    fixed = np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
     impulses = np.zeros_like(leg.state_impulses)
     impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
     impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]

@@ -211,23 +211,25 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
     """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
     leg = s.leg
     times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
-    loose = ~leg.final_bounds.fixed & (
+    loose = ~leg.final_bounds.is_fixed & (
         np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper)
     )
     at_end = leg.final_bounds.near(s.x[:, -1], AT_LIMIT * s.state_scale) if np.any(loose) else (loose, loose)
     boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
     sided = [np.logical_or(*at_end) & loose]
     sided += [
-        np.logical_or(*b.near(t, AT_LIMIT * s.span)) & ~b.fixed for b, t in zip(boxes, times, strict=True)
+        np.logical_or(*b.near(t, AT_LIMIT * s.span)) & ~b.is_fixed for b, t in zip(boxes, times, strict=True)
     ]
     return (
         len(problem.phases) == 1
         and s.functions.q.size == 0
-        and all(kind.at_limit for row in structure.control_kinds for kind in row)
-        and not any(kind.at_limit for row in (*structure.path_kinds, *structure.state_kinds) for kind in row)
+        and all(kind.is_at_limit for row in structure.control_kinds for kind in row)
+        and not any(
+            kind.is_at_limit for row in (*structure.path_kinds, *structure.state_kinds) for kind in row
+        )
         and not any(structure.touches)
-        and bool(np.all(leg.initial_bounds.fixed))
-        and bool(np.all(problem.constraint_interval().fixed))
+        and bool(np.all(leg.initial_bounds.is_fixed))
+        and bool(np.all(problem.constraint_interval().is_fixed))
         and not any(np.any(side) for side in sided)
     )
 

@@ -164,9 +164,9 @@ class _EndConditions:
     @classmethod
     def from_flow(cls, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> _EndConditions:
         leg = s.leg
-        given, limits = np.flatnonzero(leg.final_bounds.fixed), problem.constraint_interval()
+        given, limits = np.flatnonzero(leg.final_bounds.is_fixed), problem.constraint_interval()
         free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
-        free[[0, -1]] = ~np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
+        free[[0, -1]] = ~np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
         cost, constraints = _evaluate_end_conditions(s, problem, flow)
         misses = np.concatenate(
             [flow.final_state[given] - leg.final_bounds.lower[given], constraints - limits.lower]

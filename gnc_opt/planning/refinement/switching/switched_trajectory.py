@@ -104,7 +104,7 @@ class SwitchedFlow:
             state_impulses=np.zeros((n, first.size + 1)),
             integrals=self.fine_flow.final_state[n : n + leg.integrals.size],
         )
-        nu = self.step.multipliers[int(np.sum(leg.final_bounds.fixed)) :]
+        nu = self.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
         return replace(known, phases={leg.name: grown}, constraint_multipliers=nu)
 
     @cached_property

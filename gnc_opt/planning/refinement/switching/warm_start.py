@@ -74,7 +74,7 @@ def truncate_solution(known: Solution, problem: Problem) -> Solution:
         return known
     ((name, leg),) = known.phases.items()
     begins = problem.phases[name].numbers.initial_time
-    if begins is None or not begins.fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
+    if begins is None or not begins.is_fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
         return known
     return truncate_solution_before(known, float(begins.lower[0]))
 
@@ -83,8 +83,8 @@ def _shift_start(known: Solution) -> Solution | None:
     """Return the trajectory shifted to the initial states of its problem; None if the problem fixes other times."""
     (leg,) = known.phases.values()
     for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
-        if bounds.fixed[0] and bounds.lower[0] != t:
+        if bounds.is_fixed[0] and bounds.lower[0] != t:
             return None
-    moved = np.where(leg.initial_bounds.fixed, leg.initial_bounds.lower - leg.x(leg.breaks[0]), 0.0)
+    moved = np.where(leg.initial_bounds.is_fixed, leg.initial_bounds.lower - leg.x(leg.breaks[0]), 0.0)
     x = PiecewisePolynomial(leg.x.breaks, leg.x.nodes, tuple(v + moved[:, None] for v in leg.x.values))
     return replace(known, phases={leg.name: replace(leg, x=x)})
