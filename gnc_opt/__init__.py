@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.guidance import design_neighbouring_optimal
     from gnc_opt.model import Model
     from gnc_opt.model.expressions import smooth_abs
-    from gnc_opt.model.table import Table, table, table_from_csv
+    from gnc_opt.model.lookup_table import Table, table, table_from_csv
     from gnc_opt.planning import (
         Arc,
         ArcKind,

@@ -121,7 +121,7 @@ def number_or_none(text: str) -> float | None:
 
 
 def _add_solve_command(commands: Any) -> None:
-    from gnc_opt.planning.transcription.point_families import GAUSS, SCHEMES
+    from gnc_opt.planning.transcription.collocation_families import GAUSS, SCHEMES
 
     command = commands.add_parser(
         "solve",

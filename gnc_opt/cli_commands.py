@@ -186,7 +186,7 @@ def _write_output_files(
     args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
 ) -> None:
     from gnc_opt.report import summary_dict, write_json
-    from gnc_opt.report.report import write_report
+    from gnc_opt.report.solution_report import write_report
 
     if args.json == "-":
         print(json_text(summary_dict(solution, verdict)), end="")

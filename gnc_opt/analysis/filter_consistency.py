@@ -25,7 +25,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.text_formatting import PrintableResult
 from gnc_opt.tolerances import ROUNDING
 

@@ -2,21 +2,21 @@
 
 from typing import Any
 
-from gnc_opt.control.c_export.export import CCode, export_c
+from gnc_opt.control.c_export.c_code_export import CCode, export_c
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
-from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.fmu_export import Fmu, export_fmu
 from gnc_opt.control.input_output_linearization import lie_derivative, output_errors, zero_dynamics
 from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.control.lqr import design_lqr
 from gnc_opt.control.mpc import design_mpc
+from gnc_opt.control.open_loop import feedforward
 from gnc_opt.control.quadratic_cost import bryson
 from gnc_opt.control.reaching_laws import ConstantRate, ExponentialRate, SaturationLayer, Sign, SuperTwisting
-from gnc_opt.control.reference import Reference, trim
+from gnc_opt.control.reference_trajectory import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.control.tvlqr import design_tvlqr

@@ -14,8 +14,8 @@ from gnc_opt.control.c_export.c_writer import CFloatType
 from gnc_opt.control.control_limits import clip
 from gnc_opt.control.controller import CodegenLaw, Controller, initial_state_function, law_function
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.horizon_qp import StepLimits
+from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
 

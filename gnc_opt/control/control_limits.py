@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.design_report import ReportEntry
-from gnc_opt.control.feedforward import reference_sample_times
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.open_loop import reference_sample_times
+from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import as_vector

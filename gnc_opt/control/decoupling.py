@@ -15,15 +15,15 @@ import numpy as np
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
-from gnc_opt.control.dropout import with_dropout_handling
-from gnc_opt.control.feedforward import (
+from gnc_opt.control.dropout_handling import with_dropout_handling
+from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
+from gnc_opt.control.open_loop import (
     ReferenceSchedule,
     StackedSchedule,
     build_reference_layout,
     reference_sample_times,
 )
-from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import are_dependent

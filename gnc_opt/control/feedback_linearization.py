@@ -30,7 +30,7 @@ from gnc_opt.control.decoupling import (
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_option, output_errors
-from gnc_opt.control.reference import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model

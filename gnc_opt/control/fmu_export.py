@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gnc_opt.archive import write_atomically
-from gnc_opt.control.c_export.export import CCode, codegen_controller, export_c
+from gnc_opt.control.c_export.c_code_export import CCode, codegen_controller, export_c
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.result_archive import write_atomically
 
 _INTERFACE = Path(__file__).with_name("fmi2_cosimulation.c")
 _LAW_HEADER = Path("fmu_law.h")

@@ -22,7 +22,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import as_expression

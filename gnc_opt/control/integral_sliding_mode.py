@@ -37,7 +37,7 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_error_chains
 from gnc_opt.control.reaching_laws import Boundary, Law
-from gnc_opt.control.reference import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import spectral_radius, zero_order_hold
 from gnc_opt.control.sliding_mode import build_switching_control
 from gnc_opt.errors import DesignError, did_you_mean

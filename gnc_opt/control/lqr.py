@@ -27,12 +27,12 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout, reference_sample_times
 from gnc_opt.control.loop_margins import stability_margins
+from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, reference_sample_times
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
-from gnc_opt.control.reference import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.sampled_data import discretize, to_continuous_poles
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name

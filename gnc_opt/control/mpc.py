@@ -26,28 +26,17 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.active_set_qp import (
-    QpCode,
-    build_codegen_law,
-    command_memory_layout,
-    limit_command,
-)
-from gnc_opt.control.control_limits import (
-    Limits,
-    check_reference_limits,
-    clip,
-    read_limits,
-    report_authority,
-)
+from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, command_memory_layout, limit_command
+from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.lqr import report_regulator
+from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_cost
-from gnc_opt.control.reference import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import riccati_backward_step
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name

@@ -45,7 +45,7 @@ from gnc_opt.control.reaching_laws import (
     SuperTwisting,
     read_bounds,
 )
-from gnc_opt.control.reference import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError, quote

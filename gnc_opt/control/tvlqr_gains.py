@@ -14,13 +14,8 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import (
-    LqrSolution,
-    feedback_gain,
-    riccati_backward_step,
-    solve_algebraic_riccati,
-)
+from gnc_opt.control.reference_trajectory import Reference
+from gnc_opt.control.riccati import LqrSolution, feedback_gain, riccati_backward_step, solve_algebraic_riccati
 from gnc_opt.control.sampled_data import SampledStep, discretize, discretize_time_varying
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_numbers, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Limits
-from gnc_opt.control.dropout import HOLD
+from gnc_opt.control.dropout_handling import HOLD
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import as_vector
 

@@ -33,8 +33,8 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout import with_dropout_handling
-from gnc_opt.control.feedforward import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.dropout_handling import with_dropout_handling
+from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
 from gnc_opt.errors import ArgumentError, DesignError, quote
 from gnc_opt.guidance.bang_bang_plan import PlanPrediction, RegulatedEnd, SwitchingPlan

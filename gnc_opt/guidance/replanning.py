@@ -25,8 +25,8 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Schedule
-from gnc_opt.control.feedforward import ReferenceSchedule
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.open_loop import ReferenceSchedule
+from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, format_error, quote
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout

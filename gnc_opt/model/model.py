@@ -16,7 +16,7 @@ from gnc_opt.errors import ModelError, quote, suggest_symbol
 from gnc_opt.model.casadi_import import read_derivative, read_parameter_values, read_variables
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.function_evaluation import check_arguments, evaluate_function
-from gnc_opt.model.table import TableCall
+from gnc_opt.model.lookup_table import TableCall
 from gnc_opt.model.variables import (
     Layout,
     Symbol,

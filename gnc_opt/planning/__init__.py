@@ -7,14 +7,14 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.planning.direct.solve_failure import SolveError
     from gnc_opt.planning.nlp import SolverOptions, Status
     from gnc_opt.planning.problem import Phase, Problem
-    from gnc_opt.planning.problem.arcs import Arc, ArcKind
-    from gnc_opt.planning.problem.guess.simulation import guess_from_simulation
-    from gnc_opt.planning.problem.guess.tables import guess_from_data
+    from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
+    from gnc_opt.planning.problem.guess.guess_from_table import guess_from_data
+    from gnc_opt.planning.problem.guess.simulated_guess import guess_from_simulation
     from gnc_opt.planning.refinement import RefinementLimits, refine
     from gnc_opt.planning.solution import PhaseSolution, Solution, load
     from gnc_opt.planning.solution.history import History, RefinementStatus
+    from gnc_opt.planning.solution.program_start import guess_from_solution
     from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
-    from gnc_opt.planning.solution.warm_start import guess_from_solution
     from gnc_opt.planning.solver import Resolver, solve
     from gnc_opt.planning.study import (
         Continuation,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # the same names for type checkers
         sweep,
     )
     from gnc_opt.planning.study.lower_bounds import lower_bound
-    from gnc_opt.planning.study.sensitivity import Sensitivity, sensitivity
+    from gnc_opt.planning.study.solution_sensitivity import Sensitivity, sensitivity
     from gnc_opt.planning.transcription.mesh import Mesh
     from gnc_opt.planning.verification import verify, verify_trajectory
 

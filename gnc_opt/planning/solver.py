@@ -19,13 +19,13 @@ from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, recover_initial_meshes
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine, refine_by_stages
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
-from gnc_opt.planning.refinement.switching.warm_start import KnownSwitches, truncate_solution
+from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_solution
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import MOVED_START
+from gnc_opt.planning.solution.text_summary import MOVED_START
+from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme, get_family
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.planning.transcription.point_families import GAUSS, Scheme, get_family
 from gnc_opt.runtime_environment import one_thread
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import time_unit
+from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.plot.style import QUIET, line_style, variable_name_text
 from gnc_opt.text_formatting import derivative_unit
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING

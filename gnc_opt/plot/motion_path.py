@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from gnc_opt.arrays import Array
-from gnc_opt.plot.motion_view import (
+from gnc_opt.plot.motion_samples import (
     AXIS,
     VEHICLE_HALF_EDGES,
     MotionSamples,

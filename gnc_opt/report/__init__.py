@@ -1,9 +1,9 @@
 """Reports: HTML pages and JSON summaries of solutions, runs and campaigns."""
 
-from gnc_opt.planning.solution.summary import summary
-from gnc_opt.report.flight_report import write_campaign_report, write_run_report
+from gnc_opt.planning.solution.text_summary import summary
 from gnc_opt.report.json_output import search_dict, summary_dict, write_json
-from gnc_opt.report.report import write_report
+from gnc_opt.report.simulation_report import write_campaign_report, write_run_report
+from gnc_opt.report.solution_report import write_report
 
 __all__ = [
     "search_dict",

@@ -9,9 +9,9 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import find_known_quality, list_table_exits
+from gnc_opt.planning.solution.text_summary import find_known_quality, list_table_exits
 from gnc_opt.planning.solution.verdict import Verdict
-from gnc_opt.planning.study.multistart import Multistart
+from gnc_opt.planning.study.multistart_search import Multistart
 from gnc_opt.text_formatting import convert_to_json, json_text
 
 

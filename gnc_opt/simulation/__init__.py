@@ -42,9 +42,9 @@ from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import Replan
-from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage
+from gnc_opt.simulation.simulation_run import Run
 
 __all__ = [
     "Allocation",

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.archive import DataclassPacking, FileFormat
 from gnc_opt.arguments import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.tabular_data import TabularData, label_variable_rows
 from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.result_archive import DataclassPacking, FileFormat
 from gnc_opt.simulation.campaign_measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import (
@@ -26,8 +26,8 @@ from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
     estimate_percentile,
 )
-from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
+from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.text_formatting import PrintableResult, json_text
 
 

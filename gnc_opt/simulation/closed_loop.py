@@ -25,8 +25,8 @@ from gnc_opt.simulation.loop_assembly import LoopBlocks, LoopWiring, wire_loop
 from gnc_opt.simulation.loop_kernel import LoopKernel, build_kernel
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
-from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import OutcomeClassifier
+from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.simulation.step_selection import StepSelection
 from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 

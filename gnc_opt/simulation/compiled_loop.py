@@ -22,8 +22,8 @@ from gnc_opt.simulation.final_values import FinalValues, estimate_integration_er
 from gnc_opt.simulation.loop_kernel import LoopKernel
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.replanned_reference import ActiveReference, PlanUpdater
-from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.run_outcome import Outcome, OutcomeClassifier, RunStatus
+from gnc_opt.simulation.simulation_run import Run
 
 LEG = 1000
 """Largest number of control steps per function call; limits the memory of long runs."""

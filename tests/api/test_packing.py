@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gnc_opt.archive import DataclassPacking, FileFormat
 from gnc_opt.errors import GncOptError
+from gnc_opt.result_archive import DataclassPacking, FileFormat
 
 
 class Colour(Enum):

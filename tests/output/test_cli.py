@@ -57,7 +57,7 @@ def cart(tmp_path: Path) -> Path:
 @pytest.fixture
 def without_generic_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take half a second each time and have their own tests."""
-    monkeypatch.setattr("gnc_opt.report.report._draw_figures", lambda *_: iter(()))
+    monkeypatch.setattr("gnc_opt.report.solution_report._draw_figures", lambda *_: iter(()))
 
 
 def run(*arguments: Any) -> int:

@@ -27,7 +27,7 @@ from gnc_opt.control.sampled_data import (
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import compute_riccati_gains
-from gnc_opt.estimation.error_retraction import euclidean_space
+from gnc_opt.estimation.error_space import euclidean_space
 from gnc_opt.estimation.linearization import (
     SigmaRegression,
     cholesky_semidefinite,
@@ -45,24 +45,24 @@ from gnc_opt.planning.direct.solve_mesh import (
 )
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_scale import LargestChanges
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
-from gnc_opt.planning.problem.arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, unbounded
-from gnc_opt.planning.problem.guess import simulation as guess_simulation
+from gnc_opt.planning.problem.fixed_arcs import FixedArcs, Junction, SmoothControl
+from gnc_opt.planning.problem.guess import simulated_guess as guess_simulation
 from gnc_opt.planning.problem.guess.initial_guess import (
     SUSTAINED,
     build_phase_guess,
     guess_boundary_states,
     guess_phase_times,
 )
-from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
@@ -78,22 +78,22 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     PieceMesh,
     count_uniform_points,
 )
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
-from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.program_start import start_from_guess
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
-from gnc_opt.planning.solution.quality import Worst
-from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.summary import find_overshooting_controls
+from gnc_opt.planning.solution.text_summary import find_overshooting_controls
+from gnc_opt.planning.solution.trajectory_quality import Worst
 from gnc_opt.planning.solution.variation_scales import compute_control_spans
-from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
@@ -103,8 +103,8 @@ from gnc_opt.planning.transcription.arc_constraints import (
     fix_arc_states,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.collocation_families import SCHEMES, Scheme, get_family
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
-from gnc_opt.planning.transcription.point_families import SCHEMES, Scheme, get_family
 from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
@@ -112,11 +112,11 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )
+from gnc_opt.planning.verification.external_trajectory import _build_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, second_order_conditions
-from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
-from gnc_opt.planning.verification.verify_trajectory import _build_solution
+from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
+from gnc_opt.plot.motion_samples import motion_time_span, sample_motion
 from gnc_opt.plot.motion_scene import scene_html
-from gnc_opt.plot.motion_view import motion_time_span, sample_motion
 from gnc_opt.plot.style import unit_text, variable_name_text
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml
 from gnc_opt.report.html_document import html_document
@@ -143,7 +143,7 @@ from gnc_opt.simulation.final_values import estimate_integration_errors
 from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
-from gnc_opt.simulation.run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.signals import ColumnLayout, link_blocks
+from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import derivative_unit

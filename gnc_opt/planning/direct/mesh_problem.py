@@ -16,12 +16,12 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.solution.program_start import ProgramStart, choose_program_start
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.violation_diagnosis import find_violations
-from gnc_opt.planning.solution.warm_start import ProgramStart, choose_program_start
+from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.runtime_environment import package_version

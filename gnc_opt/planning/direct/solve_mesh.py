@@ -22,19 +22,19 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptio
 from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
 from gnc_opt.planning.problem.guess.random_guess import with_random_guess
-from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.warm_start import (
+from gnc_opt.planning.solution.program_start import (
     ProgramStart,
     choose_program_start,
     guess_from_solution,
     mesh_with_fixed_breaks,
     start_from_guess,
 )
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike, read_meshes
-from gnc_opt.planning.transcription.point_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription
 
 TRY_MAX_ITERATIONS = 300

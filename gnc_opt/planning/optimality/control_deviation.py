@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,

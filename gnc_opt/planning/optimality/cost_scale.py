@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.tolerances import NOTABLE, nonzero_magnitude

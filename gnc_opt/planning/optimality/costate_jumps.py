@@ -23,7 +23,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.cost_scale import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
 
 

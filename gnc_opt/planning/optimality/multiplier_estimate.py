@@ -26,13 +26,13 @@ from gnc_opt.planning.optimality.costate_jumps import path_gradients
 from gnc_opt.planning.optimality.reachable_set import matrix_exponentials
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.constraint_derivatives import constraint_order
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
+from gnc_opt.planning.solution.program_start import set_integral_variables
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
-from gnc_opt.planning.solution.warm_start import set_integral_variables
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.transcription import Transcription

@@ -20,8 +20,8 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.program_start import choose_program_start
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.warm_start import choose_program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe

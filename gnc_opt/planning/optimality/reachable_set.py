@@ -17,7 +17,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
 from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, nonzero_magnitude

@@ -53,7 +53,7 @@ from gnc_opt.planning.optimality.reachable_set import (
 )
 from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values, endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY

@@ -12,9 +12,9 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.problem.kinks import find_feature_centres
+from gnc_opt.planning.problem.kink_detection import find_feature_centres
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
 
 MOST_CENTRES = 20

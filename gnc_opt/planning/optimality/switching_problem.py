@@ -18,12 +18,12 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, integrate_bang_bang
+from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_scale import compute_parameter_scales, compute_state_variations
-from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, endpoint_function
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, SMALL, TINY
 

@@ -19,9 +19,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.point_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import collocation_rule, interpolation_matrix
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
 

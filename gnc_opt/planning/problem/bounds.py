@@ -103,7 +103,7 @@ class Interval:
 
     Examples
     --------
-    >>> print(Interval(np.array([0.0, 2.0]), np.array([1.0, 2.0])).fixed)
+    >>> print(Interval(np.array([0.0, 2.0]), np.array([1.0, 2.0])).is_fixed)
     [False  True]
     """
 

@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.expressions import (
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import draw_values
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.typical_magnitudes import typical_phase_magnitudes
 
 _IN_PHASES = "let a phase end there and link() the next one to it"

@@ -13,11 +13,11 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, suggest_symbol
 from gnc_opt.model.expressions import list_nodes
 from gnc_opt.model.function_evaluation import evaluate_function
+from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model import Model
-from gnc_opt.model.table import Table, TableCall
 from gnc_opt.model.variables import Layout, find_foreign_symbols
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 
 TABLE_EDGE_TOLERANCE = 1e-6
 """Share of an axis by which a trajectory may exceed a table; an optimum at its edge does so by rounding."""

@@ -18,7 +18,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.expressions import replace_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 
 Range: TypeAlias = "tuple[float, float]"
 

@@ -17,7 +17,6 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
-from gnc_opt.planning.problem.arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
     default_control_bounds,
@@ -32,14 +31,15 @@ from gnc_opt.planning.problem.bounds import (
     with_ranges,
 )
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
-from gnc_opt.planning.problem.control_states import (
+from gnc_opt.planning.problem.controls_as_states import (
     add_phase_fraction,
     limit_control_rates,
     make_polynomial_controls,
     split_time_bounds,
 )
-from gnc_opt.planning.problem.guess.profiles import GuessValue
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers, read_duration
+from gnc_opt.planning.problem.fixed_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
+from gnc_opt.planning.problem.guess.guess_values import GuessValue
+from gnc_opt.planning.problem.phase_data import ControlForm, PhaseNumbers, read_duration
 
 
 class PhaseOwner(Protocol):
@@ -307,7 +307,7 @@ class Phase(StrictAttributes):
         """Set ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
 
         The control becomes a continuous state with boundary values and a costate; the new control is ``a_rate``, see
-        `gnc_opt.planning.problem.control_states`.
+        `gnc_opt.planning.problem.controls_as_states`.
 
         Raises
         ------

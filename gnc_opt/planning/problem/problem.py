@@ -18,7 +18,6 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_vector
-from gnc_opt.planning.problem.arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import (
@@ -27,13 +26,14 @@ from gnc_opt.planning.problem.expressions import (
     check_phase_symbols,
     endpoint_arguments,
 )
+from gnc_opt.planning.problem.fixed_arcs import Junction, SmoothControl
+from gnc_opt.planning.problem.guess.guess_values import GuessValue
 from gnc_opt.planning.problem.guess.initial_guess import record_known_states
-from gnc_opt.planning.problem.guess.profiles import GuessValue
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
+from gnc_opt.planning.problem.phase_data import read_duration
 from gnc_opt.planning.problem.phase_division import divide_phase
 from gnc_opt.planning.problem.problem_check import check_problem
-from gnc_opt.planning.problem.statement import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.text_formatting import html_heading, html_table
 
 

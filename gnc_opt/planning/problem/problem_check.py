@@ -25,8 +25,8 @@ from gnc_opt.planning.problem.expressions import (
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import ROUNDING
 
 OFF_LIMIT = 1e-5

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.statement import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.tolerances import ROUNDING
 
 LOOSE = 0.1

@@ -15,7 +15,7 @@ import numpy as np
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
@@ -23,8 +23,8 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
 )
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
-from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
-from gnc_opt.planning.refinement.switching.warm_start import truncate_solution
+from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
+from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_solution
 from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes

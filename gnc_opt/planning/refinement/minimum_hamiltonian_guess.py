@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
-from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.control_conditions import minimise_hamiltonian
 

@@ -11,8 +11,8 @@ from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.solution.program_start import mesh_with_fixed_breaks
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.warm_start import mesh_with_fixed_breaks
 from gnc_opt.runtime_environment import one_thread
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]

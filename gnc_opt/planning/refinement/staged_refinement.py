@@ -33,14 +33,14 @@ import numpy as np
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.simulation import with_simulated_guess
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_curvature import (
     affine_controls,
     convex_controls,
     nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
@@ -49,7 +49,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
 )
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
-from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.history import RefinementStatus

@@ -2,8 +2,8 @@
 
 from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
-from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.solution import Solution, load
+from gnc_opt.planning.solution.trajectory_quality import Quality
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 

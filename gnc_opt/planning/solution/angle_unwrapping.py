@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.angles import PERIODS, AngleProbe
+from gnc_opt.planning.problem.angular_controls import PERIODS, AngleProbe
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 

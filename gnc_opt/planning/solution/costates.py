@@ -40,12 +40,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.arcs import FixedArcs
+from gnc_opt.planning.problem.fixed_arcs import FixedArcs
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.point_families import GAUSS
+from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
 

@@ -13,12 +13,12 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.composed_controls import ComposedControl, VectorControl
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.angles import UnboundedAngles
+from gnc_opt.planning.problem.angular_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
+from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.quadrature import CollocationRule
 from gnc_opt.tolerances import nonzero_magnitude
 

@@ -11,23 +11,21 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.archive import DataclassPacking, FileFormat
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
 from gnc_opt.model.composed_controls import AssembledControl, SplitControl, UnitVectorControl, VectorControl
-from gnc_opt.model.trajectory import TrajectoryPhase
+from gnc_opt.model.trajectory_interface import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.problem.angles import UnboundedAngles
-from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.problem.angular_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, list_table_calls
+from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.history import (
     Actions,
     History,
@@ -36,16 +34,18 @@ from gnc_opt.planning.solution.history import (
     Statistics,
 )
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
-from gnc_opt.planning.solution.quality import Quality, measure_quality
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.time_history_export import build_time_history
+from gnc_opt.planning.solution.trajectory_quality import Quality, measure_quality
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
+from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.point_families import Scheme
+from gnc_opt.result_archive import DataclassPacking, FileFormat
 from gnc_opt.text_formatting import PrintableResult
 
 
@@ -286,7 +286,7 @@ class Solution(PrintableResult):
         return integrate_dynamics(leg, self.functions(leg.name), control=control, rtol=rtol)
 
     def __str__(self) -> str:
-        from gnc_opt.planning.solution.summary import summary
+        from gnc_opt.planning.solution.text_summary import summary
 
         return summary(self)
 

@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.costates import (
     split_duplicate_path_multipliers,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart

@@ -32,14 +32,14 @@ from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
-from gnc_opt.planning.optimality.kkt import SaddlePointSystem
+from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
 from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import NlpIterate
+from gnc_opt.planning.solution.program_start import ProgramStart, choose_program_start
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
-from gnc_opt.planning.solution.warm_start import ProgramStart, choose_program_start
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import ACTIVE

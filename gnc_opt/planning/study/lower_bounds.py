@@ -1,6 +1,6 @@
 r"""Lower bounds of the cost, and problems whose first-order conditions are sufficient for a global minimum.
 
-**Convex problems**: see `gnc_opt.planning.verification.sufficiency`.
+**Convex problems**: see `gnc_opt.planning.verification.sufficient_conditions`.
 
 **Linear time-optimal control**: :math:`\dot x = A x + b(u)`, :math:`u \in U`, from fixed or free initial states to a
 fixed :math:`x_f` in minimum time, with states in a convex set. If :math:`A x_f + b(u_f) = 0` for some
@@ -28,7 +28,7 @@ import scipy
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.kinks import has_kinks
+from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.problem_relaxation import Relaxation, find_relaxations
 from gnc_opt.planning.verification.optimality_check import verify
-from gnc_opt.planning.verification.sufficiency import is_convex
+from gnc_opt.planning.verification.sufficient_conditions import is_convex
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 

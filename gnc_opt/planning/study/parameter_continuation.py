@@ -19,8 +19,8 @@ from gnc_opt.planning.refinement.solution_refinement import refine
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution
+from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.planning.transcription.point_families import GAUSS, Scheme
 from gnc_opt.renamed import StatusWord
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.text_formatting import PrintableResult

@@ -10,8 +10,8 @@ from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.problem.arcs import ArcKind, FixedArcs, Junction, Kinds, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.fixed_arcs import ArcKind, FixedArcs, Junction, Kinds, SmoothControl
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states, loosen_bounds

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.planning.problem.arcs import Junction
+from gnc_opt.planning.problem.fixed_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
@@ -20,8 +20,8 @@ from gnc_opt.planning.transcription.arc_constraints import (
     list_smooth_controls,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.point_families import Scheme
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.planning.transcription.point_families import GAUSS, Numbers, Scheme, get_family
+from gnc_opt.planning.transcription.collocation_families import GAUSS, Numbers, Scheme, get_family
 
 MAX_POINTS = 64
 

@@ -15,12 +15,12 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.problem.bounds import Interval, unbounded
+from gnc_opt.planning.problem.constraint_derivatives import constraint_order
 from gnc_opt.planning.problem.expressions import model_parameter_arguments
+from gnc_opt.planning.problem.fixed_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
     check_arc_segments,
     controls_at_junction,
@@ -37,8 +37,8 @@ from gnc_opt.planning.transcription.arc_constraints import (
     smoothness_entries,
 )
 from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
+from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.point_families import Scheme
 from gnc_opt.planning.transcription.program_layout import PhasePart, ProgramNumbering, is_time_fixed
 from gnc_opt.tolerances import SHORTEST
 

@@ -26,13 +26,13 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_inner_switches
 from gnc_opt.planning.optimality.cost_scale import SMEARED
-from gnc_opt.planning.optimality.switches import Switches, find_inner_switches
 from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
-from gnc_opt.planning.solution.quality import find_worst_index
-from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.trajectory_quality import find_worst_index
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import best_direction_gradient
 from gnc_opt.planning.verification.feasibility import combine_condition_results

@@ -24,9 +24,9 @@ from gnc_opt.planning.optimality.reference_scales import (
     Scales,
     find_cost_curvature,
 )
-from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_worst_index
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import (

@@ -36,13 +36,13 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.quality import NOTHING, Worst, find_worst_index
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.transcription.point_families import GAUSS
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_worst_index
+from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.verification.feasibility import reach_of_path_constraints
-from gnc_opt.planning.verification.recomputed_solution import boundary_gradients
+from gnc_opt.planning.verification.stored_data_check import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))

@@ -20,9 +20,9 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.optimality.multiplier_estimate import path_gradients_at_boundaries
 from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, TINY

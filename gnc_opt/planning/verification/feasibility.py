@@ -17,8 +17,10 @@ from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import compute_segment_errors
-from gnc_opt.planning.solution.quality import (
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.trajectory_quality import (
     NOTHING,
     Limits,
     Worst,
@@ -26,8 +28,6 @@ from gnc_opt.planning.solution.quality import (
     find_limit_violations,
     find_worst_index,
 )
-from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY

@@ -29,11 +29,11 @@ import scipy
 
 from gnc_opt.arrays import Indices, Mask
 from gnc_opt.planning.optimality.active_set import free_control_directions
-from gnc_opt.planning.optimality.kkt import unit_variation_matrix, variation_norm_weights
-from gnc_opt.planning.optimality.switches import find_inner_switches
+from gnc_opt.planning.optimality.bang_bang_switches import find_inner_switches
+from gnc_opt.planning.optimality.kkt_system import unit_variation_matrix, variation_norm_weights
 from gnc_opt.planning.problem.hamiltonian_functions import endpoint_function
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.program_layout import PhasePart
 from gnc_opt.planning.transcription.quadrature import (

@@ -13,11 +13,11 @@ from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.sampling_grid import find_feature_edges
 from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
-from gnc_opt.planning.problem.kinks import find_kinks
+from gnc_opt.planning.problem.kink_detection import find_kinks
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.quality import NOTHING
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.trajectory_quality import NOTHING
 from gnc_opt.planning.solution.verdict import SEVERITY, Condition, ConditionResult, Verdict
 from gnc_opt.planning.verification import bang_bang_second_order as second_order
 from gnc_opt.planning.verification import control_conditions as controls
@@ -26,13 +26,12 @@ from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.costate_conditions import add_active_constraints_at_ends
 from gnc_opt.planning.verification.feasibility import make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
-from gnc_opt.planning.verification.recomputed_solution import (
-    boundary_gradients,
-    check_stored_data,
-    costate_inconsistency,
-    find_nonfinite_entry,
-    has_costates,
-    recompute_from_problem,
+from gnc_opt.planning.verification.nonsmooth_points import (
+    KINKS,
+    check_concave_kinks,
+    find_concave_kink,
+    find_nonsmooth_point,
+    mark_theorem_inapplicable,
 )
 from gnc_opt.planning.verification.reduced_hessian import (
     build_critical_cone,
@@ -45,14 +44,15 @@ from gnc_opt.planning.verification.singular_arcs import (
     check_generalised_legendre_clebsch,
     find_first_order_arcs,
 )
-from gnc_opt.planning.verification.smoothness import (
-    KINKS,
-    check_concave_kinks,
-    find_concave_kink,
-    find_nonsmooth_point,
-    mark_theorem_inapplicable,
+from gnc_opt.planning.verification.stored_data_check import (
+    boundary_gradients,
+    check_stored_data,
+    costate_inconsistency,
+    find_nonfinite_entry,
+    has_costates,
+    recompute_from_problem,
 )
-from gnc_opt.planning.verification.sufficiency import (
+from gnc_opt.planning.verification.sufficient_conditions import (
     attains_lower_bound,
     controls_determined_by_slope,
     has_unique_solution,

@@ -32,12 +32,12 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.cost_scale import compute_state_variations
-from gnc_opt.planning.optimality.kkt import NullSpace, compute_curvature, run_lanczos
+from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature, run_lanczos
 from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import time_unit
+from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import choose_variable_scales

@@ -29,7 +29,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.tolerances import EQUAL, SMALL, TINY

@@ -28,12 +28,12 @@ from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, build_endpoint_values
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.quality import Worst
-from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
-from gnc_opt.planning.solution.summary import time_unit
-from gnc_opt.planning.verification.shifted_limits import (
+from gnc_opt.planning.solution.text_summary import time_unit
+from gnc_opt.planning.solution.trajectory_quality import Worst
+from gnc_opt.planning.verification.active_limit_terms import (
     active_limit_gradients,
     find_costate_jumps,
     find_costly_limits,

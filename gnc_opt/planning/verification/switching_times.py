@@ -16,17 +16,17 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.quality import Worst
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.trajectory_quality import Worst
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
-from gnc_opt.planning.verification.feasibility import combine_condition_results
-from gnc_opt.planning.verification.shifted_limits import (
+from gnc_opt.planning.verification.active_limit_terms import (
     find_costate_jumps,
     find_costly_limits,
     find_held_controls,
 )
+from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
+from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 

@@ -32,13 +32,13 @@ from gnc_opt.control import (
     initial_state_function,
     law_function,
 )
-from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer, write_c_statements
-from gnc_opt.control.c_export.export import (
+from gnc_opt.control.c_export.c_code_export import (
     _escape_comment,
     _make_c_identifier,
     _read_identifier_prefix,
     _write_layout_comments,
 )
+from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer, write_c_statements
 from gnc_opt.control.c_export.schedule_table import tabulate_schedule
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Model, Variable

@@ -19,7 +19,7 @@ from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
 from gnc_opt.planning.refinement.candidate_solutions import CANDIDATE_ERROR_MARGIN
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
-from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.work_budget import WORK_PER_SECOND, WorkBudget, count_variables_per_point
 from gnc_opt.planning.solution.history import compute_solve_work

@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.error_estimation import (
 )
 from gnc_opt.planning.refinement.iteration_records import CONVERGENCE_WINDOW, is_stagnating
 from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _bracket_constraint_onset
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
 
 # hp refinement against closed forms: honest estimates, errors below tolerance, small meshes, true endings.

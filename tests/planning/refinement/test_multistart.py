@@ -33,7 +33,7 @@ from gnc_opt.planning.problem.guess.random_guess import (
     keeps_guess_shape,
     with_random_guess,
 )
-from gnc_opt.planning.study.multistart import RefinementTask, _CoarseTask, _task_result
+from gnc_opt.planning.study.multistart_search import RefinementTask, _CoarseTask, _task_result
 from gnc_opt.workers.pool import TaskResult, WorkerDiedError
 from problems import rendezvous
 

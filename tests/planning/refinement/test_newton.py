@@ -27,12 +27,12 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
-from gnc_opt.planning.refinement.switching import collocated_trajectory as c
-from gnc_opt.planning.refinement.switching import newton as n
+from gnc_opt.planning.refinement.switching import flow_collocation as c
+from gnc_opt.planning.refinement.switching import newton_iteration as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
-from gnc_opt.planning.refinement.switching import warm_start as v
-from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton import find_optimal_flow, find_optimal_times
+from gnc_opt.planning.refinement.switching import switching_warm_start as v
+from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_flow, find_optimal_times
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
     are_rows_independent,
@@ -40,7 +40,7 @@ from gnc_opt.planning.refinement.switching.newton_step import (
     newton_step,
     simplified_newton_step,
 )
-from gnc_opt.planning.refinement.switching.switched_trajectory import _interpolate_hermite
+from gnc_opt.planning.refinement.switching.switched_flow import _interpolate_hermite
 from problems.rendezvous import SWITCHES, build
 
 # Newton's method on switch times against closed forms.

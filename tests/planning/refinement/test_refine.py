@@ -203,8 +203,8 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
 @pytest.mark.parametrize(
     ("module", "name", "count"),
     [
-        ("gnc_opt.planning.refinement.mesh.refinement", "solve_mesh", 2),
-        ("gnc_opt.planning.refinement.mesh.refinement", "estimate_errors", 2),
+        ("gnc_opt.planning.refinement.mesh.hp_refinement", "solve_mesh", 2),
+        ("gnc_opt.planning.refinement.mesh.hp_refinement", "estimate_errors", 2),
         ("gnc_opt.planning.refinement.staged_refinement", "detect_structures", 1),
         ("gnc_opt.planning.refinement.candidate_solutions", "verify", 1),
     ],
@@ -363,7 +363,7 @@ def candidate(
     made.solution = SimpleNamespace(
         objective=cost,
         objective_error=SimpleNamespace(
-            value=estimate, scale=cost, suboptimal=suboptimal, infeasible=estimate - suboptimal
+            absolute_error=estimate, scale=cost, suboptimality=suboptimal, infeasibility=estimate - suboptimal
         ),
     )
     made.objective_error = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]

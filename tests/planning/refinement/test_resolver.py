@@ -25,7 +25,7 @@ from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _remove_sliver_pieces
-from gnc_opt.planning.solution.remaining_trajectory import truncate_solution_before
+from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
 from gnc_opt.planning.solver import SolveMethod
 
 

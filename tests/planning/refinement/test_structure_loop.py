@@ -345,7 +345,7 @@ THREE = PhaseStructure((1.0, 2.0, 4.0, 5.0), ((LOW,), (SING,), (UP,)))
 
 def held_by(plan: ArcMesh) -> Any:
     asked: dict[str, Any] = {}
-    leg = SimpleNamespace(numbers=SimpleNamespace(initial=SimpleNamespace(fixed=np.ones(1, dtype=bool))))
+    leg = SimpleNamespace(numbers=SimpleNamespace(initial=SimpleNamespace(is_fixed=np.ones(1, dtype=bool))))
     problem = SimpleNamespace(
         phases={"leg": leg}, with_fixed_arcs=lambda name, **more: asked.update(more, name=name) or problem
     )

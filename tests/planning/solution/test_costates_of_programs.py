@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.costates import (
     point_costates,
     split_duplicate_path_multipliers,
 )
-from gnc_opt.planning.solution.warm_start import start_from_solution
+from gnc_opt.planning.solution.program_start import start_from_solution
 
 # Multipliers become costates and come back: each scheme's rows by hand, and the ambiguities of held
 # segments.

@@ -13,7 +13,7 @@ from testing.internals import collocation_rule
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.planning.solution.polynomial import KEPT_TIMES, PiecewisePolynomial
+from gnc_opt.planning.solution.piecewise_polynomial import KEPT_TIMES, PiecewisePolynomial
 
 BREAKS = np.array([1.0, 2.0, 4.5])
 

@@ -16,6 +16,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
+from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_scale import (
     LargestChanges,
     average_over_time,
@@ -27,16 +28,15 @@ from gnc_opt.planning.optimality.costate_jumps import (
     explain_costate_jumps,
     integrate_nearby_multipliers,
 )
-from gnc_opt.planning.optimality.kkt import variation_norm_weights
+from gnc_opt.planning.optimality.kkt_system import variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
     _adjoint_rows,
     _fill_program_variables,
     _quadrature_weights,
 )
-from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
@@ -48,12 +48,6 @@ from gnc_opt.planning.verification.critical_cone import (
     _list_variables_along_segments,
     _state_node_variables,
 )
-from gnc_opt.planning.verification.recomputed_solution import (
-    _relative_difference,
-    boundary_gradients,
-    has_costates,
-    recompute_from_problem,
-)
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
     _describe_zero_curvature,
@@ -62,6 +56,12 @@ from gnc_opt.planning.verification.reduced_hessian import (
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
+)
+from gnc_opt.planning.verification.stored_data_check import (
+    _relative_difference,
+    boundary_gradients,
+    has_costates,
+    recompute_from_problem,
 )
 
 Array = NDArray[np.float64]

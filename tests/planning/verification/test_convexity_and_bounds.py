@@ -18,7 +18,7 @@ from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
-from gnc_opt.planning.verification.sufficiency import (
+from gnc_opt.planning.verification.sufficient_conditions import (
     _split_sum_terms,
     cost_lower_bound,
     has_unique_solution,

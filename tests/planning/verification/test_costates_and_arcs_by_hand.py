@@ -19,7 +19,7 @@ import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.active_set import free_control_directions
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.costate_conditions import (
@@ -33,6 +33,7 @@ from gnc_opt.planning.verification.costate_conditions import (
 from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
 from gnc_opt.planning.verification.shifted_limits import find_costate_jumps
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
+from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its

@@ -17,16 +17,16 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.optimality import kkt as null_space
+from gnc_opt.planning.optimality import kkt_system as null_space
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, _controls_with_vanishing_switching
 from gnc_opt.planning.optimality.cost_scale import LargestChanges, average_over_time, compute_integral_spans
-from gnc_opt.planning.optimality.kkt import (
+from gnc_opt.planning.optimality.kkt_system import (
     LANCZOS_RESIDUAL_TOLERANCE,
     NullSpace,
     is_spectrum_converged,
     run_lanczos,
 )
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
-from gnc_opt.planning.optimality.switches import Switches, _controls_with_vanishing_switching
 from gnc_opt.planning.optimality.switching_problem import SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
     Samples,
@@ -37,7 +37,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     fit_trajectory,
 )
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import feasibility
@@ -46,16 +46,16 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_worst_crossing,
     estimate_nearest_multipliers,
 )
+from gnc_opt.planning.verification.external_trajectory import _build_solution, _read_finite_array
 from gnc_opt.planning.verification.feasibility import _worst_interval_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
-from gnc_opt.planning.verification.recomputed_solution import (
+from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
+from gnc_opt.planning.verification.stored_data_check import (
     boundary_gradients,
     find_nonfinite_entry,
     has_costates,
     recompute_from_problem,
 )
-from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
-from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_finite_array
 from gnc_opt.tolerances import NEGLIGIBLE
 
 Array = NDArray[np.float64]

@@ -20,12 +20,12 @@ import gnc_opt as go
 from gnc_opt.planning.optimality.active_set import free_control_directions
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.verification.external_trajectory import reformulate_samples
 from gnc_opt.planning.verification.feasibility import check_limits
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
-from gnc_opt.planning.verification.recomputed_solution import recompute_from_problem
-from gnc_opt.planning.verification.verify_trajectory import reformulate_samples
+from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
 
 # Limits are judged by what they allow: a distance, found between the samples, however the constraint is
 # written.

@@ -22,14 +22,14 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import added, double_integrator, failed, free_time, scaled, shifted, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.kkt import DENSE, factorise_symmetric
+from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import Samples
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.recomputed_solution import recompute_from_problem
-from gnc_opt.planning.verification.verify_trajectory import _build_solution
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.verification.external_trajectory import _build_solution
+from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
 
 # Reference magnitudes do not depend on how a problem is written.
 

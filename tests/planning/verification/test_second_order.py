@@ -13,16 +13,16 @@ from testing.wrong_solutions import one_switch
 
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind, ConditionResult, refine
-from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.bang_bang_second_order import (
     check_bang_bang_second_order,
     check_strict_bang_bang_property,
 )
-from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:

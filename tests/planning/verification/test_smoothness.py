@@ -7,7 +7,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.smoothness import KinkPoint, mark_theorem_inapplicable
+from gnc_opt.planning.verification.nonsmooth_points import KinkPoint, mark_theorem_inapplicable
 
 pytestmark = pytest.mark.filterwarnings("ignore::gnc_opt.ProblemWarning")
 

@@ -26,9 +26,10 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
     PiecewiseControl,
     integrate_bang_bang,
 )
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, _merge_equal_times
 from gnc_opt.planning.optimality.cost_scale import index_of_lasting_minimum, mask_interior_controls
-from gnc_opt.planning.optimality.switches import Switches, _merge_equal_times
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
+from gnc_opt.planning.verification.external_trajectory import _find_bound_arcs
 from gnc_opt.planning.verification.goh_transformation import (
     CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,
@@ -40,7 +41,6 @@ from gnc_opt.planning.verification.reduced_hessian import (
     _has_partly_singular_segment,
     _refine_mesh_for_variations,
 )
-from gnc_opt.planning.verification.verify_trajectory import _find_bound_arcs
 from gnc_opt.tolerances import NEGLIGIBLE
 from problems import rendezvous
 

@@ -11,7 +11,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.planning.solution.quality import Worst
+from gnc_opt.planning.solution.trajectory_quality import Worst
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 from gnc_opt.planning.verification.switching_times import find_jumps
 

@@ -37,8 +37,8 @@ from testing.wrong_solutions import (
 import gnc_opt as go
 from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_dynamics
-from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.control_conditions import check_singular_arcs, mask_undetermined_controls
 
 SMALL = 1e-3

@@ -14,7 +14,7 @@ from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.guess.profiles import sample_guess
+from gnc_opt.planning.problem.guess.guess_values import sample_guess
 from gnc_opt.planning.problem.phase import Phase
 
 PERTURBATION = 0.01

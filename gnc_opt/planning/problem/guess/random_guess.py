@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.angles import PERIODS
+from gnc_opt.planning.problem.angular_controls import PERIODS
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase

@@ -31,9 +31,9 @@ from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
+from gnc_opt.planning.problem.phase_data import ControlForm
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation.unit_vectors import find_bounds_beyond_length
-from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 
 P = TypeVar("P", bound=ProblemData)

@@ -21,7 +21,8 @@ from gnc_opt.planning.problem.bounds import Interval, intersect, ranges_by_name,
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
+from gnc_opt.planning.problem.phase_data import ControlForm
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_costed_kinks,
@@ -30,7 +31,6 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
 )
 from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_variable_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
-from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import EQUAL
 
 

@@ -21,13 +21,13 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
+from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     guess_expression,
     unused_variable_name,
 )
-from gnc_opt.planning.problem.statement import ProblemData
 from gnc_opt.tolerances import EQUAL
 
 

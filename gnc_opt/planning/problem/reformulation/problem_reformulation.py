@@ -10,12 +10,13 @@ import numpy as np
 
 from gnc_opt.model.expressions import ROOTS, find_operations
 from gnc_opt.model.function_evaluation import evaluate_function
-from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, UnboundedAngles
+from gnc_opt.planning.problem.angular_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import build_phase_function, stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
+from gnc_opt.planning.problem.phase_data import PhaseNumbers
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation.algebraic_variables import with_algebraic_states
 from gnc_opt.planning.problem.reformulation.control_splitting import (
     ControlKinks,
@@ -32,7 +33,6 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
 )
 from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_bounds_beyond_length
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
-from gnc_opt.planning.problem.statement import ProblemData
 
 FULL_TURN_BOUND_TOLERANCE = 1e-6
 """Largest share of a turn missing in bounds of a full turn; pi is often written with six digits."""

@@ -11,11 +11,11 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import build_phase_function
+from gnc_opt.planning.problem.guess.guess_values import GuessValue
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
-from gnc_opt.planning.problem.guess.profiles import GuessValue
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers
-from gnc_opt.planning.problem.statement import ProblemData
+from gnc_opt.planning.problem.phase_data import ControlForm, PhaseNumbers
+from gnc_opt.planning.problem.problem_data import ProblemData
 
 
 def used_variable_names(model: Model) -> frozenset[str]:

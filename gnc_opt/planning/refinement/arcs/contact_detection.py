@@ -10,10 +10,10 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.error_estimation import get_states_at_points
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE, SMALL
 
 CONTACT_MIN_COST_SHARE = 1e-5

@@ -6,7 +6,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
 SINGULAR_SHARE_OF_H = 2e-2

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, select_kind
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, NOTABLE
 
 SLOPE_PROBE_SHARE = 0.1

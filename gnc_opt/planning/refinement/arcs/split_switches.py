@@ -13,14 +13,14 @@ import numpy as np
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.problem.arcs import ArcKind, Kinds
+from gnc_opt.planning.problem.fixed_arcs import ArcKind, Kinds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.costates import NlpIterate
+from gnc_opt.planning.solution.program_start import choose_program_start
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
-from gnc_opt.planning.solution.warm_start import choose_program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed_controls import VectorControl
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.arc_contacts import ArcControl, add_contacts, find_determined_controls
 from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
-from gnc_opt.planning.refinement.arcs.contacts import ArcControl, add_contacts, find_determined_controls
 from gnc_opt.planning.refinement.arcs.control_curvature import (
     SINGULAR_SHARE_OF_H,
     affine_controls,
@@ -20,9 +20,9 @@ from gnc_opt.planning.refinement.arcs.control_curvature import (
     linear_path_limits,
     regular_controls,
 )
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, select_kind
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
 

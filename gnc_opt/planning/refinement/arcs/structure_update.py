@@ -9,8 +9,10 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.fixed_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.arc_contacts import add_missing_contact, replace_saturated_controls
+from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
     SINGULAR_GAIN_MAX,
@@ -18,15 +20,18 @@ from gnc_opt.planning.refinement.arcs.arc_refinement import (
     compute_singular_gradients,
     refine_inaccurate_pieces,
 )
-from gnc_opt.planning.refinement.arcs.contacts import add_missing_contact, replace_saturated_controls
 from gnc_opt.planning.refinement.arcs.control_curvature import (
     affine_controls,
     linear_path_limits,
     nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.junctions import move_control_kinks
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, arc_limit_signs, select_kind
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.refinement.arcs.control_structure import (
+    KindArray,
+    PhaseStructure,
+    arc_limit_signs,
+    select_kind,
+)
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
 from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL

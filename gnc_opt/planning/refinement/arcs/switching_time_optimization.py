@@ -15,12 +15,12 @@ from typing import Literal, TypeAlias
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.problem.arcs import Arc
+from gnc_opt.planning.problem.fixed_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
 from gnc_opt.planning.refinement.arcs.collocation_degree import choose_resolutions
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import (
     KINKS_MOVED,
@@ -30,8 +30,8 @@ from gnc_opt.planning.refinement.arcs.structure_update import (
 )
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits, record_iteration, show_progress
-from gnc_opt.planning.refinement.switching.collocated_trajectory import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton import find_optimal_times
+from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_times
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh

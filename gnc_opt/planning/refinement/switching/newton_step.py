@@ -14,11 +14,11 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
-from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.switching_problem import boundary_function_derivatives
 from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
 
 

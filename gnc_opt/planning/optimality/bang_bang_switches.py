@@ -1,0 +1,147 @@
+"""Switches of a bang-bang control as unknowns, and the possible orders of simultaneous ones."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE
+
+
+@dataclass(frozen=True)
+class Switches:
+    """Switches of a phase, including possible switches at its ends.
+
+    If a switching function is zero at an end of the phase, a switch may enter from there; it is an unknown with an arc
+    of zero length.
+
+    Attributes
+    ----------
+    times : array (n,)
+        Ascending, simultaneous ones equal (s).
+    channels : int array (n,)
+    first : array (n_controls,)
+        Controls before the first switch.
+    ends : array (2,)
+        Ends of the phase (s).
+    toggled : array (n_controls,)
+        Sum of lower and upper bound; minus the control it is the control after a switch.
+    """
+
+    times: Array
+    channels: Indices
+    first: Array
+    ends: Array
+    toggled: Array
+    labels: tuple[str, ...]
+
+    @classmethod
+    def from_samples(cls, s: PhaseSamples) -> Switches:
+        """Return the switches of a phase whose controls are at bounds everywhere."""
+        leg = s.leg
+        times, channels = find_inner_switches(s)
+        ends = leg.breaks[[0, -1]]
+        at_start, at_end = _controls_with_vanishing_switching(s, 0), _controls_with_vanishing_switching(s, -1)
+        times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
+        channels = np.concatenate([at_start, channels, at_end])
+        order = np.argsort(times, kind="stable")
+        times, channels = (
+            _merge_equal_times(times[order], GONE * (ends[1] - ends[0]), ends),
+            channels[order],
+        )
+        bounds, after_start = leg.control_bounds, leg.applied(leg.breaks[0])
+        at_upper = after_start - bounds.lower > bounds.upper - after_start
+        first = np.where(at_upper, bounds.upper, bounds.lower)
+        toggled = bounds.lower + bounds.upper
+        first[at_start] = toggled[at_start] - first[at_start]
+        labels = tuple(
+            f"switch of {leg.controls.labels[i]} at {s.describe_times(t)}"
+            for i, t in zip(channels, times, strict=True)
+        )
+        return cls(times, channels, first, ends, toggled, labels)
+
+    @property
+    def simultaneous_groups(self) -> list[list[int]]:
+        found: list[list[int]] = []
+        for k, t in enumerate(self.times):
+            if found and self.times[found[-1][0]] == t:
+                found[-1].append(k)
+            else:
+                found.append([k])
+        return found
+
+    @property
+    def time_order(self) -> tuple[int, ...]:
+        return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
+
+    @property
+    def n_switch_orders(self) -> int:
+        """Number of possible orders of the switches."""
+        return math.prod(math.factorial(len(group)) for group in self.simultaneous_groups)
+
+    def list_switch_orders(self) -> Iterator[tuple[int, ...]]:
+        """Yield all possible orders of the switches."""
+        for choice in itertools.product(
+            *(itertools.permutations(group) for group in self.simultaneous_groups)
+        ):
+            yield tuple(itertools.chain.from_iterable(choice))
+
+    def piecewise_control(self, order: tuple[int, ...]) -> PiecewiseControl:
+        """Return the piecewise constant control for a given order of the switches.
+
+        Unknowns are the start (0), the switches (1 to n) and the end (n + 1).
+        """
+        controls = [self.first]
+        for k in order:
+            controls.append(controls[-1].copy())
+            controls[-1][self.channels[k]] = self.toggled[self.channels[k]] - controls[-1][self.channels[k]]
+        places = [0, *(1 + k for k in order), self.times.size + 1]
+        times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
+        return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
+
+    def order_constraints(self, order: tuple[int, ...]) -> Array:
+        """Return the combinations of unknowns that must be >= 0 for the order to hold, (n_conditions, n + 2)."""
+        pieces = self.piecewise_control(order)
+        rows = []
+        for k in np.flatnonzero(np.diff(pieces.times) == 0):
+            row = np.zeros(self.times.size + 2)
+            row[pieces.unknowns[[k, k + 1]]] = -1.0, 1.0
+            rows.append(row)
+        return np.array(rows).reshape(-1, self.times.size + 2)
+
+
+def find_inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
+    """Return times (s) and controls of the bound-to-bound jumps at segment boundaries."""
+    leg = s.leg
+    breaks = leg.breaks[1:-1]
+    jumps = np.abs(leg.applied(breaks) - leg.applied(breaks, "left"))
+    span = leg.control_bounds.upper - leg.control_bounds.lower
+    with np.errstate(invalid="ignore"):
+        switched = jumps > (1 - AT_LIMIT) * span[:, None]
+    switched &= (np.isfinite(span) & (span > 0))[:, None]
+    k, i = np.nonzero(switched.T)
+    return breaks[k], i
+
+
+def _controls_with_vanishing_switching(s: PhaseSamples, sample: int) -> Indices:
+    bounds = s.leg.control_bounds
+    worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
+    return np.flatnonzero((worth < NEGLIGIBLE) & (bounds.upper > bounds.lower))
+
+
+def _merge_equal_times(times: Array, near: float, ends: Array) -> Array:
+    """Return sorted times with nearly equal ones made equal, including the ends."""
+    times = times.copy()
+    for k in range(1, times.size):
+        if times[k] - times[k - 1] < near:
+            times[k] = times[k - 1]
+    times[times - ends[0] < near] = ends[0]
+    times[ends[1] - times < near] = ends[1]
+    return times

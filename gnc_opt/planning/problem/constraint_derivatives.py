@@ -1,0 +1,73 @@
+r"""Order of a pure state constraint: number of time derivatives until a control appears.
+
+Along :math:`\dot x = f(t, x, u)` a constraint S(t, x) has the derivatives (Bryson & Ho, Applied Optimal Control, 1975,
+section 3.11; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, section 2)
+
+.. math:: S^{(0)} = S, \qquad S^{(k+1)} = \frac{\partial S^{(k)}}{\partial t} + \frac{\partial S^{(k)}}{\partial x} f,
+
+and its order q is the smallest k for which :math:`S^{(k)}` depends on a control. At the entry of an active arc
+:math:`\dot S = \dots = S^{(q-1)} = 0`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem_data import ProblemData
+
+STATE_CONSTRAINT_MAX_ORDER = 4
+"""Largest order that is determined."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintOrder:
+    """Path constraint or state with its derivatives along the dynamics.
+
+    Attributes
+    ----------
+    order : int or None
+        Order q; 0 if the constraint contains a control, None if none appears up to `STATE_CONSTRAINT_MAX_ORDER`.
+    derivatives : tuple of casadi.SX
+        S and its derivatives up to order q (all computed ones if q is None).
+    controls : tuple of int
+        Controls in the q-th derivative.
+    """
+
+    label: str
+    order: int | None
+    derivatives: tuple[Any, ...]
+    controls: tuple[int, ...]
+
+
+def constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
+    """Return the order of one row of the path constraints of a phase, then of its states."""
+    return problem.cache(
+        ("constraint order", leg.name, row), lambda: _derive_constraint_order(problem, leg, row)
+    )
+
+
+def _derive_constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
+    t, x, u, _ = leg.model.arguments()
+    rates = problem.bind(leg, leg.model.derivative())
+    value = problem.bind(leg, ca.vertcat(leg.path_expression(), x)[row])
+    return _differentiate_until_control(
+        (*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates
+    )
+
+
+def _differentiate_until_control(
+    label: str, value: Any, t: Any, x: Any, u: Any, rates: Any
+) -> ConstraintOrder:
+    derivatives = [value]
+    while True:
+        controls = tuple(sorted(set(ca.jacobian(derivatives[-1], u).sparsity().get_col())))
+        if controls:
+            return ConstraintOrder(label, len(derivatives) - 1, tuple(derivatives), controls)
+        if len(derivatives) > STATE_CONSTRAINT_MAX_ORDER:
+            return ConstraintOrder(label, None, tuple(derivatives), ())
+        last = derivatives[-1]
+        derivatives.append(ca.simplify(ca.jacobian(last, t) + ca.jacobian(last, x) @ rates))

@@ -1,0 +1,102 @@
+"""Kinks and jumps along a phase: nonsmooth operations in states or controls, and their switching arguments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Mask
+from gnc_opt.model.expressions import find_operations, list_nodes
+from gnc_opt.planning.problem.expressions import build_phase_function, list_table_calls, stack_expressions
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem_data import ProblemData
+
+_OF_ONE = (ca.OP_FABS, ca.OP_SIGN)
+_OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
+_WORDS = {
+    ca.OP_FABS: "fabs",
+    ca.OP_SIGN: "sign",
+    ca.OP_FMIN: "fmin",
+    ca.OP_FMAX: "fmax",
+    ca.OP_FLOOR: "floor",
+    ca.OP_CEIL: "ceil",
+    **dict.fromkeys((ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE), "a comparison"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Kinks:
+    """Nonsmooth operations: descriptions, and ``(t, x, u, p, q)`` -> arguments whose sign changes are the kinks."""
+
+    words: tuple[str, ...]
+    arguments: Any
+
+    @property
+    def is_state_dependent(self) -> Mask:
+        """Whether each operation depends on states, (n_operations,); the others depend on controls only."""
+        found = np.zeros(len(self.words), dtype=bool)
+        found[self.arguments.jac_sparsity(0, 1).row()] = True
+        return found
+
+
+def has_kinks(expression: Any) -> bool:
+    """Return whether an expression contains an operation with a jump or kink, which derivatives do not reveal."""
+    return bool(find_operations(expression) & _WORDS.keys())
+
+
+def find_kinks(problem: ProblemData, leg: Phase) -> Kinks | None:
+    """Return the nonsmooth operations along a phase, except tables; None if there are none."""
+
+    def find() -> Kinks | None:
+        _, x, u, _ = leg.model.arguments()
+        expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
+        if not has_kinks(expression):
+            return None
+        looked_up = frozenset[int]().union(*(use.node_hashes for use in list_table_calls(problem, leg)))
+        found: dict[int, tuple[str, Any]] = {}
+        for node in list_nodes(expression):
+            operation = node.op()
+            if operation in _WORDS and node.element_hash() not in looked_up:
+                argument = _switching_argument(node, operation)
+                if ca.depends_on(argument, ca.vertcat(x, u)):
+                    found.setdefault(argument.element_hash(), (_WORDS[operation], argument))
+        if not found:
+            return None
+        words, arguments = zip(*found.values(), strict=True)
+        return Kinks(words, build_phase_function(problem, leg, "kinks", ca.vertcat(*arguments)))
+
+    return problem.cache(("kinks", leg.name), find)
+
+
+def find_feature_centres(problem: ProblemData, leg: Phase) -> Any:
+    """Return ``(t, x, u, p, q)`` -> differences of time or a state and a constant that are compared; None if none are.
+
+    Narrow features such as gusts or time windows are at their zeros.
+    """
+
+    def find() -> Any:
+        t, x, _, _ = leg.model.arguments()
+        moving, found = ca.vertcat(t, x), {}
+        for node in list_nodes(stack_expressions(leg)):
+            if node.op() in (ca.OP_ADD, ca.OP_SUB):
+                parts = [node.dep(0), node.dep(1)]
+                given = [part.is_constant() and not part.is_zero() for part in parts]
+                of_one = [part.is_symbolic() and ca.depends_on(part, moving) for part in parts]
+                if any(given) and any(of_one):
+                    found[node.element_hash()] = node
+        if not found:
+            return None
+        return build_phase_function(problem, leg, "centres", ca.vertcat(*found.values()))
+
+    return problem.cache(("centres", leg.name), find)
+
+
+def _switching_argument(node: Any, operation: int) -> Any:
+    if operation in _OF_ONE:
+        return node.dep(0)
+    if operation in _OF_TWO:
+        return node.dep(0) - node.dep(1)
+    return ca.sin(ca.pi * node.dep(0))  # of a step at every whole number

@@ -1,0 +1,411 @@
+"""Control structure: sequence of arcs of controls, path constraints and states with switching times."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind, Kinds
+
+KindArray: TypeAlias = NDArray[np.object_]
+"""Kinds of the rows in each piece."""
+
+Touch: TypeAlias = "tuple[int, ArcKind]"
+"""Touch of a limit: row and limit."""
+
+
+@dataclass(frozen=True)
+class PhaseStructure:
+    """Arcs of one phase: pieces between consecutive switching times, with a kind for every row.
+
+    Attributes
+    ----------
+    times : tuple of float
+        Start, switching times, end; A + 1 times, s.
+    kinds : tuple of A tuples of ArcKind
+        For each piece and row: LOWER or UPPER at that limit, INTERIOR off its limits, SINGULAR off its bounds with H
+        linear in the control.
+    regular : tuple of bool
+        For each row, whether H is convex in the control, so that it enters and leaves bounds (or the mixed path
+        constraint) with kinks instead of jumps.
+    n_controls : int or None
+        Number of controls, the first rows; path constraints and states follow, either at the active limit or interior.
+        None: all rows are controls.
+    n_paths : int
+    orders : tuple of int
+        For each row, the order of the state constraint if its contacts are detected, otherwise 0.
+    touches : tuple of A + 1 tuples of Touch
+        Touches of state constraints at each of the times.
+    boundary_controls : tuple of tuple of int
+        For each row with an order or a slope, and of mixed path constraints: controls that can keep it on its limit,
+        the most effective ones first.
+    slopes : tuple of int
+        For each path constraint linear in one control (`mixed`), the sign of its slope; otherwise 0.
+    boundary_control_signs : tuple of tuple of int
+        For each row with an order, and of mixed path constraints: signs of the derivatives of the row, or of its time
+        derivative of that order, with respect to each of the boundary controls; 0 if the sign changes.
+    """
+
+    times: tuple[float, ...]
+    kinds: Kinds
+    regular: tuple[bool, ...] = ()
+    n_controls: int | None = None
+    n_paths: int = 0
+    orders: tuple[int, ...] = ()
+    touches: tuple[tuple[Touch, ...], ...] = ()
+    boundary_controls: tuple[tuple[int, ...], ...] = ()
+    slopes: tuple[int, ...] = ()
+    boundary_control_signs: tuple[tuple[int, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.orders:
+            object.__setattr__(self, "orders", (0,) * len(self.kinds[0]))
+        if not self.boundary_controls:
+            object.__setattr__(self, "boundary_controls", ((),) * len(self.kinds[0]))
+        if not self.slopes:
+            object.__setattr__(self, "slopes", (0,) * len(self.kinds[0]))
+        if not self.boundary_control_signs:
+            object.__setattr__(self, "boundary_control_signs", ((),) * len(self.kinds[0]))
+        if not self.touches:
+            object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
+        if not self.regular:
+            object.__setattr__(self, "regular", (False,) * len(self.kinds[0]))
+
+    @property
+    def control_kinds(self) -> KindArray:
+        """Kinds of the controls (n_controls, A)."""
+        return self.kind_matrix()[: self.n_controls]
+
+    @property
+    def path_kinds(self) -> KindArray:
+        """Kinds of the path constraints (n_paths, A)."""
+        return self.kind_matrix()[self._n_free : self._n_free + self.n_paths]
+
+    @property
+    def state_kinds(self) -> KindArray:
+        """Kinds of the states (n_states, A)."""
+        return self.kind_matrix()[self._n_free + self.n_paths :]
+
+    @property
+    def _n_free(self) -> int:
+        return len(self.kinds[0]) if self.n_controls is None else self.n_controls
+
+    @property
+    def n_pieces(self) -> int:
+        return len(self.kinds)
+
+    @property
+    def piece_lengths(self) -> Array:
+        """Length of each piece (A,), s."""
+        return np.diff(np.asarray(self.times))
+
+    def kind_matrix(self) -> KindArray:
+        """The kinds as an object array (n_rows, A)."""
+        return np.asarray(self.kinds, dtype=object).T
+
+    def truncate_before(self, time: float) -> PhaseStructure:
+        """Return the structure after a time (s)."""
+        if time <= self.times[0]:
+            return self
+        first = max(k for k, begin in enumerate(self.times[:-1]) if begin <= time)
+        times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
+        return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
+
+    def find_determined_controls(self, piece: int) -> set[int]:
+        """Return the controls that active state bounds and path constraints determine in a piece.
+
+        Of several singular controls, a limit determines its first boundary control that no other limit determines; the
+        others remain singular. Mixed path constraints determine regular controls; a limit without known boundary
+        controls determines all controls.
+        """
+        found: set[int] = set()
+        for i in range(self._n_free, len(self.orders)):
+            if self.kinds[piece][i].is_at_limit:
+                boundary_controls = self.boundary_controls[i] or self._find_candidate_controls(i)
+                free = [
+                    c
+                    for c in self.boundary_controls[i]
+                    if self.kinds[piece][c] is ArcKind.SINGULAR and c not in found
+                ]
+                singular = {c for c in self.boundary_controls[i] if self.kinds[piece][c] is ArcKind.SINGULAR}
+                found |= ({*boundary_controls} - singular) | {*free[:1]}
+        return found
+
+    def _find_candidate_controls(self, row: int) -> list[int]:
+        mixed = self.regular[row]
+        return [i for i in range(self._n_free) if not mixed or self.regular[i]]
+
+    def rows_changing_at(self, boundary: int) -> list[int]:
+        """Return the rows with different kinds in the pieces before and after a boundary."""
+        pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
+        return [i for i, (before, after) in enumerate(pair) if before is not after]
+
+    def has_only_kinks(self, boundary: int) -> bool:
+        """Return whether controls have kinks only, and no jumps, at the boundary before a piece.
+
+        This is the case if regular controls, mixed path constraints, or state constraints that determine such controls,
+        become active or inactive. A control linear in H jumps at the ends of an arc on a state constraint. If one limit
+        replaces another one or a state constraint, the time is a variable like that of a switch, since both are active.
+        """
+        if self.find_constraint_exchange(boundary) or self.find_limit_exchange(boundary):
+            return False
+        before, after = self.kinds[boundary - 1], self.kinds[boundary]
+        return not self.touches[boundary] and all(
+            (self.regular[i] or self._fixes_control(i, boundary) or self.has_saturated_control(i, boundary))
+            and not (before[i].is_at_limit and after[i].is_at_limit)
+            for i in self.rows_changing_at(boundary)
+        )
+
+    def find_convex_rows(self) -> Mask:
+        """Return rows of controls in which H is strictly convex along a piece, (n_rows, A)."""
+        return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.n_pieces, axis=1)
+
+    def has_saturated_control(self, row: int, boundary: int) -> bool:
+        """Return whether a control on a state constraint reaches its own bound, and other controls keep the constraint.
+
+        The control is continuous there, like a regular control.
+        """
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
+        if row >= self._n_free or len(singular) != 1 or row not in self.find_determined_controls(singular[0]):
+            return False
+        bound = beside[0] if singular[0] == boundary else beside[1]
+        return any(
+            order
+            and row in boundary_controls
+            and all(kinds[i].is_at_limit for kinds in beside)
+            and not all(bound[other].is_at_limit for other in boundary_controls)
+            for i, (order, boundary_controls) in enumerate(
+                zip(self.orders, self.boundary_controls, strict=True)
+            )
+        )
+
+    def find_limit_exchange(self, boundary: int) -> list[int]:
+        """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
+        rows = self.rows_changing_at(boundary)
+        beside = self.kinds[boundary - 1 : boundary + 1]
+        sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].is_at_limit]
+        controls = {
+            i for row in rows for i in (self.boundary_controls[row] if row >= self._n_free else (row,))
+        }
+        return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
+
+    def find_constraint_exchange(self, boundary: int) -> list[int]:
+        """Return a state constraint and a limit of its control of which one replaces the other at a boundary.
+
+        Either the control reaches its limit, on the side away from the constraint, along the arc on the constraint, or
+        the control is on the opposite limit until the constraint is active. It is continuous; the costates jump.
+        """
+        rows, beside = self.rows_changing_at(boundary), self.kinds[boundary - 1 : boundary + 1]
+        held = [[i for i in rows if kinds[i].is_at_limit] for kinds in beside]
+        states = [i for i in rows if self.is_first_order(i)]
+        if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
+            return []
+        (state,), (limit,) = states, [i for i in rows if i not in states]
+        owner, boundary_controls = (
+            (limit,) if limit < self._n_free else self.boundary_controls[limit],
+            self.boundary_controls[state],
+        )
+        if self.orders[limit] or len(owner) != 1 or owner[0] not in boundary_controls:
+            return []
+        if not all(self.regular[i] for i in boundary_controls if i not in owner):
+            return []
+        kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
+        if len(kinds) != 2:
+            return []
+        sign = dict(zip(boundary_controls, self.boundary_control_signs[state], strict=False)).get(
+            owner[0], 0
+        )  # unknown: 0
+        sides = kinds[state].sign * sign, kinds[limit].sign * self._slope_sign(limit)
+        return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+
+    def _slope_sign(self, row: int) -> int:
+        """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
+        own = 1 if row < self._n_free else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
+        return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
+
+    def is_first_order(self, row: int) -> bool:
+        """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
+        held = (
+            row >= self._n_free + self.n_paths and bool(self.boundary_controls[row]) and not self.orders[row]
+        )
+        return self.orders[row] == 1 or held
+
+    def find_path_limited_controls(self) -> Mask:
+        """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
+        held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
+        for row in np.flatnonzero(self.slopes):
+            held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
+        return held
+
+    def mask_near_exchanges(self) -> Mask:
+        """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
+        beside = np.zeros((len(self.kinds[0]), self.n_pieces), dtype=bool)
+        for k in range(1, self.n_pieces):
+            given_out = [row for row in self.rows_changing_at(k) if self.has_saturated_control(row, k)]
+            for row in [*self.find_limit_exchange(k), *self.find_constraint_exchange(k), *given_out]:
+                beside[row, k - 1 : k + 1] = [not self.kinds[j][row].is_at_limit for j in (k - 1, k)]
+        return beside
+
+    def _fixes_control(self, row: int, boundary: int) -> bool:
+        """Return whether a state constraint determines only regular controls, at one side of a boundary."""
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.boundary_controls[row])
+        return bool(self.orders[row]) and not linear
+
+    def mask_near_contacts(self, touches: bool) -> Mask:
+        """Return where inactive state constraints are next to their arcs or, with ``touches``, touched, (n_rows, A).
+
+        Constraints are excluded if the direction of a vector at its largest magnitude could satisfy them, as violations
+        would then be large.
+        """
+        held = np.array([[kind.is_at_limit for kind in row] for row in self.kind_matrix()])
+        beside = np.zeros_like(held)
+        for k in range(1, self.n_pieces):
+            beside[:, k - 1] |= held[:, k]
+            beside[:, k] |= held[:, k - 1]
+        if touches:
+            beside[[row for here in self.touches for row, _ in here]] = True
+        for row in np.flatnonzero(self.orders):
+            bends = [i for i in self.boundary_controls[row] if not self.regular[i]]
+            beside[row] &= ~np.any(self.kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
+        return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
+
+    def has_contact(self, piece: int) -> bool:
+        """Return whether a state constraint determines a control in a piece."""
+        return any(
+            kind.is_at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
+        )
+
+    def touch_times(self, row: int, kind: ArcKind) -> list[float]:
+        return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
+
+    def is_at_limit(self, row: int, times: Array) -> Mask:
+        """Return whether a row is at a limit, or touches it, at times (n,)."""
+        pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_pieces - 1)
+        before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_pieces - 1)
+        held = np.array([kinds[row].is_at_limit for kinds in self.kinds])
+        touched = [
+            t
+            for t, touches in zip(self.times, self.touches, strict=True)
+            if any(i == row for i, _ in touches)
+        ]
+        return np.asarray(held[pieces] | held[before] | np.isin(times, touched))
+
+    def with_times(self, times: tuple[float, ...]) -> PhaseStructure:
+        """Return the same sequence of arcs with other times."""
+        return replace(self, times=times)
+
+    def without_piece(self, piece: int) -> PhaseStructure:
+        """Return the structure without a piece; switches that cancel each other are removed, too."""
+        middle = 0.5 * (self.times[piece] + self.times[piece + 1])
+        inner = 0 < piece < self.n_pieces - 1
+        times = [*self.times[:piece], *([middle] if inner else []), *self.times[piece + 2 :]]
+        joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
+        if not inner:  # touches at the free end belong to the removed piece
+            joined = self.touches[0] if piece == 0 else self.touches[-1]
+        touches = [*self.touches[:piece], joined, *self.touches[piece + 2 :]]
+        if piece == 0:
+            times = [self.times[0], *self.times[2:]]
+        elif piece == self.n_pieces - 1:
+            times = [*self.times[:-2], self.times[-1]]
+        return self._join_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+
+    def collapse_piece(self, piece: int) -> PhaseStructure:
+        """Return the structure without a piece; an arc on a limit becomes a touch.
+
+        This requires a second-order limit, or a path constraint at an end of the phase.
+        """
+        kinds, left = self.kinds[piece], self.without_piece(piece)
+        inner = 0 < piece < self.n_pieces - 1
+        middle = 0.5 * (self.times[piece] + self.times[piece + 1])
+        time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
+        paths = range(self._n_free, self._n_free + self.n_paths)
+        for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
+            beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.n_pieces]
+            may_touch = order > 1 if inner else order > 0 and i in paths
+            if may_touch and kind.is_at_limit and not any(k.is_at_limit for k in beside):
+                left = left.with_touch(i, time, kind)
+        return left
+
+    def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
+        """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
+        times = sorted({*self.times, start, end})
+        touches = self._collect_touches(times)
+        for k, t in enumerate(times):
+            if start <= t <= end:
+                touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
+        middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
+        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
+        kinds = [list(self.kinds[k]) for k in pieces]
+        for piece, middle in zip(kinds, middles, strict=True):
+            if start < middle < end:
+                piece[row] = kind
+        return self._join_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
+
+    def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
+        """Return the structure with a touch of a row at a time."""
+        times = sorted({*self.times, time})
+        touches = self._collect_touches(times)
+        touches[times.index(time)] += ((row, kind),)
+        middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
+        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
+        return self._join_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
+
+    def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
+        known = dict(zip(self.times, self.touches, strict=True))
+        return [known.get(t, ()) for t in times]
+
+    def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
+        """Return the arcs of all controls, active path constraints and active state bounds; touches have zero length.
+
+        ``labels`` are those of all rows.
+        """
+        found = []
+        determined = [self.find_determined_controls(k) for k in range(self.n_pieces)]
+        for i, label in enumerate(labels):
+            row = [kinds[i] for kinds in self.kinds]
+            if i < self._n_free:
+                row = [
+                    ArcKind.CONSTRAINED if i in d and not k.is_at_limit else k
+                    for k, d in zip(row, determined, strict=True)
+                ]
+            starts = [0, *[k for k in range(1, self.n_pieces) if row[k] != row[k - 1]], self.n_pieces]
+            for first, last in itertools.pairwise(starts):
+                kind = row[first]
+                if i < self._n_free or kind is not ArcKind.INTERIOR:
+                    found.append(Arc(phase, label, kind, self.times[first], self.times[last]))
+            for time, touches in zip(self.times, self.touches, strict=True):
+                found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
+        return tuple(found)
+
+    def merge_pieces(self) -> PhaseStructure:
+        """Return the structure with equal adjacent pieces joined."""
+        return self._join_pieces(list(self.times), self.kinds, list(self.touches))
+
+    def _join_pieces(
+        self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]
+    ) -> PhaseStructure:
+        kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
+        return replace(
+            self,
+            times=(*[times[k] for k in kept], times[-1]),
+            kinds=tuple(kinds[k] for k in kept),
+            touches=(*[touches[k] for k in kept], touches[-1]),
+        )
+
+
+def arc_limit_signs(kinds: KindArray) -> Indices:
+    """Return -1 at lower limits, +1 at upper limits, 0 elsewhere; same shape."""
+    return np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
+
+
+def select_kind(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
+    """Return ``kind`` where the condition holds and ``otherwise`` elsewhere, as an object array."""
+    chosen = np.where(condition, cast(Any, kind), cast(Any, otherwise))
+    return np.asarray(chosen, dtype=object)

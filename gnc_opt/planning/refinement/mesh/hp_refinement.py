@@ -1,0 +1,274 @@
+"""hp refinement: iteration of solve, error estimate and mesh improvement until the error is within the tolerance.
+
+Every solve starts from states, controls and multipliers of the previous one. The error estimate is described in
+`gnc_opt.planning.refinement.error_estimation`, the next mesh in `gnc_opt.planning.refinement.mesh.mesh_update`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from gnc_opt.errors import GncOptError
+from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.nlp.options import final_barrier_parameter
+from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
+from gnc_opt.planning.refinement.iteration_records import (
+    IterationLimits,
+    is_stagnating,
+    record_iteration,
+    show_progress,
+)
+from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate, Past, index_segments
+from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.tolerances import NOTABLE
+
+WARM_BARRIER = 1e-6
+"""Barrier parameter of a warm start relative to the remaining error, so that a nearly optimal point is not moved far
+off its bounds. If no error exceeds `NOTABLE`, the final barrier parameter is used: each larger one costs two iterations
+or more."""
+
+DEFAULT_ITERATIONS = 20
+"""Default number of solves."""
+
+STAGE_ERROR_SHARE = 1e-4
+"""Target error of each pass, relative to the error of the previous one."""
+
+COARSE_MESH_TOLERANCE_SHARE = 1e-3
+"""Target error, relative to that of the previous pass, if the error exceeds `NOTABLE`."""
+
+NEAR_TOLERANCE_RATIO = 30.0
+"""Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
+
+SOLVER_MAX_TOLERANCE, SOLVER_SHARE = 1e-9, 0.1
+"""Largest tolerance of the solver, and its ratio to the target error: meshes are replaced anyway."""
+
+NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
+
+
+@dataclass(frozen=True, eq=False)
+class _MeshSolution:
+    solution: Solution
+    errors: dict[str, PhaseError]
+    record: RefinementIteration
+
+    @property
+    def finite_error(self) -> float:
+        """Largest error of the segments in which all functions are defined."""
+        worst = np.concatenate([e.largest_errors for e in self.errors.values()])
+        return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
+
+    @property
+    def total_error(self) -> float:
+        return float(sum(np.sum(np.minimum(e.largest_errors, 1e6)) for e in self.errors.values()))
+
+
+def refine_mesh(
+    solution: Solution,
+    *,
+    tol: float = 1e-8,
+    limits: IterationLimits | None = None,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> tuple[Solution, History]:
+    """Return the solution on a mesh on which its estimated error is at most ``tol``, and the history of the passes.
+
+    Parameters
+    ----------
+    solution : Solution
+        Initial solution with its problem; its mesh is the first one.
+    tol : float
+        Largest error of every segment (dynamics, integrals, bounds and path constraints between the nodes),
+        dimensionless; see `gnc_opt.planning.refinement.error_estimation`.
+    limits : IterationLimits, optional
+        Default: `DEFAULT_ITERATIONS`. The allowed work doubles while each pass reduces the error to a third or less.
+    options : SolverOptions, optional
+        Options of the solves.
+    progress : bool
+        Print one line per pass.
+
+    Returns
+    -------
+    Solution
+        The solution within the tolerance, otherwise the one with the smallest error of the objective.
+    History
+        ``status`` and ``message`` describe the result.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem or did not converge.
+    """
+    if not solution.status.solved:
+        raise GncOptError(
+            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
+        )
+    limits = limits or IterationLimits(DEFAULT_ITERATIONS)
+    refinement = _Refinement(solution, tol, limits, options)
+    with show_progress(solution.problem_name, tol, progress) as show:
+        try:
+            status = refinement.refine_until_converged(show)
+        except KeyboardInterrupt:
+            status = refinement.classify_failed_solve(Status.INTERRUPTED)
+    return refinement.build_result(status)
+
+
+class _Refinement:
+    def __init__(
+        self,
+        solution: Solution,
+        tol: float,
+        limits: IterationLimits,
+        options: SolverOptions | None,
+    ) -> None:
+        self._problem = solution.need_problem("refine")
+        self._scheme = solution.scheme
+        self._tol, self._limits = tol, limits
+        self._options = options or SolverOptions(tolerance=min(SOLVER_MAX_TOLERANCE, SOLVER_SHARE * tol))
+        self._asked = options is not None
+        self._tabular_data: list[RefinementIteration] = []
+        self._past: dict[str, Past] = {}
+        self._totals: list[float] = []
+        self._begin = time.perf_counter()
+        self._state = self._evaluate_solution(solution, self._begin, Actions())
+        self._best, self._chosen = self._state, 0
+
+    def refine_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
+        show(self._tabular_data[-1])
+        for _ in range(self._limits.passes):
+            if time.perf_counter() > self._limits.deadline:
+                return self.classify_failed_solve(Status.INTERRUPTED)
+            plan = self._plan_next_meshes()
+            if isinstance(plan, RefinementStatus):
+                return plan
+            if self._limits.are_exhausted(self._spent_work):
+                return self._classify_ending(RefinementStatus.BUDGET_LIMIT)
+            meshes, actions = plan
+            self._past = {name: index_segments(e) for name, e in self._state.errors.items()}
+            status = self._solve_on_meshes(meshes, actions)
+            show(self._tabular_data[-1])
+            if status is Status.ITERATION_LIMIT and self._limits.are_exhausted(self._spent_work):
+                return self._classify_ending(RefinementStatus.BUDGET_LIMIT)
+            if not status.solved:
+                return self.classify_failed_solve(status)
+        return self._classify_ending(RefinementStatus.ITERATION_LIMIT)
+
+    @property
+    def _spent_work(self) -> float:
+        """Work of all passes except the first, which was given."""
+        return sum(record.work for record in self._tabular_data[1:])
+
+    def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
+        """Return the next meshes and the changes, or the final status.
+
+        The target error decreases in stages, since small features of a trajectory that still changes are irrelevant. If
+        the points do not suffice for a stage, they are assigned to the segments with the largest errors.
+        """
+        last = self._state.record
+        if self._has_converged(last):
+            return RefinementStatus.CONVERGED
+        error = min(self._state.finite_error, 1.0)
+        stage = max(
+            self._tol,
+            (STAGE_ERROR_SHARE if error < NOTABLE else COARSE_MESH_TOLERANCE_SHARE) * error,
+        )
+        stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
+        plan = self._refine_meshes(stage)
+        limited = self._exceeds_point_limit(plan[0])
+        while self._exceeds_point_limit(plan[0]):
+            stage *= 10.0
+            if stage > 0.5 * last.error:
+                return RefinementStatus.POINT_LIMIT
+            plan = self._refine_meshes(stage)
+        if not self._is_stalled(plan[0]):
+            return plan
+        return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
+
+    def _refine_meshes(self, stage: float) -> NextMeshes:
+        meshes, total = {}, Actions()
+        for name, error in self._state.errors.items():
+            meshes[name], actions = MeshUpdate(error, stage, self._past.get(name, {})).build_mesh()
+            total = total + actions
+        return meshes, total
+
+    def _exceeds_point_limit(self, meshes: dict[str, Mesh]) -> bool:
+        return max(mesh.size for mesh in meshes.values()) > self._limits.points
+
+    def build_result(self, status: RefinementStatus) -> tuple[Solution, History]:
+        best = self._best.record
+        message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
+        message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
+        seconds = time.perf_counter() - self._begin
+        history = History(status, self._tol, tuple(self._tabular_data), self._chosen, message, seconds)
+        return self._best.solution, history
+
+    def classify_failed_solve(self, status: Status) -> RefinementStatus:
+        """Return the final status after a solve with the given status did not converge."""
+        interrupted = status is Status.INTERRUPTED
+        return self._classify_ending(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
+
+    def _classify_ending(self, otherwise: RefinementStatus) -> RefinementStatus:
+        """Return the final status if no pass follows: CONVERGED if the best solution is within the tolerance."""
+        return RefinementStatus.CONVERGED if self._has_converged(self._best.record) else otherwise
+
+    def _has_converged(self, record: RefinementIteration) -> bool:
+        return record.solved and record.error <= self._tol
+
+    def _is_stalled(self, meshes: dict[str, Mesh]) -> bool:
+        """Return whether the meshes are unchanged, or both the largest error and the sum of all decrease too slowly."""
+        if meshes == self._state.record.meshes:
+            return True
+        errors = [r.error for r in self._tabular_data]
+        return all(is_stagnating(values, self._tol) for values in (errors, self._totals))
+
+    def _solve_on_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
+        """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
+        begin = time.perf_counter()
+        within = self._limits.limit_solve(meshes.values(), self._spent_work)
+        solution = solve_mesh(
+            self._problem,
+            meshes,
+            scheme=self._scheme,
+            guess=self._state.solution,
+            options=self._choose_warm_options(),
+            limits=replace(within, warm_iterations=WARM_MAX_ITERATIONS),
+        )
+        self._state = self._evaluate_solution(solution, begin, actions)
+        if self._is_better(self._state, self._best):
+            self._best, self._chosen = self._state, len(self._tabular_data) - 1
+        return solution.status
+
+    def _choose_warm_options(self) -> SolverOptions:
+        """Return the options with tolerance and barrier parameter adapted to the error of the solution."""
+        options, left = self._options, min(self._state.finite_error, 1.0)
+        if not self._asked:
+            options = replace(
+                options, tolerance=max(options.tolerance, SOLVER_SHARE * STAGE_ERROR_SHARE * left)
+            )
+        if options.mu_init is None:
+            last = final_barrier_parameter(options.tolerance)
+            options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_BARRIER * left, last))
+        return options
+
+    def _evaluate_solution(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
+        errors = estimate_errors(solution)
+        record = record_iteration(solution, errors, begin, actions)
+        self._tabular_data.append(record)
+        state = _MeshSolution(solution, errors, record)
+        self._totals.append(state.total_error)
+        return state
+
+    def _is_better(self, new: _MeshSolution, old: _MeshSolution) -> bool:
+        """Return whether a solution is within the tolerance, or its objective has the smaller error."""
+        if self._has_converged(new.record) != self._has_converged(old.record):
+            return self._has_converged(new.record)
+        if not new.record.solved:
+            return False
+        return new.solution.objective_error.absolute_error < old.solution.objective_error.absolute_error

@@ -1,0 +1,164 @@
+"""Conversion of an integrated trajectory to a collocation solution on a mesh.
+
+States and costates are integrated between collocation points; the derivatives of their polynomials equal the rates at
+the points. `satisfies_limits` checks the limits between the ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
+from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
+from gnc_opt.planning.refinement.switching.newton_step import final_cost_gradient
+from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
+from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.trajectory_quality import find_worst_bound_violation, worst_path_violation
+from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.planning.verification.stored_data_check import boundary_gradients
+from gnc_opt.tolerances import AT_LIMIT
+
+
+def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -> Solution | None:
+    """Return the trajectory after its last Newton step at the collocation points of a plan.
+
+    None if a limit is violated, or if the known solution has only acceptable accuracy: its optimum may be degenerate.
+
+    Parameters
+    ----------
+    known : Solution
+        One-phase solution whose switching times were optimised.
+    flight : SwitchedFlow
+        Converged trajectory.
+    plan : ArcMesh
+        Plan of the structure after the last Newton step.
+    """
+    if known.status is not Status.OPTIMAL:
+        return None
+    problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
+    leg, mesh, ends = s.leg, plan.mesh(), plan.structure.times
+    breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
+    breaks[-1] = ends[-1]
+    rules = [collocation_rule(leg.scheme, degree) for degree in mesh.degrees]
+    places = [np.unique(np.concatenate([[-1.0], r.state_nodes, r.points, [1.0]])) for r in rules]
+    steps = [p.size - 1 for p in places]
+    first = np.concatenate([[0], np.cumsum(steps)])
+    within = [
+        left + 0.5 * (right - left) * (1 + p[:-1])
+        for left, right, p in zip(breaks[:-1], breaks[1:], places, strict=True)
+    ]
+    bounds, upper = (
+        leg.control_bounds,
+        plan.structure.control_kinds[:, plan.segment_pieces] == ArcKind.UPPER,
+    )
+    controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
+    times = np.concatenate([*within, breaks[-1:]])
+    by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
+    parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.times))))  # as fine as known
+    flow = integrate_bang_bang(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
+    worth = final_cost_gradient(problem, s, flow, flight.step.multipliers)
+    x, lam = flow.states[:n, ::parts], flow.integrate_adjoint(worth)[:n, ::parts]
+    at = np.concatenate(
+        [f + np.searchsorted(p, r.points) for f, p, r in zip(first, places, rules, strict=False)]
+    )
+    u, nothing = np.repeat(controls, mesh.degrees, axis=1), np.zeros((len(leg.path_labels), mesh.size))
+    rates = s.functions.rates(times[at], x[:, at], u)
+    forces = -s.functions.state_gradient(times[at], x[:, at], u, lam[:, at], nothing)
+    costate_nodes = [np.append(r.points, 1.0) if leg.scheme == "LG" else r.state_nodes for r in rules]
+    of_lam = _integrate_slopes(breaks, rules, costate_nodes, lam[:, first[:-1]], forces)
+    told = replace(
+        leg,
+        mesh=mesh,
+        initial_time=float(breaks[0]),
+        final_time=float(breaks[-1]),
+        x=_integrate_slopes(breaks, rules, [r.state_nodes for r in rules], x[:, first[:-1]], rates),
+        u=interpolate_points(breaks, rules, u),
+        lam=of_lam,
+        lam_start=lam[:, first[:-1]],
+        lam_end=lam[:, first[1:]],
+        point_costates=of_lam(times[at]),
+        path_multipliers=nothing,
+        state_multipliers=np.zeros((n, mesh.size)),
+        state_impulses=np.zeros((n, mesh.segments + 1)),
+        duration_multiplier=0.0,
+        integrals=flow.final_state[n : n + leg.integrals.size],
+    )  # fmt: skip
+    nu = flight.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
+    flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
+    if not satisfies_limits(flown, s.state_scale):
+        return None
+    return replace(
+        complete_multipliers(flown),
+        statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
+        provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
+    )
+
+
+def _integrate_slopes(
+    breaks: Array, rules: list[CollocationRule], nodes: list[Array], starts: Array, slopes: Array
+) -> PiecewisePolynomial:
+    """Return polynomials with given initial values of segments (n, K) and rates at the collocation points (n, N)."""
+    halves, values, begun = 0.5 * np.diff(breaks), [], 0
+    for k, rule in enumerate(rules):
+        here = halves[k] * slopes[:, begun : begun + rule.n]
+        values.append(starts[:, [k]] + here @ rule.integrate_to(nodes[k]).T)
+        begun += rule.n
+    return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
+
+
+def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
+    """Return whether states, path constraints and end values are within their inequality limits."""
+    (s,) = flown.samples().values()
+    leg = s.leg
+    ends = (
+        (leg.final_bounds, leg.x(leg.final_time, "left"), state_scale),
+        (leg.initial_time_bounds, leg.initial_time, s.span),
+        (leg.final_time_bounds, leg.final_time, s.span),
+        (leg.duration_bounds, leg.duration, s.span),
+    )
+    inside = all(
+        np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
+        for box, value, scale in ends
+    )
+    return inside and find_worst_bound_violation(s).select_worse(worst_path_violation(s)).value < AT_LIMIT
+
+
+def complete_multipliers(flown: Solution) -> Solution:
+    """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
+    (leg,) = flown.phases.values()
+    ends, functions = boundary_gradients(flown), flown.functions(leg.name)
+    at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
+    x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
+    u = np.stack([leg.applied(at[0]), leg.applied(at[1], "left")], axis=1)
+    worth = functions.hamiltonian(at, x, u, lam) - np.array(
+        [ends.initial_time[leg.name], -ends.final_time[leg.name]]
+    )
+    fixed = np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
+    impulses = np.zeros_like(leg.state_impulses)
+    impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
+    impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]
+    times, nothing = leg.point_times, np.zeros((len(leg.path_labels), leg.point_times.size))
+    gradient = functions.control_gradient(
+        times, leg.x(times), leg.applied(times), leg.point_costates, nothing
+    )
+    told: PhaseSolution = replace(
+        leg,
+        time_multipliers=np.where(fixed, worth * np.array([1.0, -1.0]), 0.0),
+        state_impulses=impulses,
+        control_multipliers=-gradient,
+    )
+    return replace(
+        flown,
+        phases={leg.name: told},
+        objective=ends.cost,
+        constraint_values=ends.constraints,
+        history=None,
+    )

@@ -1,0 +1,316 @@
+r"""Newton's method for switching times.
+
+With every control on a bound, the problem has finitely many unknowns: the switching times, the ends of the phase and
+the multipliers of the end conditions. Trajectory, Jacobian and Hessian are integrated explicitly (`bang_bang_flow`), so
+that an iteration costs a few propagations, while a solve of the collocated problem factorises matrices of all its
+points. Pieces of zero length are removed, and arcs are added where switching functions have the wrong sign. The
+resulting structure is the initial guess of the collocated problem.
+
+Far from the optimum, every step evaluates its own derivatives; near it, the matrices of the last step are reused as
+long as the steps decrease sufficiently fast (module `newton_step`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
+from gnc_opt.planning.optimality.bang_bang_switches import Switches
+from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
+from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, newton_step, simplified_newton_step
+from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, TINY
+
+NEWTON_MAX_STEPS = 40
+"""Largest number of Newton steps of all structures together."""
+
+SIMPLIFIED_NEWTON_MAX_STEP = 1e-4
+"""Largest step, relative to the phase, whose matrices are reused in the following steps."""
+
+SIMPLIFIED_STEPS_PER_FULL_STEP = 3
+"""Number of steps with reused matrices that cost as much as one with its own matrices."""
+
+SIMPLIFIED_NEWTON_MAX_STEPS = 12
+"""Largest number of steps with reused matrices."""
+
+NEWTON_REMAINDER_FACTOR = 100.0
+"""Estimated ratio of the error after a Newton step to the step, per step length relative to the phase."""
+
+GRID_SHARE_OF_ACCURACY = 0.1
+"""Largest remaining step on the finer grid, relative to the accuracy."""
+
+GUESS_ACCURACY = 1e-8
+"""Accuracy of a trajectory that is the initial guess of a collocated problem."""
+
+FLOW_MAX_STEPS = 8 * FLOW_INITIAL_STEPS
+"""Number of steps of the finest grid."""
+
+ARC_MAX_SHRINK_SHARE = 0.8
+"""Largest reduction of an arc in one step, relative to its length."""
+
+SWITCH_MAX_MOVE_SHARE = 0.04
+"""Largest change of a switching time in one step, relative to the phase."""
+
+STEP_MIN_SHARE = 0.2
+"""Least fraction of a step after the limit `ARC_MAX_SHRINK_SHARE`; below it, the limiting arc is removed."""
+
+
+def find_optimal_times(
+    solution: Solution, structure: PhaseStructure
+) -> tuple[PhaseStructure, SwitchedFlow] | None:
+    """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
+
+    The trajectory is that of a grid with known error; the structure is that after the remaining Newton step.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution of one phase.
+    structure : PhaseStructure
+        Initial structure.
+
+    Returns
+    -------
+    (PhaseStructure, SwitchedFlow) or None
+        None if the method does not apply or does not converge.
+    """
+    problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
+    if not _is_newton_applicable(problem, s, structure):
+        return None
+    switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS
+    flight = _iterate_to_optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
+    while flight is not None and flight.integration_error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
+        steps *= 2
+        flight = _apply_known_step(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
+    if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
+        return None
+    return _build_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
+
+
+def find_optimal_flow(
+    solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
+) -> tuple[PhaseStructure, SwitchedFlow] | None:
+    """Return the minimum of the cost to a given accuracy, without a collocated problem.
+
+    The grid is refined until the change of the cost, estimated from a trajectory on a grid `PARTS` times as fine, is
+    below the accuracy. Near an optimum the cost depends on the switching times to second order, so that their error is
+    of the order of the square root of the accuracy.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution of one phase.
+    structure : PhaseStructure
+        Initial structure.
+    accuracy : float
+        Relative accuracy of the cost; its square root is that of the switching times relative to the phase.
+    known : SwitchStep, optional
+        Step at the optimum of a similar problem with this structure, whose matrices and grid are tried first.
+
+    Returns
+    -------
+    (PhaseStructure, SwitchedFlow) or None
+        Limits between the ends are not checked. None if the method does not apply or does not converge.
+    """
+    problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
+    if not _is_newton_applicable(problem, s, structure):
+        return None
+    switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
+    flight = None if known is None else _apply_known_step(problem, s, switches, known, accuracy, steps)
+    if flight is None or flight.missing_arc is not None:
+        flight = _iterate_to_optimum(problem, s, switches, accuracy, steps)
+    while flight is not None and flight.integration_error >= accuracy and steps < FLOW_MAX_STEPS:
+        steps *= 2
+        flight = _apply_known_step(problem, s, flight.switches, flight.step, accuracy, steps)
+    if flight is None or flight.integration_error >= accuracy or flight.missing_arc is not None:
+        return None
+    return _build_structure(structure, s, flight.switches), flight
+
+
+def _iterate_to_optimum(
+    problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
+) -> SwitchedFlow | None:
+    """Return the converged trajectory whose switching functions have the required signs.
+
+    If added arcs vanish again, or the iteration with them does not converge, the last converged trajectory is returned.
+    """
+    rested: SwitchedFlow | None = None
+    for _ in range(NEWTON_MAX_STEPS):
+        step = newton_step(problem, s, switches, steps)
+        if step is None:
+            break
+        share, emptied = _limit_newton_step(switches, step)
+        if emptied and share < STEP_MIN_SHARE:
+            switches = _remove_arc(switches, emptied)
+        elif share < 1 or step.relative_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
+            switches = _shift_switches(switches, share * step.change)
+        else:
+            flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
+            if flight is None or (rested is not None and _equal_switches(flight.switches, rested.switches)):
+                break
+            if flight.missing_arc is None:
+                return flight
+            rested, switches = flight, _insert_arc(flight.switches, *flight.missing_arc)
+    return rested
+
+
+def _apply_known_step(
+    problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
+) -> SwitchedFlow | None:
+    """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
+    return _iterate_newton_steps(
+        problem, s, switches, simplified_newton_step(problem, s, switches, known, steps), accuracy
+    )
+
+
+def _iterate_newton_steps(
+    problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep | None, accuracy: float
+) -> SwitchedFlow | None:
+    """Return the converged trajectory near given switching times, starting with a known step, or None.
+
+    Steps reuse the matrices of the previous one as long as they decrease sufficiently fast.
+    """
+    before = math.inf  # length of the previous step, if it had the same matrices
+    for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
+        if step is None or _limit_newton_step(switches, step)[0] < 1:
+            return None
+        length, away = step.relative_size(switches), _convergence_measure(step, switches, accuracy)
+        if away < NOTABLE:
+            return SwitchedFlow.integrate_phase(problem, s, switches, step)
+        switches = _shift_switches(switches, step.change)
+        shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
+        if away * shrinks < NOTABLE:
+            flight = SwitchedFlow.integrate_phase(problem, s, switches, step)
+            if (
+                flight is None
+                or _convergence_measure(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
+            ):
+                return flight
+        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
+            step, before = newton_step(problem, s, switches, step.steps), math.inf
+        else:
+            step, before = simplified_newton_step(problem, s, switches, step, step.steps), length
+    return None
+
+
+def _convergence_measure(step: SwitchStep, switches: Switches, accuracy: float) -> float:
+    """Return the error of switching times relative to that permitted by an accuracy of the cost."""
+    return max(step.gain / accuracy, step.relative_size(switches) / math.sqrt(accuracy))
+
+
+def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
+    """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
+    leg = s.leg
+    times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
+    loose = ~leg.final_bounds.is_fixed & (
+        np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper)
+    )
+    at_end = leg.final_bounds.near(s.x[:, -1], AT_LIMIT * s.state_scale) if np.any(loose) else (loose, loose)
+    boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
+    sided = [np.logical_or(*at_end) & loose]
+    sided += [
+        np.logical_or(*b.near(t, AT_LIMIT * s.span)) & ~b.is_fixed for b, t in zip(boxes, times, strict=True)
+    ]
+    return (
+        len(problem.phases) == 1
+        and s.functions.q.size == 0
+        and all(kind.is_at_limit for row in structure.control_kinds for kind in row)
+        and not any(
+            kind.is_at_limit for row in (*structure.path_kinds, *structure.state_kinds) for kind in row
+        )
+        and not any(structure.touches)
+        and bool(np.all(leg.initial_bounds.is_fixed))
+        and bool(np.all(problem.constraint_interval().is_fixed))
+        and not any(np.any(side) for side in sided)
+    )
+
+
+# --- switches -------------------------------------------------------------------------------------------
+
+
+def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
+    bounds = s.leg.control_bounds
+    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.rows_changing_at(k)]
+    first = np.where(structure.control_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
+    times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
+    ends = np.array([structure.times[0], structure.times[-1]])
+    return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())
+
+
+def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
+    pieces = switches.piecewise_control(switches.time_order)
+    at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
+    kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
+    others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
+    columns = np.vstack([kinds, others]).T
+    times, kept = [], []
+    for t, column, length in zip(pieces.times, columns, np.diff(pieces.times), strict=False):
+        if length > 0:
+            times.append(float(t))
+            kept.append(tuple(column))
+    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merge_pieces()
+
+
+def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
+    """Return the unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
+    found: list[tuple[int, int]] = []
+    for i in range(switches.first.size):
+        own = np.flatnonzero(switches.channels == i)
+        own = own[np.argsort(switches.times[own], kind="stable")]
+        places = [0, *(int(k) + 1 for k in own), switches.times.size + 1]
+        found += itertools.pairwise(places)
+    return found
+
+
+def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
+    """Return the largest fraction of a step with positive lengths of all arcs, and the limiting arc."""
+    times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
+    longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
+    share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
+    for begin, end in _list_arc_switches(switches):
+        shrinks = step.change[begin] - step.change[end]
+        room = ARC_MAX_SHRINK_SHARE * (times[end] - times[begin])
+        if shrinks > 0 and room < share * shrinks:
+            share, limiting = room / shrinks, (begin, end)
+    return share, limiting
+
+
+def _shift_switches(switches: Switches, change: Array) -> Switches:
+    times = switches.times + change[1:-1]
+    return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
+
+
+def _equal_switches(switches: Switches, others: Switches) -> bool:
+    if not np.array_equal(switches.channels, others.channels):
+        return False
+    apart = np.max(np.abs(switches.times - others.times), initial=0.0)
+    return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
+
+
+def _remove_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
+    begin, end = arc
+    first = switches.first.copy()
+    gone = [k - 1 for k in (begin, end) if 0 < k <= switches.times.size]
+    if begin == 0 and gone:
+        i = switches.channels[gone[0]]
+        first[i] = switches.toggled[i] - first[i]
+    times, channels = np.delete(switches.times, gone), np.delete(switches.channels, gone)
+    return replace(switches, times=times, channels=channels, first=first)
+
+
+def _insert_arc(switches: Switches, i: int, start: float, end: float) -> Switches:
+    first, added = switches.first.copy(), [t for t in (start, end) if switches.ends[0] < t < switches.ends[1]]
+    if start <= switches.ends[0]:
+        first[i] = switches.toggled[i] - first[i]
+    times = np.concatenate([switches.times, added])
+    channels = np.concatenate([switches.channels, np.full(len(added), i)])
+    return replace(switches, times=times, channels=channels, first=first)

@@ -1,0 +1,90 @@
+"""Warm start of a modified bang-bang problem from the switching times of a known solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
+from gnc_opt.planning.refinement.switching.flow_collocation import complete_multipliers, satisfies_limits
+from gnc_opt.planning.refinement.switching.newton_iteration import GRID_SHARE_OF_ACCURACY, find_optimal_flow
+from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
+from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
+from gnc_opt.tolerances import EQUAL
+
+
+@dataclass(frozen=True, eq=False)
+class KnownSwitches:
+    """Known one-phase solution for modifications of its problem; ``step`` is the Newton step at its optimum."""
+
+    solution: Solution
+    structure: PhaseStructure
+    state_scale: Array
+    step: SwitchStep | None = None
+
+    @classmethod
+    def from_solution(cls, solution: Solution) -> KnownSwitches | None:
+        """Return the data of a refined solution; None if it has no structure."""
+        if not solution.structure or len(solution.phases) != 1:
+            return None
+        (s,) = solution.samples().values()
+        return cls(replace(solution, structure=()), detect_phase_structure(s), s.state_scale)
+
+    def with_newton_step(self) -> KnownSwitches | None:
+        """Return the same data with the Newton step; None if Newton's method does not apply."""
+        found = find_optimal_flow(self.solution, self.structure, EQUAL)
+        if found is None:
+            return None
+        half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
+        structure, flight = (
+            find_optimal_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
+        )
+        return replace(self, structure=structure, step=flight.step)
+
+    def solve_variation(self, problem: Problem) -> Solution | None:
+        """Return the solution of a modified problem with its own switching times; None if that fails."""
+        start = truncate_solution(self.solution, problem)
+        (leg,) = start.phases.values()
+        left = self.structure.truncate_before(leg.initial_time)
+        step = self.step if left.n_pieces == self.structure.n_pieces else None
+        begun = _shift_start(recompute_from_problem(replace(start, problem=problem.frozen())))
+        found = None if begun is None else find_optimal_flow(begun, left, EQUAL, step)
+        if begun is None or found is None:
+            return None
+        structure, flight = found
+        flown = flight.build_solution(begun)
+        (leg,) = flown.phases.values()
+        if not satisfies_limits(flown, self.state_scale):
+            return None
+        labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
+        return replace(complete_multipliers(flown), structure=structure.list_arcs(leg.name, labels))
+
+
+def truncate_solution(known: Solution, problem: Problem) -> Solution:
+    """Return the part of a known solution after the start of a modified problem."""
+    if len(known.phases) != 1:
+        return known
+    ((name, leg),) = known.phases.items()
+    begins = problem.phases[name].numbers.initial_time
+    if begins is None or not begins.is_fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
+        return known
+    return truncate_solution_before(known, float(begins.lower[0]))
+
+
+def _shift_start(known: Solution) -> Solution | None:
+    """Return the trajectory shifted to the initial states of its problem; None if the problem fixes other times."""
+    (leg,) = known.phases.values()
+    for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
+        if bounds.is_fixed[0] and bounds.lower[0] != t:
+            return None
+    moved = np.where(leg.initial_bounds.is_fixed, leg.initial_bounds.lower - leg.x(leg.breaks[0]), 0.0)
+    x = PiecewisePolynomial(leg.x.breaks, leg.x.nodes, tuple(v + moved[:, None] for v in leg.x.values))
+    return replace(known, phases={leg.name: replace(leg, x=x)})

@@ -1,0 +1,463 @@
+"""Dense samples of a phase, at and between the nodes, from model and trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
+from gnc_opt.planning.solution.angle_unwrapping import find_control_periods
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.variation_scales import (
+    SPAN_MIN_SHARE,
+    STILL_STATE_SHARE,
+    compute_control_spans,
+    compute_state_spans,
+    equalise_components,
+    estimate_required_controls,
+    find_inactive_controls,
+)
+from gnc_opt.planning.transcription.collocation_families import GAUSS
+from gnc_opt.planning.transcription.quadrature import MAX_POINTS, collocation_points, quadrature_weights
+from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, nonzero_magnitude
+
+SAMPLES_BEYOND_POINTS = 9
+"""Samples per segment in addition to the number of collocation points; segment ends are added."""
+
+EVEN_STEPS_PER_SEGMENT = 32
+"""Smallest number of steps per segment for even sampling; short segments contain fast motion."""
+
+COSTATE_MIN_SHARE_OF_COST = 1e-4
+"""Share of the cost scale below which costates are rounding and do not affect the scale."""
+
+_BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
+"""Cached properties of samples that depend on the cost magnitude."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSamples:
+    """Data of the optimality conditions at the times of a fine quadrature in every segment, including segment ends.
+
+    Attributes
+    ----------
+    times : array (n_samples,)
+        Ascending; segment boundaries appear twice, as end and start of adjacent segments.
+    segments : int array (n_samples,)
+    weights : array (n_samples,)
+        Quadrature weights in s; zero at segment ends.
+    cost_magnitude : float
+        Magnitude of the cost (module `cost_scale`); 0 if unknown.
+    feature_edges : array (n,)
+        Edges of additional cells of finer samples (s).
+    """
+
+    leg: PhaseSolution
+    functions: PhaseFunctions
+    times: Array
+    segments: Indices
+    weights: Array
+    cost_magnitude: float = 0.0
+    feature_edges: Array = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def from_phase(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
+        places = [choose_sample_points(degree) for degree in leg.mesh.degrees]
+        segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
+        tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
+        halves = 0.5 * np.diff(leg.breaks)[segments]
+        times = leg.breaks[segments] + halves * (1 + tau)
+        ends = np.append(np.flatnonzero(np.diff(segments)), segments.size - 1)
+        times[ends] = leg.breaks[1:]  # exact
+        return cls(leg, functions, times, segments, halves * weights)
+
+    def with_cost_magnitude(self, amount: float, feature_edges: Array | None = None) -> PhaseSamples:
+        """Return the same samples with another cost magnitude; cached values that do not depend on it are kept."""
+        edges = self.feature_edges if feature_edges is None else feature_edges
+        other = replace(self, cost_magnitude=amount, feature_edges=edges)
+        cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
+        vars(other).update(cached)
+        return other
+
+    def resample_evenly(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
+        """Return samples at ``count`` or more evenly spaced times, two Gauss points per step, and at segment ends.
+
+        Every segment has at least ``least`` steps.
+        """
+        breaks = self.leg.breaks
+        widths = np.diff(breaks)
+        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), least).astype(int)
+        pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
+        parts, weights = [], []
+        for k, n in enumerate(steps):
+            edges = breaks[k] + widths[k] / n * np.arange(n + 1)
+            inside = self.feature_edges[
+                (self.feature_edges > breaks[k]) & (self.feature_edges < breaks[k + 1])
+            ]
+            edges = np.union1d(edges, inside) if inside.size else edges
+            cells = np.diff(edges)
+            points = (edges[:-1, None] + cells[:, None] * pair).ravel()
+            parts.append(np.concatenate([[breaks[k]], points, [breaks[k + 1]]]))
+            weights.append(np.concatenate([[0.0], np.repeat(0.5 * cells, 2), [0.0]]))
+        segments = np.repeat(np.arange(steps.size), [part.size for part in parts])
+        return replace(self, times=np.concatenate(parts), segments=segments, weights=np.concatenate(weights))
+
+    @cached_property
+    def is_segment_end(self) -> Mask:
+        return np.append(self.segments[1:] > self.segments[:-1], True)
+
+    @cached_property
+    def times_within(self) -> Array:
+        """Times (n_samples,); with discontinuous dynamics, segment ends are moved inwards by `GONE`.
+
+        The value at a jump due to a final state, such as friction at rest, must not depend on rounding.
+        """
+        if not self.functions.has_jumping_rates:
+            return self.times
+        starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
+        return np.clip(self.times, starts + GONE * (ends - starts), ends - GONE * (ends - starts))
+
+    def sample_signal(self, signal: Callable[..., Array]) -> Array:
+        """Return a signal (of times and a side) at the samples, with the limit from inside each segment."""
+        values = signal(self.times_within, "right")
+        values[:, self.is_segment_end] = signal(self.times_within[self.is_segment_end], "left")
+        return values
+
+    @cached_property
+    def x(self) -> Array:
+        """States (n, n_samples)."""
+        return self.sample_signal(self.leg.x)
+
+    @cached_property
+    def x_rate(self) -> Array:
+        """Time derivatives of the state polynomials."""
+        return self.sample_signal(self.leg.x.derivative())
+
+    @cached_property
+    def u_polynomial(self) -> Array:
+        """Controls as collocation polynomials (m, n_samples)."""
+        return self.sample_signal(self.leg.u)
+
+    @cached_property
+    def u(self) -> Array:
+        """Applied controls, within bounds."""
+        return self.sample_signal(self.leg.applied)
+
+    @cached_property
+    def inactive_controls(self) -> Mask:
+        """Whether a control has no effect (m, n_samples), such as the direction of a vector of magnitude zero."""
+        layout, bounds = self.leg.controls, self.leg.control_bounds
+        vectors = self.leg.vector_controls
+        rows = {label: row for row, label in enumerate(self.leg.path_labels)}
+        norms = {
+            i: rows[vector.length_path]
+            for vector in vectors
+            if vector.length_path in rows
+            for i in range(*layout.slice(vector.direction).indices(layout.size))
+        }
+        idle = find_inactive_controls(
+            self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms
+        )
+        for vector in vectors:
+            magnitude = self.u[layout.slice(vector.magnitude)]
+            scale = self.control_scale[layout.slice(vector.magnitude), None]
+            idle[layout.slice(vector.direction)] |= magnitude <= AT_LIMIT * scale
+        return idle
+
+    @cached_property
+    def at_control_bounds(self) -> Mask:
+        """Whether controls are at their lower and at their upper bound (2, m, n_samples)."""
+        return np.stack(self.leg.control_bounds.near(self.u, AT_LIMIT * self.control_scale))
+
+    @cached_property
+    def lam(self) -> Array:
+        """Costates (n, n_samples)."""
+        return self.sample_signal(self.leg.lam)
+
+    @cached_property
+    def lam_rate(self) -> Array:
+        """Time derivatives of the costate polynomials."""
+        return self.sample_signal(self.leg.lam.derivative())
+
+    @cached_property
+    def mu(self) -> Array:
+        """Path multiplier densities (n_paths, n_samples)."""
+        return self.sample_signal(self.leg.path_multiplier)
+
+    @cached_property
+    def state_multiplier(self) -> Array:
+        """State bound multiplier densities (n, n_samples)."""
+        return self.sample_signal(self.leg.state_multiplier)
+
+    @cached_property
+    def hamiltonian(self) -> Array:
+        """H along the applied control (n_samples,)."""
+        return self.functions.hamiltonian(self.times, self.x, self.u, self.lam)
+
+    @cached_property
+    def control_gradient(self) -> Array:
+        """d(H + mu.c)/du along the applied control (m, n_samples)."""
+        return self.functions.control_gradient(self.times, self.x, self.u, self.lam, self.mu)
+
+    @cached_property
+    def control_hessian(self) -> Array:
+        """d2(H + mu.c)/du2 along the applied control (m, m, n_samples)."""
+        return self.functions.control_hessian(self.times, self.x, self.u, self.lam, self.mu)
+
+    @cached_property
+    def state_scale(self) -> Array:
+        """Variation scale of each state along the phase (n,); see module `variation_scales`."""
+        return compute_state_spans(self.leg, self.functions, self.control_span, lasting=self.has_duration)
+
+    @cached_property
+    def control_span(self) -> Array:
+        """Variation scale of each control, from its own variation or the costates (m,); module `variation_scales`."""
+        terms = np.abs(self.switching_functions - self.cost_gradient)
+        most = float(np.nanmax(self._costate_terms, initial=0.0))
+        asked = estimate_required_controls(self.leg, self.functions)
+        curvature = np.einsum("iij->ij", self.control_hessian)
+        spans = compute_control_spans(self.leg, self.u, terms, curvature, most, asked)
+        still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
+        rounding = still[[not self._keeps_curvature(int(i), spans[i], curvature[i]) for i in still]]
+        if not rounding.size:
+            return spans
+        curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
+        return compute_control_spans(self.leg, self.u, terms, curvature, most, asked)
+
+    def _keeps_curvature(self, i: int, span: float, curvature: Array) -> bool:
+        """Return whether H changes over the control's scale about as its largest curvature predicts."""
+        at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
+        step = np.zeros((self.u.shape[0], 1))
+        step[i] = 0.5 * span
+        t, x, lam, u = self.times[at], self.x[:, at], self.lam[:, at], self.u[:, at]
+        before, here, after = (self.functions.hamiltonian(t, x, v, lam)[0] for v in (u - step, u, u + step))
+        return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[at[0]]) * step[i, 0] ** 2
+
+    @cached_property
+    def control_periods(self) -> Array:
+        """Periods of controls (m,); 0 for controls that are not angles or have bounds."""
+        bounds = self.leg.control_bounds
+        unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
+        return find_control_periods(
+            self.functions, self.times, self.x, self.u, unbounded & ~self.functions.separable_controls
+        )
+
+    @cached_property
+    def switching_functions(self) -> Array:
+        """dH/du without path multipliers along the applied control (m, n_samples)."""
+        return self.functions.switching(self.times, self.x, self.u, self.lam)
+
+    @cached_property
+    def cost_gradient(self) -> Array:
+        """Contribution of the integrands to dH/du, (m, n_samples)."""
+        return self.functions.switching(self.times, self.x, self.u, np.zeros_like(self.lam))
+
+    @cached_property
+    def _hamiltonian_changes(self) -> Array:
+        amplitude = 0.5 * self.control_span[:, None]
+        slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching_functions - self.cost_gradient))
+        by_slope = _find_largest_finite(slopes * amplitude)
+        bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
+        flown = np.fmax(by_slope, _find_largest_finite(bends))
+        return np.asarray(np.fmax(flown, self._slopes_of_cancelling_costates * amplitude[:, 0]))
+
+    @cached_property
+    def _slopes_of_cancelling_costates(self) -> Array:
+        """Return slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel."""
+        leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
+        at = middles, leg.x(middles), leg.applied(middles)
+        none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
+        by_cost = np.abs(self.functions.state_gradient(*at, *none))
+        by_state = np.abs(self.functions.state_jacobian(*at))
+        # Costates integrate their rates over at most the shortest response time.
+        steepest = np.max(np.where(np.isfinite(by_state), by_state, 0.0), axis=2)
+        lasting = self.span / max(1.0, self.span * float(np.max(np.abs(np.linalg.eigvals(steepest)))))
+        flown = np.max(np.abs(self.lam), axis=1)
+        before, balanced, size = np.full_like(flown, np.nan), np.zeros_like(flown), np.abs(leg.lam(middles))
+        for _ in range(flown.size):  # costates in a chain may all vanish
+            if np.array_equal(before, balanced):
+                break
+            costates, before = np.maximum(size, balanced[:, None]), balanced
+            terms = lasting * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
+            balanced = np.where(np.isfinite(terms) & (flown <= COSTATE_MIN_SHARE_OF_COST * terms), terms, 0.0)
+        slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
+        return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1, initial=0.0))
+
+    @property
+    def joint_hamiltonian_change(self) -> float:
+        """Largest change of H along the phase for half the scales of all controls, cost per second.
+
+        It is determined from the slope of the integrands or of the costate terms, which cancel at a minimum, or from
+        the curvature of H; for vanishing costates, from the terms that cancel in their rates. Constant states, and
+        drift without controls, are excluded.
+        """
+        return max(float(np.sum(self._hamiltonian_changes)), self.rounding_level)
+
+    @property
+    def control_gain(self) -> Array:
+        """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
+        return np.maximum(
+            equalise_components(self._hamiltonian_changes, self.leg.controls),
+            NOTABLE * self.joint_hamiltonian_change,
+        )
+
+    @property
+    def rounding_level(self) -> float:
+        """Cost per second below which differences of H are rounding."""
+        return (
+            COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
+        )
+
+    @cached_property
+    def control_scale(self) -> Array:
+        """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
+        bounds = self.leg.control_bounds
+        span = bounds.upper - bounds.lower
+        reach = np.max(np.abs(self.u), axis=1, initial=0.0)
+        return np.where(np.isfinite(span) & (span > 0), span, nonzero_magnitude(reach))
+
+    @cached_property
+    def cost_scale(self) -> float:
+        """Largest |lambda_i| x_i along the phase: magnitudes of the states in units of the cost."""
+        worth = float(np.max(np.abs(self.lam) * self.state_scale[:, None], initial=0.0))
+        worth = max(worth, COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude)
+        return worth if worth > 0 else 1.0
+
+    @cached_property
+    def _costate_terms(self) -> Array:
+        rates = self.functions.rates(self.times, self.x, self.u)
+        return np.asarray(np.sum(np.abs(self.lam * rates), axis=0))
+
+    @cached_property
+    def hamiltonian_terms(self) -> Array:
+        """Sum of the magnitudes of the terms of H (n_samples,)."""
+        integrands = self.functions.integrands(self.times, self.x, self.u)
+        terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        return np.asarray(self._costate_terms + terms)
+
+    @cached_property
+    def hamiltonian_scale(self) -> float:
+        """Largest sum of the magnitudes of the terms of H along the phase (cost per second).
+
+        For a fixed duration, integrands are taken relative to their minimum, since constants have no effect.
+        """
+        terms = self._costate_terms
+        integrands = self.functions.integrands(self.times, self.x, self.u)
+        if self.has_fixed_duration and integrands.size:
+            integrands = integrands - np.min(integrands, axis=1, keepdims=True)
+        terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        return max(float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.rounding_level)
+
+    @property
+    def has_fixed_duration(self) -> bool:
+        """Whether initial and final time of the phase, or its duration, are fixed."""
+        leg = self.leg
+        ends = leg.initial_time_bounds.is_fixed[0] and leg.final_time_bounds.is_fixed[0]
+        return bool(ends or leg.duration_bounds.is_fixed[0])
+
+    @property
+    def span(self) -> float:
+        """Duration between the first and last sample, s; positive even for an empty phase."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def has_duration(self) -> bool:
+        """Whether the phase is not empty: its duration is not at a lower bound of zero."""
+        leg = self.leg
+        least = max(
+            leg.duration_bounds.lower[0], leg.final_time_bounds.lower[0] - leg.initial_time_bounds.upper[0]
+        )
+        most = min(
+            leg.duration_bounds.upper[0], leg.final_time_bounds.upper[0] - leg.initial_time_bounds.lower[0]
+        )
+        near = AT_LIMIT * most if np.isfinite(most) else 0.0
+        return bool(least > 0 or leg.duration > max(near, SHORTEST))
+
+    @cached_property
+    def pure_paths(self) -> Indices:
+        """Path constraints that do not depend on controls."""
+        jacobian = self.functions.path_control_jacobian(self.times, self.x, self.u)
+        return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
+
+    @cached_property
+    def state_range(self) -> tuple[Array, Array]:
+        """Smallest and largest states (n,) of the trajectory, extended by the variation scales."""
+        least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
+        return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
+
+    @cached_property
+    def path_reach(self) -> Array:
+        """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
+        at = self.times, self.x, self.u
+        by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
+        by_control = np.einsum(
+            "ijt,j->it", np.abs(self.functions.path_control_jacobian(*at)), self.control_scale
+        )
+        return np.asarray(np.max(by_state + by_control, axis=1, initial=0.0))
+
+    @cached_property
+    def path_scale(self) -> Array:
+        """Variation of each path constraint along the phase, or over the scales of states and controls (n_paths,)."""
+        values = self.functions.paths(self.times, self.x, self.u)
+        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_reach)
+        size = np.max(np.abs(values), axis=1, initial=0.0)
+        scale = np.fmax(scale, SPAN_MIN_SHARE * size)
+        return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
+
+    def describe_sample(self, column: int, what: str = "") -> str:
+        """Return "phase leg, t = 1.23 s, v[2]" for a sample."""
+        return self.describe_time(float(self.times[column]), what)
+
+    def describe_time(self, time: float, what: str = "") -> str:
+        """Return "phase leg, t = 1.23 s, v[2]" for any time."""
+        return f"phase {self.leg.name}, t = {self.describe_times(time)}{f', {what}' if what else ''}"
+
+    def describe_times(self, *times: float) -> str:
+        """Return one time, or several joined by "to", in the unit of time."""
+        return f"{' to '.join(f'{t:.6g}' for t in times)} {self.functions.time_unit}"
+
+    def describe_segment(self, segment: int, what: str) -> str:
+        times = self.describe_times(*self.leg.breaks[segment : segment + 2])
+        return f"phase {self.leg.name}, segment {segment + 1} ({times}), {what}"
+
+    def integrate_magnitudes(self, values: Array) -> Array:
+        """Return the integrals of |values| (n, n_samples) over each segment: (n, K)."""
+        return self.segment_integrals(np.abs(values))
+
+    @cached_property
+    def segment_starts(self) -> Indices:
+        """First sample of each segment (K,)."""
+        return np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
+
+    def segment_integrals(self, values: Array) -> Array:
+        """Return the integrals of values (..., n_samples) over each segment: (..., K)."""
+        return np.asarray(np.add.reduceat(values * self.weights, self.segment_starts, axis=-1))
+
+    def running_integrals(self, values: Array) -> Array:
+        """Return the integrals of values (n, n_samples) from the start of the segment to each sample (n, n_samples)."""
+        parts = values * self.weights
+        running = np.cumsum(parts, axis=1)
+        return np.asarray(running - (running - parts)[:, self.segment_starts][:, self.segments])
+
+    def segment_maxima(self, values: Array) -> Array:
+        """Return the largest value (n_samples,) of each segment (K,)."""
+        return np.asarray(np.maximum.reduceat(values, self.segment_starts))
+
+
+@cache
+def choose_sample_points(degree: int) -> tuple[Array, Array]:
+    """Return the positions of a segment's samples on [-1, 1], including its ends, and their weights."""
+    n = min(
+        degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
+    )  # the other tables of the rule are expensive and not needed
+    return np.pad(collocation_points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(
+        quadrature_weights(GAUSS, n), 1
+    )
+
+
+def _find_largest_finite(values: Array) -> Array:
+    """Return the largest finite number of each row, 0 if there is none."""
+    return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))

@@ -1,0 +1,297 @@
+"""Initial point of a solve: variables of the program from the problem's guess or from an earlier solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.costates import dynamics_multipliers
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.piecewise_polynomial import Side
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.tolerances import GONE, SHORTEST
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramStart:
+    """Initial variables and, from an earlier solution, multipliers; in physical units.
+
+    Attributes
+    ----------
+    x : array (n_variables,)
+    lam_x : array (n_variables,) or None
+        Multipliers of the bounds of the variables.
+    lam_g : array (n_constraints,) or None
+        Multipliers of the rows.
+    """
+
+    x: Array
+    lam_x: Array | None = None
+    lam_g: Array | None = None
+
+
+def choose_program_start(
+    transcription: Transcription, problem: Problem, guess: Solution | None
+) -> ProgramStart:
+    """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess.
+
+    Raises
+    ------
+    ProblemError
+        The solution has other phases, states or controls than the problem.
+    """
+    if guess is None:
+        return ProgramStart(
+            set_integral_variables(
+                transcription, problem, start_from_guess(transcription, with_curved_guess(problem))
+            )
+        )
+    return start_from_solution(transcription, problem, guess, start_from_guess(transcription, problem))
+
+
+def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
+    """Return the problem's guess of all program variables (n_variables,), physical; integrals are zero."""
+    x = np.zeros(transcription.n_variables)
+    for name, part in transcription.parts.items():
+        leg, collocation = problem.phases[name], part.collocation
+        boundaries = build_phase_guess(leg, np.asarray(collocation.mesh.breaks))
+        points = build_phase_guess(leg, collocation.fractions)
+        x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
+        x[collocation.boundary_states] = boundaries.states
+        free_times = part.times < transcription.n_variables
+        breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)]
+        times = boundaries.times[0] + breaks * (boundaries.times[1] - boundaries.times[0])
+        x[part.times[free_times]] = times[free_times]
+    if problem.parameters.size:
+        x[transcription.parameter_places] = np.concatenate(list(problem.parameter_guess.values()))
+    box = transcription.variable_interval(problem)
+    return np.clip(x, box.lower, np.maximum(box.lower, box.upper))
+
+
+def set_integral_variables(transcription: Transcription, problem: Problem, x: Array) -> Array:
+    """Set integral variables to the integrals along x, using their rows (integral - quadrature)."""
+    places = transcription.integral_places
+    if not places.size:
+        return x
+    values = transcription.evaluate_derivatives(problem, x)[0]
+    x = x.copy()
+    x[places] -= np.nan_to_num(values[-places.size :])
+    return x
+
+
+def start_from_solution(
+    transcription: Transcription, problem: Problem, guess: Solution, start: Array
+) -> ProgramStart:
+    """Return variables and multipliers interpolated from a solution on any mesh.
+
+    Parameters
+    ----------
+    start : array (n_variables,)
+        Values of variables that the solution does not have.
+
+    Raises
+    ------
+    ProblemError
+        The solution has other phases, states or controls than the problem.
+    """
+    x = start.copy()
+    lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
+    for name, part in transcription.parts.items():
+        leg = problem.phases[name]
+        old = _find_matching_phase(guess, leg)
+        _fill_phase_variables(transcription, part, old, x, lam_x, lam_g)
+    _fill_free_parameters(transcription, problem, guess, x, lam_x)
+    _fill_end_multipliers(transcription, guess, lam_g)
+    box = transcription.variable_interval(problem)
+    x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
+    return ProgramStart(set_integral_variables(transcription, problem, x), lam_x, lam_g)
+
+
+def mesh_with_fixed_breaks(leg: PhaseSolution) -> Mesh:
+    """Return the mesh with all breaks fixed at their final positions, without empty segments."""
+    if leg.duration < SHORTEST:
+        return replace(leg.mesh, movable=())
+    breaks = (leg.breaks - leg.initial_time) / leg.duration
+    stands = np.diff(breaks) > GONE
+    degrees = tuple(n for n, kept in zip(leg.mesh.degrees, stands, strict=True) if kept)
+    return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
+
+
+def _find_matching_phase(guess: Solution, leg: Phase) -> PhaseSolution:
+    old = guess.phases.get(leg.name)
+    if old is None:
+        raise ProblemError(
+            f"the guess has no phase '{leg.name}', only {list(guess.phases)}: give one with the same phases."
+        )
+    for kind, mine, theirs in (
+        ("states", leg.model.states, old.states),
+        ("controls", leg.model.controls, old.controls),
+    ):
+        if mine.labels != theirs.labels:
+            raise ProblemError(
+                f"the guess for {leg.label} has the {kind} {list(theirs.labels)}, "
+                f"but the model has {list(mine.labels)}: use guess_from_solution()."
+            )
+    return old
+
+
+def _fill_phase_variables(
+    transcription: Transcription, part: PhasePart, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
+) -> None:
+    collocation = part.collocation
+    points = _stretch_times(old, collocation.fractions)
+    breaks = _stretch_times(old, np.asarray(collocation.mesh.breaks))
+    x[collocation.boundary_states] = old.x(breaks)
+    # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
+    at_end = np.concatenate([rule.points == 1.0 for rule in collocation.rules])
+
+    def sample(signal: Callable[[Array, Side], Array]) -> Array:
+        return np.where(at_end, signal(points, "left"), signal(points, "right"))
+
+    shared = np.isin(collocation.point_states, collocation.boundary_states)
+    states = old.x(points)
+    x[collocation.point_states[~shared]] = states[~shared]
+    x[collocation.point_controls] = sample(old.applied.evaluate_clipped_polynomial)
+    free_times = part.times < transcription.n_variables
+    times = _stretch_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
+    x[part.times[free_times]] = times[free_times]
+    for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
+        if place < transcription.n_variables:
+            lam_x[place] = multiplier
+    weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arcs]
+    _fill_impulses(collocation, old, lam_x)
+    np.add.at(lam_x, collocation.point_states, sample(old.state_multiplier) * weights)
+    lam_x[collocation.point_controls] = sample(old.control_multiplier) * weights
+    if old.path_labels:
+        lam_g[collocation.path_rows] = sample(old.path_multiplier) * weights
+    same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
+    costates, ends = old.point_costates if same else sample(old.lam), old.lam(breaks[1:], "left")
+    for rows, values in zip(
+        collocation.dynamics_rows, dynamics_multipliers(collocation, costates, ends), strict=True
+    ):
+        lam_g[rows] = values
+
+
+def _fill_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
+    places, impulses = collocation.boundary_states, old.state_impulses
+    lam_x[places[:, 0]], lam_x[places[:, -1]] = impulses[:, 0], impulses[:, -1]
+    if collocation.mesh == old.mesh:
+        lam_x[places] = impulses
+
+
+def _fill_free_parameters(
+    transcription: Transcription, problem: Problem, guess: Solution, x: Array, lam_x: Array
+) -> None:
+    for name in problem.parameters.names:
+        if name in guess.free_parameters:
+            places = transcription.parameter_places[problem.parameters.slice(name)]
+            x[places] = guess.parameter_values[guess.free_parameters.slice(name)]
+            lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
+
+
+def _fill_end_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
+    """Set multipliers of boundary constraints, durations and integral definitions (-dJ/dI)."""
+    values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
+    known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
+    for name, leg in guess.phases.items():
+        known[f"duration of phase {name}"] = leg.duration_multiplier
+        for label, weight in zip(leg.integral_labels, leg.integral_weights, strict=True):
+            known[f"integral {label}, phase {name}"] = -float(weight)
+    for label, row in transcription.end_rows.items():
+        lam_g[row] = known.get(label, 0.0)
+
+
+def _stretch_times(old: PhaseSolution, fractions: Array) -> Array:
+    first, last = old.breaks[0], old.breaks[-1]
+    return np.asarray(first + fractions * (last - first))
+
+
+def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
+    """Return the problem with the trajectory of another problem's solution as its guess, as far as variables agree.
+
+    Use it for the solution of a simpler problem with fewer states, another model or other phases. (For a solution of a
+    problem with the same phases, states and controls use ``solve(problem, guess=solution)``, which includes its
+    multipliers.)
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+        Phases are matched by name (single phases always); states, controls and free parameters by name and size.
+        Missing quantities are guessed.
+
+    Returns
+    -------
+    Problem
+        See ``Problem.with_guess``.
+
+    Raises
+    ------
+    ProblemError
+        The two have no phase, or no state and no control, in common.
+
+    Examples
+    --------
+    >>> nearby = go.guess_from_solution(problem.with_initial(q=1.1), solution)
+    >>> print(f"{go.solve(nearby, tol=1e-6).objective:.4f}")
+    2.0976
+    """
+    expect(
+        problem,
+        Problem,
+        "the argument of guess_from_solution()",
+        "write guess_from_solution(problem, solution)",
+    )
+    expect(solution, Solution, "the solution of guess_from_solution()", "give a result of solve()")
+    common = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
+    if len(problem.phases) == len(solution.phases) == 1:
+        common = dict(zip(problem.phases, solution.phases.values(), strict=True))
+    guessed = problem
+    for name, leg in common.items():
+        guessed = _with_phase_guess(guessed, name, leg)
+    if guessed is problem:
+        raise ProblemError(
+            f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
+            "controls of the same names: rename them, or use guess_from_data()."
+        )
+    known, parameters = solution.free_parameters, problem.parameters
+    shared = {
+        v.name: solution.parameter_values[known.slice(v.name)]
+        for v in parameters.variables
+        if v.name in known and known[v.name].size == v.size
+    }
+    return guessed.with_parameter_guess(**shared) if shared else guessed
+
+
+def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+    """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
+    signals = [leg.state(v) for v in leg.states.names]
+    signals += [leg.saturated_control(v) for v in leg.controls.names]
+    signals += [leg.saturated_control(c.name) for c in leg.composed_controls]
+    known = {signal.name: signal for signal in signals}
+    values: dict[str, Callable[[Any], Array]] = {
+        v.name: _guess_from_signal(leg, known[v.name])
+        for v in problem.phases[name].guessable_names.values()
+        if v.name in known and len(known[v.name].labels) == v.size
+    }
+    return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
+
+
+def _guess_from_signal(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
+    """Return a signal as a guess that can be evaluated slightly outside the phase."""
+    first, last = float(leg.breaks[0]), float(leg.breaks[-1])
+    return lambda t: np.asarray(signal(min(max(float(t), first), last)))

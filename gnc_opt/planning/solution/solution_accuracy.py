@@ -1,0 +1,160 @@
+"""Accuracy of a solution in user units: objective, limits, final states.
+
+The applied (saturated) control is integrated from the initial state of every phase by DOP853, independently of the
+collocation. Limits are evaluated along that trajectory at Chebyshev points between the jumps of the control; peaks
+between them are those of the interpolating polynomial. The error of the objective is an estimate (module
+`objective_error`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from operator import itemgetter
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.propagation import integrate_to_times
+from gnc_opt.tolerances import ROUNDING
+
+POINTS_PER_PIECE = 12
+"""Number of points between two jumps of the control, including the ends."""
+
+PEAK_SEARCH_TIMES = 401
+"""Number of times between two jumps at which the polynomial is evaluated to find a peak."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Error estimate of the objective, violation of limits, and error of the final states.
+
+    Attributes
+    ----------
+    objective : float
+    objective_error : float
+        Estimate, not a bound, in the unit of the objective: at least its rounding error (1e-15 of it); infinite without
+        a value.
+    violation : float
+        Largest violation of a state limit or path constraint along the trajectory of the applied control, in the unit
+        of the limit; 0 at rounding level. The largest is selected relative to the variation of the quantity.
+    violation_where : str
+        Location, quantity and unit of the violation.
+    miss : float
+        Largest difference between the final state of that trajectory and of the solution, over all phases, in the unit
+        of the state; infinite without a trajectory. The largest is selected relative to the variation of the state.
+    miss_where : str
+
+    Examples
+    --------
+    >>> accuracy = solution.accuracy
+    >>> print(accuracy.objective_error < 1e-6, accuracy.miss < 1e-9, accuracy.violation)
+    True True 0.0
+    """
+
+    objective: float
+    objective_error: float
+    violation: float
+    violation_where: str
+    miss: float
+    miss_where: str
+
+    @property
+    def summary_text(self) -> str:
+        """Accuracy of final states and limits: "final state within 2e-12 m/s; limits satisfied"."""
+        ends = (
+            f"final state within {self.miss:.1g}{_parse_unit(self.miss_where)}"
+            if np.isfinite(self.miss)
+            else "the applied control does not reach the end"
+        )
+        limits = f"limits exceeded by {self.violation:.1g}{_parse_unit(self.violation_where)}"
+        return f"{ends}; {limits if self.violation else 'limits satisfied'}"
+
+    def __str__(self) -> str:
+        return f"objective ± {self.objective_error:.1g}; {self.summary_text}"
+
+
+def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
+    worst, missed = (0.0, 0.0, ""), (0.0, 0.0, "")
+    for s in samples:
+        pieces = _sample_control_pieces(s)
+        x = integrate_to_times(s.leg, s.functions, pieces.ravel())
+        missed = max(missed, _find_largest_end_error(s, x), key=itemgetter(0))
+        values = s.functions.paths(pieces.ravel(), x, _sample_applied_controls(s, pieces))
+        for rows, box, scale, labels in (
+            (
+                x,
+                s.leg.state_bounds,
+                s.state_scale,
+                [
+                    f"{n} ({u})" if u else n
+                    for n, u in zip(s.leg.states.labels, s.leg.states.units, strict=True)
+                ],
+            ),
+            (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
+        ):
+            worst = max(worst, _largest_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
+    error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
+    return Accuracy(objective, error, worst[1], worst[2], missed[1], missed[2])
+
+
+def _find_largest_end_error(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
+    """Return relative size, size and location of the largest error at the end of a phase."""
+    error = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
+    if not np.all(np.isfinite(error)):
+        return np.inf, np.inf, f"phase {s.leg.name}"
+    i = int(np.argmax(error / s.state_scale))
+    unit = s.leg.states.units[i]
+    label = f"phase {s.leg.name}, {s.leg.states.labels[i]}{f' ({unit})' if unit else ''}"
+    return float(error[i] / s.state_scale[i]), float(error[i]), label
+
+
+def _sample_control_pieces(s: PhaseSamples) -> Array:
+    """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
+    edges = s.leg.applied.jump_times
+    shares = 0.5 * (1 - np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1)))
+    times = edges[:-1, None] + shares * np.diff(edges)[:, None]
+    times[:, -1] = edges[1:]  # exact
+    return np.asarray(times)
+
+
+def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
+    """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the end of a piece with its left limit."""
+    u = s.leg.applied(pieces.ravel())
+    u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.applied(pieces[:, -1], "left")
+    return np.asarray(u)
+
+
+def _largest_violation(
+    s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: list[str]
+) -> tuple[float, float, str]:
+    """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
+    if not labels:
+        return 0.0, 0.0, ""
+    with np.errstate(invalid="ignore"):
+        excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
+    excess = np.where(np.isfinite(values), excess, -np.inf)
+    limits = np.minimum(*(np.abs(np.where(np.isfinite(b), b, 0.0)) for b in (box.lower, box.upper)))
+    i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
+    piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
+    peak = max(_maximise_polynomial(box.lower[i] - piece), _maximise_polynomial(piece - box.upper[i]))
+    if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):
+        return 0.0, 0.0, ""
+    return peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[i])
+
+
+def _maximise_polynomial(excess: Array) -> float:
+    """Return the maximum of the polynomial through the points of a piece (POINTS_PER_PIECE,)."""
+    if not np.all(np.isfinite(excess)):
+        return float(np.max(excess, where=np.isfinite(excess), initial=-np.inf))
+    places = np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1))
+    polynomial = scipy.interpolate.BarycentricInterpolator(places, excess)
+    return float(max(np.max(excess), np.max(polynomial(np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)))))
+
+
+def _parse_unit(where: str) -> str:
+    """Return " m" from "phase leg, q (m)"."""
+    return f" {where.rpartition('(')[2][:-1]}" if where.endswith(")") else ""

@@ -1,0 +1,324 @@
+"""Summary of a solution, the output of `print(solution)`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Protocol
+
+import numpy as np
+
+from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.problem.expressions import OutsideTable
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_check import missing_bounds_text
+from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.solution_accuracy import Accuracy
+from gnc_opt.planning.solution.trajectory_quality import Quality
+from gnc_opt.planning.solution.verdict import LowerBound, Verdict
+from gnc_opt.planning.solution.violation_diagnosis import Violation
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.text_formatting import count_text
+from gnc_opt.tolerances import EQUAL
+
+LABEL_WIDTH = 13
+SUMMARY_MAX_NAMES = 3
+"""Largest number of violated constraints, open conditions and overshooting controls that are named."""
+
+BETTER_COARSE_SOLVE = "also seen"
+"""Key of the provenance: a better solution on a coarse mesh during the refinement, possibly another minimum."""
+
+MOVED_START = "start"
+"""Key of the provenance: initial states that were moved to a bound."""
+
+_LOADED_CHECK = {
+    RefinementStatus.CONVERGED: "passed at the end of the refinement",
+    RefinementStatus.CONDITIONS_FAIL: "FAILED at the end of the refinement",
+}
+"""Result of the optimality check of a loaded solution, from the status of its refinement."""
+
+_FAMILY_NAMES = {"LG": "Legendre-Gauss", "LGR": "Legendre-Gauss-Radau", "LGL": "Legendre-Gauss-Lobatto"}
+
+
+class SummarisedSolution(Protocol):
+    """Interface of a solution for its summary, see `gnc_opt.Solution`."""
+
+    @property
+    def problem_name(self) -> str: ...
+    @property
+    def status(self) -> Status: ...
+    @property
+    def objective(self) -> float: ...
+    @property
+    def maximised(self) -> bool: ...
+    @property
+    def phases(self) -> Mapping[str, PhaseSolution]: ...
+    @property
+    def violations(self) -> tuple[Violation, ...]: ...
+    @property
+    def statistics(self) -> Statistics: ...
+    @property
+    def history(self) -> History | None: ...
+    @property
+    def provenance(self) -> Mapping[str, str]: ...
+    @property
+    def problem(self) -> Problem | None: ...
+    @property
+    def bound(self) -> LowerBound | None: ...
+    @property
+    def gap(self) -> float | None: ...
+    @property
+    def verdict(self) -> Verdict | None: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def quality(self) -> Quality: ...
+    @property
+    def accuracy(self) -> Accuracy: ...
+    def phase(self, name: str | None = None) -> PhaseSolution: ...
+    def outside_tables(self) -> list[OutsideTable]: ...
+
+
+def summary(solution: SummarisedSolution) -> str:
+    """Return a summary: seven lines for a converged solution that passes the optimality check, more for others.
+
+    The lines are: objective with unit and estimated error; optimality check; accuracy of final states and limits;
+    times; refinement; mesh; time spent. Further lines name open or failed conditions, with remedies.
+
+    Parameters
+    ----------
+    solution : Solution
+
+    Returns
+    -------
+    str
+        Text without a trailing newline.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import summary
+    >>> print(summary(solution).splitlines()[0].partition(",")[0])
+    rest to rest in minimum time: refined (converged)
+    """
+    quality = find_known_quality(solution)
+    lines = [
+        _headline_text(solution),
+        *_failure_lines(solution),
+        *_optimality_lines(solution),
+        *_accuracy_lines(solution, quality),
+        _phase_times_line(solution),
+        *_refinement_lines(solution),
+        *_bound_lines(solution),
+        *_reformulated_norm_lines(solution),
+        _labelled_line("mesh", mesh_text(solution)),
+        _labelled_line("time spent", _time_spent_line(solution)),
+    ]
+    if not solution.converged:
+        lines += list(_node_violation_lines(quality))
+    lines += list(_overshoot_lines(solution))
+    lines += [_labelled_line("table", str(found)) for found in list_table_exits(solution)]
+    if quality is not None and solution.problem is None:
+        lines.append(_labelled_line("note", "accuracy and defect were measured when the solution was saved"))
+    return "\n".join(lines)
+
+
+def find_known_quality(solution: SummarisedSolution) -> Quality | None:
+    """Return the quality figures, computed or stored in the file; None if neither is possible."""
+    if solution.problem is None and "quality" not in vars(solution):
+        return None
+    return solution.quality
+
+
+def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
+    """Return the controls whose polynomial exceeds its bounds between nodes.
+
+    Returns
+    -------
+    dict
+        Largest overshoot by component label, in the unit of the control; in descending relative order.
+    """
+    lower, upper = leg.control_bounds.lower[:, None], leg.control_bounds.upper[:, None]
+    times = leg.sample_times(32)
+    values = np.hstack([leg.u(times, "right"), leg.u(times, "left")])
+    worst = np.max(np.maximum(lower - values, values - upper), axis=1, initial=0.0)
+    span = (upper - lower)[:, 0]
+    relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
+    held = np.any(leg.applied.is_piecewise_constant, axis=1).tolist()
+    return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}
+
+
+def mesh_text(solution: SummarisedSolution) -> str:
+    """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
+    named = [
+        f"{name} {_mesh_text(leg.mesh)}" if len(solution.phases) > 1 else _mesh_text(leg.mesh)
+        for name, leg in solution.phases.items()
+    ]
+    scheme = next(iter(solution.phases.values())).scheme
+    return f"{'; '.join(named)}, {_FAMILY_NAMES[scheme]}"
+
+
+def objective_text(solution: SummarisedSolution) -> str:
+    """Return ``"2.5 s ± 3e-09"``: objective, unit and, if solved, estimated error."""
+    unit = "" if solution.problem is None else solution.problem.cost_unit
+    value = f"{solution.objective:.10g} {unit}".rstrip()
+    if solution.status.solved and solution.problem is not None:
+        value += f" ± {solution.accuracy.objective_error:.1g}"
+    return value
+
+
+def optimality_text(solution: SummarisedSolution) -> str:
+    """Return the result of the optimality check in words."""
+    if solution.verdict is not None:
+        return solution.verdict.headline
+    unknown = "not checked: call verify()"
+    return unknown if solution.history is None else _LOADED_CHECK.get(solution.history.status, unknown)
+
+
+def _mesh_text(mesh: Mesh) -> str:
+    low, high = min(mesh.degrees), max(mesh.degrees)
+    words = f"{count_text(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {count_text(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+
+
+def _headline_text(solution: SummarisedSolution) -> str:
+    sense = "maximised" if solution.maximised else "minimised"
+    history = solution.history
+    if not solution.status.solved:
+        status = f"NOT SOLVED ({_format_status(solution.status.value)})"
+    elif history is None:
+        status = f"solved ({_format_status(solution.status.value)})"
+    else:
+        reached = history.converged or history.status is RefinementStatus.UNCHECKED
+        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_format_status(history.status.value)})"
+    return f"{solution.problem_name}: {status}, objective {objective_text(solution)} ({sense})"
+
+
+def _failure_lines(solution: SummarisedSolution) -> Iterator[str]:
+    if solution.status.solved:
+        return
+    yield _labelled_line("what to do", solution.status.remedy)
+    for violation in solution.violations[:SUMMARY_MAX_NAMES]:
+        yield _labelled_line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
+
+
+def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
+    """Yield the result of the optimality check, its open conditions, and missing bounds."""
+    if not solution.status.solved:
+        return
+    yield _labelled_line("optimality", optimality_text(solution))
+    if solution.verdict is None:
+        return
+    for c in solution.verdict.open_conditions[:SUMMARY_MAX_NAMES]:
+        yield _labelled_line(
+            "open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}"
+        )
+    if solution.problem is not None and (missing := missing_bounds_text(solution.problem)):
+        yield _labelled_line("what to do", missing)
+
+
+def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
+    """Yield the accuracy of a solved problem; without the problem the stored figures."""
+    if solution.problem is not None:
+        if solution.status.solved:
+            yield _labelled_line("accuracy", solution.accuracy.summary_text)
+    elif quality is None:
+        yield _labelled_line("accuracy", "unknown: load the solution with its problem")
+    else:
+        yield _labelled_line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
+
+
+def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
+    """Yield requested and reached error of a refinement, and notes of its provenance."""
+    if MOVED_START in solution.provenance:
+        yield _labelled_line(MOVED_START, solution.provenance[MOVED_START])
+    history = solution.history
+    if history is None:
+        return
+    if BETTER_COARSE_SOLVE in solution.provenance:
+        yield _labelled_line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
+    final = history.final_iteration
+    yield _labelled_line(
+        "refinement",
+        f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
+        f"{count_text(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
+    )
+
+
+def _bound_lines(solution: SummarisedSolution) -> Iterator[str]:
+    if solution.bound is not None:
+        side = "at most" if solution.maximised else "at least"
+        yield _labelled_line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
+
+
+def _reformulated_norm_lines(solution: SummarisedSolution) -> Iterator[str]:
+    for leg in solution.problem.phases.values() if solution.problem is not None else ():
+        for text in leg.restatement.texts if leg.restatement is not None else ():
+            yield _labelled_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
+
+
+def time_unit(solution: SummarisedSolution) -> str:
+    """Return the unit of time; s for a solution without its problem."""
+    return "s" if solution.problem is None else solution.problem.time_unit
+
+
+def _phase_times_line(solution: SummarisedSolution) -> str:
+    unit = time_unit(solution)
+    return _labelled_line(
+        "time",
+        "; ".join(
+            f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} {unit}"
+            for leg in solution.phases.values()
+        ),
+    )
+
+
+def _time_spent_line(solution: SummarisedSolution) -> str:
+    """Return the wall time of all refinement iterations, and the statistics of the last solve."""
+    spent = solution.statistics
+    seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
+    return f"{seconds:.2f} s; last solve: {spent.summary_text}"
+
+
+def _node_violation_lines(quality: Quality | None) -> Iterator[str]:
+    if quality is None:
+        return
+    yield _labelled_line(
+        "defect", f"{quality.max_defect:.2g} relative between nodes: {quality.defect_location}"
+    )
+    if quality.max_bound_violation > EQUAL:
+        violation = f"exceeded by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
+        yield _labelled_line("bounds", violation)
+
+
+def _propagation_text(quality: Quality) -> str:
+    if np.isfinite(quality.propagation_error):
+        return f"final state within {quality.propagation_error:.1g} relative: {quality.propagation_location}"
+    return f"integration of the applied control stops: {quality.propagation_location}"
+
+
+def _overshoot_lines(solution: SummarisedSolution) -> Iterator[str]:
+    for leg in solution.phases.values():
+        over = find_overshooting_controls(leg)
+        if not over:
+            continue
+        units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
+        named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
+        more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
+        yield _labelled_line(
+            "overshoot",
+            f"control polynomials exceed their bounds between nodes ({', '.join(named[:SUMMARY_MAX_NAMES])}{more}): "
+            "use saturated_control or refine",
+        )
+
+
+def list_table_exits(solution: SummarisedSolution) -> list[OutsideTable]:
+    """Return where the trajectory is outside tables; empty without the problem."""
+    return [] if solution.problem is None else solution.outside_tables()
+
+
+def _format_status(value: str) -> str:
+    return value.replace("_", " ")
+
+
+def _labelled_line(label: str, text: str) -> str:
+    return f"  {label:<{LABEL_WIDTH}}{text}"

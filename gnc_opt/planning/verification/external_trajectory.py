@@ -1,0 +1,483 @@
+"""verify_trajectory: optimality check of a trajectory from another tool.
+
+Samples of reformulated problems are converted to the solved controls: parts, magnitudes and directions.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
+from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit_trajectory
+from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_check import check_unused_controls
+from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
+from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import extract_phases, model_parameters, phase_functions_at
+from gnc_opt.planning.solution.verdict import FIRST_ORDER, Condition, ConditionResult, Verdict
+from gnc_opt.planning.transcription.collocation_families import GAUSS
+from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
+from gnc_opt.runtime_environment import one_thread
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
+
+
+def reformulate_samples(
+    problem: Problem, twin: Problem, samples: Mapping[str, Samples], q: Array
+) -> dict[str, Samples]:
+    """Return the samples in the variables of ``reformulate(problem)``; q are its first parameters."""
+    return {name: _reformulate_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
+
+
+def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
+    stated = leg.model if leg.restatement is None else leg.restatement.model
+    own = _reorder_samples(own, problem.phases[leg.name].model, stated)
+    if leg.restatement is None:
+        return own
+    arguments = [*stated.arguments(), problem.parameter_symbols()]
+    values = ca.densify(problem.bind(leg, leg.restatement.values))
+    function = ca.Function("restated", arguments, [values])
+    p = model_parameters(problem, problem.phases[leg.name], q)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        u = evaluate_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
+    controls = leg.model.controls
+    for vector in leg.vector_controls:
+        direction = controls.slice(vector.direction)
+        u[direction] = _fill_undefined_directions(u[controls.slice(vector.magnitude)][0], u[direction])
+    return replace(own, u=u)
+
+
+def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
+    """Return samples of a model with the same variables, some of which are states instead of controls."""
+    if given.states.names == model.states.names:
+        return own
+    known = {name: own.x[given.states.slice(name)] for name in given.states.names}
+    known |= {name: own.u[given.controls.slice(name)] for name in given.controls.names}
+    x, u = (
+        np.vstack([np.zeros((0, own.t.size)), *(known[n] for n in k.names)])
+        for k in (model.states, model.controls)
+    )
+    return Samples(own.t, x, u)
+
+
+def _fill_undefined_directions(size: Array, direction: Array) -> Array:
+    """Return directions (n, n_times) of vectors of a size (n_times,); at size zero the previous (first: next) one."""
+    known = np.flatnonzero((size > AT_LIMIT * np.max(size)) & np.all(np.isfinite(direction), axis=0))
+    if not known.size:
+        return np.repeat(np.eye(direction.shape[0])[:, :1], direction.shape[1], axis=1)
+    before = np.searchsorted(known, np.arange(direction.shape[1]), side="right") - 1
+    return np.asarray(direction[:, known[np.maximum(before, 0)]])
+
+
+PARTS = (2, 4)
+"""Numbers of parts into which sampling intervals are divided, one after the other, until the adjoint equation holds;
+costates may change faster than states."""
+
+INTERPOLATION_GROWTH, HALVED_STEPS, FEWEST_SAMPLES = 4.0, 5, 8
+"""Smallest growth of an interpolation error if every second sample is omitted, number of halvings of the steps that
+must bring it within the tolerance, and smallest number of samples of a phase for this test."""
+
+NEARER = 1e-7, 1e-9
+"""Distances from limits, relative to their scales, above which they are inactive; smaller ones are tried if estimated
+multipliers act away from the limit. Near a touch point, fine samples are closer than the accuracy of other tools."""
+
+Values = Any
+"""Arrays (n, n_times) in the order of the model, or a mapping from names; for several phases a mapping of these."""
+
+
+@one_thread()
+def verify_trajectory(
+    problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = CONDITION_TOLERANCE
+) -> Verdict:
+    """Return the verdict on a trajectory from any tool, sampled and without multipliers, with all conditions of
+    `verify`.
+
+    Costs with kinks or norms are checked in the controls that `solve` uses: parts, magnitudes and directions.
+
+    The samples are interpolated by polynomials (module `trajectory_fit`). Costates and multipliers are estimated by
+    least squares from adjoint equation, stationarity and transversality (module `multiplier_estimate`). Without
+    such multipliers, conditions fail.
+
+    Parameters
+    ----------
+    problem : Problem
+    t : array (n_times,), s
+        Ascending; at a control jump, repeat the time with the values before and after it. A jump between two samples is
+        located from the states. For several phases: a mapping from their names.
+    x, u : array (n_states, n_times), (n_controls, n_times), or a mapping from names to (n_times,) or (size, n_times)
+        States and controls; split and vector controls by their own name or by those of their parts. For several phases:
+        a mapping from their names.
+    p : array (n_parameters,) or mapping from names, optional
+        Values of the problem's free parameters; required if it has any.
+    tol : float
+        Tolerance of every condition. Its lower limit is the interpolation error, of third order in the sampling
+        interval for controls and of fourth order for states.
+
+    Returns
+    -------
+    Verdict
+        With ``estimated`` true: multipliers are estimates, and a wrong sign may be an estimation error if multipliers
+        are not unique.
+
+    Raises
+    ------
+    ProblemError
+        Wrong sizes, missing or unknown names, decreasing times, numbers that are not finite, or a control without
+        effect on the problem.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import gnc_opt as go
+    >>> cart = go.Model("cart")
+    >>> q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
+    >>> cart.ode({q: v, v: a})
+    >>> problem = go.Problem("rest to rest")
+    >>> leg = problem.phase("leg", cart)
+    >>> leg.time(0.0, 1.0)
+    >>> leg.initial(q=0.0, v=0.0)
+    >>> leg.final(q=1.0, v=0.0)
+    >>> problem.minimize(leg.integral(a**2))
+    >>> t = np.linspace(0.0, 1.0, 41)
+    >>> x = {"q": 3 * t**2 - 2 * t**3, "v": 6 * t - 6 * t**2}
+    >>> go.verify_trajectory(problem, t, x, {"a": 6 - 12 * t}).ok
+    True
+    """
+    expect(problem, Problem, "the first argument of verify_trajectory()", "give the problem, then t, x and u")
+    q = _read_parameters(problem, p)
+    check_unused_controls(problem)
+    samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)
+    verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate(problem)
+    if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
+        return verdict
+    other = _check_reformulated(problem, twin, samples, q, tol)
+    prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
+    return verdict if prefers_stated else other
+
+
+def _check_sampled_trajectory(
+    problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
+    verdict = verify(_build_solution(problem, samples, q), tol=tol)
+    for near in NEARER if verdict["active set"].result is ConditionResult.FAIL else ():
+        other = verify(_build_solution(problem, samples, q, near=near), tol=tol)
+        if not other.failed:
+            return replace(other, estimated=True)
+    for parts in PARTS:
+        if verdict["stationarity"].result is not ConditionResult.FAIL:
+            break
+        verdict = verify(_build_solution(problem, samples, q, parts), tol=tol)
+    return replace(_mark_interpolation_errors_inconclusive(verdict, problem, samples, q, tol), estimated=True)
+
+
+def _mark_interpolation_errors_inconclusive(
+    verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
+    """Return the verdict with failures as inconclusive that denser samples would remove.
+
+    Such failures grow if every second sample is omitted.
+    """
+    failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
+    few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
+    if not failed or few:
+        return verdict
+    thinned = {name: _halve_samples(leg) for name, leg in samples.items()}
+    coarse = verify(_build_solution(problem, thinned, q), tol=tol)
+    if not all(_vanishes_with_denser_samples(c, coarse[c.name].value / c.value) for c in failed):
+        return verdict
+    where = "the samples are too coarse: give denser ones"
+    return replace(
+        verdict,
+        conditions=tuple(
+            replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {where}") if c in failed else c
+            for c in verdict.conditions
+        ),
+    )
+
+
+def _vanishes_with_denser_samples(failed: Condition, growth: float) -> bool:
+    """Return whether an error that grows if every second sample is omitted is due to the samples.
+
+    Defects are integrals over the steps: denser samples of the same trajectory have smaller ones.
+    """
+    grows = growth >= INTERPOLATION_GROWTH or failed.name == "dynamics"
+    return grows and failed.value <= failed.tolerance * growth**HALVED_STEPS
+
+
+def _halve_samples(samples: Samples) -> Samples:
+    """Return every second sample, the ends, and both sides of jumps."""
+    t = samples.t
+    twice = np.append(np.diff(t) == 0, False)
+    kept = np.arange(t.size) % 2 == 0
+    kept |= twice | np.roll(twice, 1)
+    kept[[0, -1]] = True
+    return Samples(t[kept], samples.x[:, kept], samples.u[:, kept])
+
+
+def _check_reformulated(
+    problem: Problem, twin: Problem, stated: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
+    """Return the verdict in the reformulated controls, without norms and kinks
+    (`gnc_opt.planning.problem.reformulation`)."""
+    samples = reformulate_samples(problem, twin, stated, q)
+    q = _add_kink_parameters(twin, samples, q)
+    return _check_sampled_trajectory(twin, _unwrap_angles(twin, samples, q), q, tol)
+
+
+def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
+    """Return whether angles exceed bounds of a full turn, which the reformulated problem does not have."""
+    for name, leg in twin.phases.items():
+        if leg.numbers.turns is not None:
+            box, u = problem.phases[name].numbers.controls, stated[name].u
+            slack = AT_LIMIT * leg.numbers.turns.periods
+            if np.any(u < (box.lower - slack)[:, None]) or np.any(u > (box.upper + slack)[:, None]):
+                return True
+    return False
+
+
+def _add_kink_parameters(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:
+    """Return the parameters, followed by those that replace kinks at the ends, as small as their constraints allow."""
+    added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
+    if not added:
+        return q
+    none = np.append(q, np.zeros(len(added)))
+    q, at_zero = none.copy(), _build_solution(twin, samples, none)
+    rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
+    for name in added:
+        missing = [-rows[label] for label in twin.constraints[name].labels]
+        q[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
+    priced = abs(_build_solution(twin, samples, q).objective - at_zero.objective)
+    return q if priced > EQUAL * abs(at_zero.objective) else none  # rounding on the kink
+
+
+# --- a solution with estimated multipliers ----------------------------------------------------------------
+
+
+def _build_solution(
+    problem: Problem, samples: Mapping[str, Samples], q: Array, parts: int = 1, near: float = ACTIVE
+) -> Solution:
+    fitted: dict[str, FittedPhase] = {}
+    for name in problem.phases:
+        fitted[name] = fit_trajectory(
+            samples[name], phase_functions_at(problem, name, q).rates
+        ).split_segments(parts)
+    transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
+    iterate = estimate_multipliers(transcription, problem, fitted, q, near)
+    phases, gradients = extract_phases(transcription, problem, iterate)
+    phases = {name: _replace_trajectory(leg, fitted[name]) for name, leg in phases.items()}
+    return Solution(
+        problem_name=problem.name,
+        status=Status.ACCEPTABLE,
+        objective=gradients.cost,
+        maximised=problem.sense < 0,
+        phases=phases,
+        free_parameters=problem.parameters,
+        parameter_values=q,
+        parameter_multipliers=iterate.lam_x[transcription.parameter_places],
+        constraint_labels=problem.constraint_labels(),
+        constraint_values=gradients.constraints,
+        constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
+        violations=(),
+        statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
+        provenance={"fingerprint": problem.fingerprint()},
+        structure=tuple(arc for leg in phases.values() for arc in _find_bound_arcs(leg)),
+        problem=problem.frozen(),
+    )
+
+
+def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
+    """Return the phase with the trajectory and times of the samples, even if the problem has others."""
+    breaks = phase.x.breaks
+    return replace(
+        leg,
+        mesh=phase.mesh,
+        x=phase.x,
+        u=phase.u,
+        lam=PiecewisePolynomial(breaks, leg.lam.nodes, leg.lam.values),
+        initial_time=float(breaks[0]),
+        final_time=float(breaks[-1]),
+    )
+
+
+def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
+    """Return the samples with angles unwrapped that other tools keep within a turn."""
+    found = {}
+    for name, leg in samples.items():
+        bounds = problem.phases[name].numbers.controls
+        controls = unwrap_angles(phase_functions_at(problem, name, q), bounds, leg.t, leg.x, leg.u)
+        found[name] = replace(leg, u=controls)
+    return found
+
+
+def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
+    """Return the arcs of controls at a bound at all times, between their jumps; none if a control is interior."""
+    arcs: list[Arc] = []
+    breaks = leg.breaks[list(leg.mesh.anchors)]
+    slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
+    for i, label in enumerate(leg.controls.labels):
+        lower, upper = leg.control_bounds.near(leg.u(leg.point_times), slack)
+        for start, end in itertools.pairwise(breaks):
+            within = (leg.point_times > start) & (leg.point_times < end)
+            kinds = {ArcKind.LOWER: lower[i, within], ArcKind.UPPER: upper[i, within]}
+            kind = next((k for k, on in kinds.items() if np.all(on)), None)
+            if kind is None:
+                return []
+            if arcs and arcs[-1].channel == label and arcs[-1].kind is kind:
+                arcs[-1] = replace(arcs[-1], end=float(end))
+            else:
+                arcs.append(Arc(leg.name, label, kind, float(start), float(end)))
+    return arcs if leg.mesh.movable else []
+
+
+# --- reading arguments ------------------------------------------------------------------------------------
+
+
+def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str, Samples]:
+    names = list(problem.phases)
+    if len(names) == 1 and not isinstance(t, Mapping):
+        t, x, u = ({names[0]: value} for value in (t, x, u))
+    for what, given in (("times", t), ("states", x), ("controls", u)):
+        if not isinstance(given, Mapping):
+            raise ProblemError(
+                f"the {what} of a trajectory of '{problem.name}' must be a mapping from the phases {names}, "
+                "since there are several."
+            )
+        for name in given:
+            if name not in names:
+                raise unknown_name("phase", name, f"problem '{problem.name}'", names)
+        missing = [name for name in names if name not in given]
+        if missing:
+            raise ProblemError(f"the {what} of phase '{missing[0]}' are missing: give them for every phase.")
+    return {name: _read_phase(leg, t[name], x[name], u[name]) for name, leg in problem.phases.items()}
+
+
+def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
+    times = _require_finite(
+        read_numbers(t, f"the times of {leg.label}", ProblemError), f"the times of {leg.label}"
+    )
+    if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
+        raise ProblemError(
+            f"the times of {leg.label} have shape {times.shape}: give a vector of two or more."
+        )
+    steps = np.diff(times)
+    if np.any(steps < 0):
+        i = int(np.argmax(steps < 0))
+        raise ProblemError(
+            f"the times of {leg.label} decrease from {times[i]:g} to {times[i + 1]:g} s: sort the samples."
+        )
+    if np.any((steps[:-1] == 0) & (steps[1:] == 0)) or steps[0] == 0 or steps[-1] == 0:
+        raise ProblemError(
+            f"the times of {leg.label} repeat one more than twice, or at an end: give a time twice only where a "
+            "control jumps."
+        )
+    return _remove_duplicate_samples(
+        Samples(
+            times,
+            _read_component_rows(leg, leg.model.states, x, times.size, "state"),
+            _read_component_rows(
+                leg, leg.model.controls, _split_vector_controls(leg, u, times.size), times.size, "control"
+            ),
+        )
+    )
+
+
+def _remove_duplicate_samples(samples: Samples) -> Samples:
+    """Return the samples without duplicates, whose times differ by rounding."""
+    t, u = samples.t, samples.u
+    near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
+    jumps = np.any(np.abs(np.diff(u, axis=1)) > SMALL * np.ptp(u, axis=1, keepdims=True), axis=0)
+    kept = np.append(True, ~(near & ~jumps))
+    times = t.copy()
+    times[1:][near & jumps] = t[:-1][near & jumps]
+    return Samples(times[kept], samples.x[:, kept], u[:, kept])
+
+
+def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
+    """Return controls by name; composed controls as their parts, or as magnitude and direction."""
+    if not isinstance(u, Mapping):
+        return u
+    found = dict(u)
+    for control in leg.model.composed_controls.values():
+        if control.name in found:
+            shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.label}"
+            parts = control.decompose(_read_finite_array(found.pop(control.name), shape, what))
+            if isinstance(control, VectorControl):
+                parts = parts[0], _fill_undefined_directions(parts[0][0], parts[1])
+            found |= zip(control.parts, parts, strict=True)
+    return found
+
+
+def _read_component_rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
+    what = f"the {kind}s of {leg.label}"
+    if isinstance(given, Mapping):
+        for name in given:
+            if name not in layout:
+                raise unknown_name(kind, name, leg.label, layout.names)
+        missing = [name for name in layout.names if name not in given]
+        if missing:
+            raise ProblemError(f"{kind} '{missing[0]}' of {leg.label} is missing: give its samples.")
+        rows = [
+            _read_finite_array(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.label}")
+            for name in layout.names
+        ]
+        return np.vstack(rows) if rows else np.zeros((0, n_times))
+    return _read_finite_array(given, (layout.size, n_times), what)
+
+
+def _read_finite_array(value: Values, shape: tuple[int, int], what: str) -> Array:
+    array = read_numbers(value, what, ProblemError)
+    if shape[0] == 0 and array.size == 0:
+        return np.zeros(shape)
+    if shape[0] == 1 and array.shape == shape[1:]:
+        array = array[None, :]
+    if array.shape != shape:
+        raise ProblemError(f"{what} has shape {array.shape} where {shape} is needed: one column per time.")
+    return _require_finite(array, what)
+
+
+def _require_finite(array: Array, what: str) -> Array:
+    if not np.all(np.isfinite(array)):
+        raise ProblemError(f"{what}: not every number is finite; give a complete trajectory.")
+    return array
+
+
+def _read_parameters(problem: Problem, p: Values) -> Array:
+    layout, what = problem.parameters, f"the free parameters of '{problem.name}'"
+    p = {} if p is None else p
+    if isinstance(p, Mapping):
+        for name in p:
+            if name not in layout:
+                raise unknown_name("free parameter", name, f"problem '{problem.name}'", layout.names)
+        values = layout.stack(p)
+        missing = [label for label, value in zip(layout.labels, values, strict=True) if np.isnan(value)]
+        if missing:
+            raise ProblemError(
+                f"free parameter '{missing[0]}' of '{problem.name}' is missing: give its value."
+            )
+        return _require_finite(values, what)
+    values = read_numbers(p, what, ProblemError).reshape(-1)
+    if values.size != layout.size:
+        raise ProblemError(
+            f"{what} are given {values.size} values: give {layout.size}, for {list(layout.names)}."
+        )
+    return _require_finite(values, what)

@@ -1,0 +1,176 @@
+r"""Smoothness: dynamics and integrands must be differentiable along the trajectory.
+
+If a trajectory crosses a surface :math:`g(x) = 0` at which they jump, the costate jumps by a multiple of
+:math:`\partial g/\partial x` (A. E. Bryson & Y.-C. Ho, Applied Optimal Control, 1975, section 3.7). Between two phases,
+linkages and the condition g = 0 account for this multiple; inside a phase it is not represented.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.optimality.reference_scales import Scales, hamiltonian_differences
+from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
+from gnc_opt.planning.problem.kink_detection import Kinks, find_kinks
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
+from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, nonzero_magnitude
+
+NAME = "kinks"
+
+KINKS = (
+    "Dynamics and integrands must be differentiable along the trajectory. If they jump at a state, the costates jump "
+    "as well, which the other conditions do not include: end a phase there, with that state as a final value, and "
+    "link() the next phase to it. If the trajectory stays on a kink, gradients are not unique: impose the kink as a "
+    "constraint."
+)
+
+
+STEPS = 1e-4, 1e-6
+"""Steps of second differences, relative to the reach."""
+
+SAME_RATIO = 0.3
+"""Smallest ratio of the second differences per step at both steps; it is 1 at a kink."""
+
+
+@dataclass(frozen=True)
+class KinkPoint:
+    """Worst nonsmooth point of a trajectory: size, location, whether it is a crossed jump, and whether in states."""
+
+    value: float
+    where: str
+    jump: bool
+    of_states: bool = True
+
+
+def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> KinkPoint | None:
+    """Return the first jump that a trajectory crosses inside a phase, else a kink on which it stays, else None."""
+    rests = None
+    for s in samples:
+        kinks = find_kinks(problem, problem.phases[s.leg.name])
+        if kinks is None:
+            continue
+        values = _evaluate_kink_arguments(s, kinks, s.times_within, s.x, s.u)
+        for i, row in enumerate(values):
+            signed = np.flatnonzero(row)  # samples on the surface are on neither side
+            for k in np.flatnonzero(row[signed[1:]] * row[signed[:-1]] < 0):
+                found = _find_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
+                if found is not None:
+                    return found
+        rest = _find_sliding_on_kink(s, kinks, values)
+        rests = rest if rests is None or (rest and rest.of_states and not rests.of_states) else rests
+    return rests
+
+
+def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool = False) -> Condition:
+    """Return the condition; on a kink failures are inconclusive, otherwise only sufficiency is."""
+    if found is None:
+        return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
+    if falls:
+        meaning = "The cost decreases to both sides of a kink: a cheaper trajectory is nearby."
+        return Condition(NAME, ConditionResult.FAIL, found.value, 0.0, found.where, meaning)
+    sufficient = not found.jump and not fails
+    return Condition(
+        NAME, ConditionResult.INCONCLUSIVE, found.value, 0.0, found.where, KINKS, sufficient=sufficient
+    )
+
+
+def mark_theorem_inapplicable(condition: Condition, found: KinkPoint) -> Condition:
+    """Return a failed condition that requires smoothness as inconclusive.
+
+    The minimum principle compares values of H and does not require smoothness in the controls.
+    """
+    compares_values = condition.name == "minimum principle" and not found.of_states
+    if condition.result is not ConditionResult.FAIL or compares_values:
+        return condition
+    return replace(
+        condition,
+        result=ConditionResult.INCONCLUSIVE,
+        where=f"{condition.where}; not smooth: {found.where}",
+        loss=None,
+        unit="",
+    )
+
+
+def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint | None:
+    """Return a kink at which the cost decreases to both sides, or None.
+
+    It evaluates ends, times, integrals and parameters, and states of phases on one of their kinks: second differences
+    of the Lagrangian that are proportional to the step.
+    """
+    found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
+    share = _largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
+    if share > 0:
+        return KinkPoint(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
+    for s in samples:
+        principal = scales.phases[s.leg.name].along.nonzero_axes
+        coarse = hamiltonian_differences(s, principal, STEPS[0])
+        if not np.any(_is_concave(coarse, scales.cost)):
+            continue
+        share = _largest_cost_decrease_at_kink(
+            coarse, hamiltonian_differences(s, principal, STEPS[1]), scales.cost
+        )
+        if share > 0:
+            return KinkPoint(
+                share, f"phase {s.leg.name}: H falls to both sides of a kink in the states", False
+            )
+    return None
+
+
+def _largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
+    """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero without a decrease."""
+    ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
+    kink = (ratio >= SAME_RATIO) & _is_concave(coarse, cost) & np.all(np.isfinite(fine), axis=0)
+    fall = float(np.max(np.where(kink, -coarse[1], 0.0), initial=0.0))
+    return fall / (cost + fall)
+
+
+def _is_concave(coarse: Array, cost: float) -> Mask:
+    """Return whether second differences at the larger step are negative beyond rounding (n,)."""
+    return np.asarray(-coarse[1] >= SMALL * np.maximum(np.abs(coarse[0]), cost))
+
+
+def _evaluate_kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
+    numbers = s.functions.p, s.functions.q
+    return evaluate_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
+
+
+def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> KinkPoint | None:
+    """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
+
+    def arguments_at(times: Array) -> Array:
+        return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
+
+    aside = SAME_TIME * s.span  # samples may belong to another segment
+    left, right = bisect_sign_changes(arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside)
+    sides = np.clip(np.append(left - aside, right + aside), *s.leg.breaks[[0, -1]])
+    x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
+    rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale
+    integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
+    size = float(np.max(np.append(rates, abs(integrands) / max(s.cost_scale, TINY)), initial=0.0))
+    if not size > tolerance:
+        return None
+    return KinkPoint(
+        size, f"{s.describe_time(float(right[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
+    )
+
+
+def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> KinkPoint | None:
+    """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
+    sizes = nonzero_magnitude(np.max(np.abs(values), axis=1, initial=0.0))
+    at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
+    lengths = np.sum(at_zero * s.weights, axis=1) / s.span
+    long = lengths > SMEARED
+    if not np.any(long):
+        return None
+    of_states = bool(np.any(long & kinks.is_state_dependent))  # kinks in states have priority
+    i = int(np.argmax(np.where(kinks.is_state_dependent == of_states, lengths, 0.0)))
+    j = int(np.argmax(at_zero[i]))
+    where = f"from {s.describe_sample(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
+    return KinkPoint(float(lengths[i]), where, False, of_states)

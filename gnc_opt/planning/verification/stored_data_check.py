@@ -1,0 +1,231 @@
+"""Recomputed solution: trajectory and multipliers of a solution, with all other numbers from its problem."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, endpoint_gradients
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.solution_extraction import copy_problem_data
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_worst_index
+from gnc_opt.planning.solution.verdict import Condition
+from gnc_opt.planning.verification.feasibility import integrate_cost_terms, make_condition
+from gnc_opt.tolerances import TINY
+
+_EXACT = (
+    "parameters",
+    *("state_bounds", "control_bounds", "path_bounds", "initial_bounds", "final_bounds"),
+    *("initial_time_bounds", "final_time_bounds", "duration_bounds"),
+)
+"""Fields of a phase solution that equal those of the problem."""
+
+_DUAL = (
+    *("lam", "lam_start", "lam_end", "point_costates", "path_multipliers", "state_multipliers"),
+    *("control_multipliers", "state_impulses", "time_multipliers", "duration_multiplier", "integral_weights"),
+    *("parameter_multipliers", "constraint_multipliers"),
+)
+"""Fields of solutions with costates only."""
+
+
+def recompute_from_problem(solution: Solution) -> Solution:
+    """Return the solution with names, limits, model parameters, integrals and their weights from its problem.
+
+    Times, states, controls, costates, multipliers and free parameters are unchanged. Integrals are quadratures along
+    the applied control; their weights are gradients of cost and constraints at the ends of the trajectory.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem, or one with other phases, variables or constraints.
+    """
+    problem = solution.need_problem("verify")
+    _require_problem_sizes(problem, solution)
+    stated = {name: _recompute_phase(problem, solution, name) for name in problem.phases}
+    checked = replace(
+        solution,
+        maximised=problem.sense < 0,
+        phases=stated,
+        free_parameters=problem.parameters,
+        constraint_labels=problem.constraint_labels(),
+    )
+    measured = {
+        name: replace(
+            leg, integrals=integrate_cost_terms(PhaseSamples.from_phase(leg, checked.functions(name)))
+        )
+        for name, leg in stated.items()
+    }
+    weights = boundary_gradients(replace(checked, phases=measured)).integrals
+    weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
+    return replace(checked, phases=weighed)
+
+
+def boundary_gradients(solution: Solution) -> EndGradients:
+    """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
+    problem = solution.need_problem("verify")
+    ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
+    return endpoint_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
+
+
+def find_nonfinite_entry(stored: Solution, with_costates: bool) -> Worst:
+    """Return the first number that is not finite, as an infinite violation, or zero.
+
+    Parameters
+    ----------
+    with_costates : bool
+        Whether costates exist; otherwise their numbers may be missing.
+    """
+    worst = _find_first_nonfinite(stored, "", with_costates)
+    for name, leg in stored.phases.items():
+        worst = worst.select_worse(_find_first_nonfinite(leg, f"phase {name}, ", with_costates))
+    return worst
+
+
+def check_stored_data(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
+    """Return the condition that data stored from the problem equal those of the problem, and no number is missing.
+
+    Parameters
+    ----------
+    stored, checked : Solution
+        As stored, and from `recompute_from_problem`.
+    missing : Worst
+        By `find_nonfinite_entry`, or `costate_inconsistency` where that is worse.
+    """
+    worst = missing
+    if stored.maximised != (checked.need_problem("verify").sense < 0):
+        worst = worst.select_worse(Worst(np.inf, "whether the objective is maximised"))
+    for name, leg in checked.phases.items():
+        for what in _EXACT:
+            for a, b in zip(_data_vectors(stored.phases[name], what), _data_vectors(leg, what), strict=True):
+                off = float(np.max(_relative_difference(a, b), initial=0.0))
+                if off > worst.value:
+                    worst = Worst(off, f"phase {name}, {what}")
+    return make_condition(
+        "stored numbers",
+        worst,
+        tolerance,
+        "The numbers stored with the trajectory must be finite, limits and model parameters those of the problem, and "
+        "costates at segment ends and points those of their polynomials (relative); a failure means that the solution "
+        "is another problem's, or has been changed.",
+    )
+
+
+def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
+    """Return the largest difference, relative to the cost, between stored costates and their polynomials.
+
+    Costates at the points of other schemes than Gauss are of lower order than the polynomials, and not compared.
+    """
+    worst = NOTHING
+    for s in samples:
+        leg, worth = s.leg, s.state_scale / max(s.cost_scale, TINY)
+        kept = [
+            ("the start of segment", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
+            ("the end of segment", leg.lam_end, leg.lam(leg.breaks[1:], "left")),
+        ]
+        if leg.scheme == "LG":
+            kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
+        for what, values, polynomial in kept:
+            off = np.abs(values - polynomial) * worth[:, None]
+            i, k = find_worst_index(np.nan_to_num(off))  # a missing one is reported separately
+            place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
+            worst = worst.select_worse(Worst(float(off[i, k]), place))
+    return worst
+
+
+def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float) -> bool:
+    """Return whether costates can be checked; all may be zero only in special cases.
+
+    These are an integral with a weight, or a cost that is nearly independent of the end points.
+
+    Parameters
+    ----------
+    amount : float
+        Magnitude of the cost (module `cost_scale`).
+    """
+    values = [v for s in samples for v in s.leg.lam.values]
+    if any(np.any(np.isfinite(v) & (v != 0)) for v in values):
+        return True
+    if not all(np.all(np.isfinite(v)) for v in values):
+        return False
+    weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
+    return weighed or all(
+        _largest_end_cost_change(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
+    )
+
+
+def _largest_end_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
+    """Return the largest cost change when an end value or time of a phase changes by its magnitude."""
+    name = s.leg.name
+    states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
+    times = np.abs(np.array([ends.initial_time[name], ends.final_time[name]]))
+    return float(np.max(np.concatenate([states * np.tile(s.state_scale, 2), times * s.span])))
+
+
+def _recompute_phase(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
+    leg = problem.phases[name]
+    return replace(
+        solution.phases[name],
+        integral_weights=np.zeros(len(leg.integrands)),
+        **copy_problem_data(problem, leg, solution.parameter_values),
+    )
+
+
+def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
+    found = {"phases": list(solution.phases), "free parameters": solution.parameter_values.size}
+    asked = {"phases": list(problem.phases), "free parameters": problem.parameters.size}
+    found["boundary constraints"] = solution.constraint_multipliers.size
+    asked["boundary constraints"] = len(problem.constraint_labels())
+    if found["phases"] == asked["phases"]:
+        for name, leg in problem.phases.items():
+            stored, model = solution.phases[name], leg.model
+            found[f"sizes of phase '{name}'"] = [
+                *(stored.states.size, stored.controls.size, stored.parameters.size),
+                *(len(stored.path_labels), stored.integrals.size),
+            ]
+            asked[f"sizes of phase '{name}'"] = [
+                *(model.states.size, model.controls.size, model.parameters.size),
+                *(len(leg.path_labels), len(leg.integrands)),
+            ]
+    for what, value in asked.items():
+        if found[what] != value:
+            raise ProblemError(
+                f"the solution of '{solution.problem_name}' does not fit problem '{problem.name}': {what} are "
+                f"{found[what]} instead of {value}; check it with the problem that was solved."
+            )
+
+
+def _find_first_nonfinite(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
+    for field in fields(owner):
+        value = getattr(owner, field.name)
+        if field.name in _DUAL and not with_costates:
+            continue
+        if isinstance(value, PiecewisePolynomial):
+            for k, piece in enumerate(value.values):
+                if not np.all(np.isfinite(piece)):
+                    segment = f"segment {k + 1} (from t = {value.breaks[k]:.6g})"
+                    return Worst(float("inf"), f"{place}{segment}, {field.name} is not finite")
+        elif isinstance(value, (float, np.ndarray)) and not np.all(np.isfinite(value)):
+            return Worst(float("inf"), f"{place}{field.name} is not finite")
+    return NOTHING
+
+
+def _data_vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
+    value = getattr(leg, name)
+    return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
+
+
+def _relative_difference(a: Array, b: Array) -> Array:
+    """Return |a - b| relative to the larger one; infinite if exactly one is infinite or a number is missing."""
+    if a.shape != b.shape:
+        return np.array([np.inf])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))
+    return np.where(a == b, 0.0, np.where(np.isfinite(shares), shares, np.inf))

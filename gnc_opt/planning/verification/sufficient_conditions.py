@@ -1,0 +1,316 @@
+r"""Sufficiency: convexity, attained lower bound and uniqueness, which resolve inconclusive conditions.
+
+**Convex problems.** With fixed times, dynamics, path constraints and end conditions that are affine in states, controls
+and parameters, and a convex cost, every extremal is a global minimum (O. L. Mangasarian, SIAM J. Control 4, 1966).
+
+**Least cost.** Interval arithmetic on integrands and end costs yields a lower bound of the cost. A trajectory that
+attains the bound is a global minimum; its costates vanish, up to rounding.
+
+**Uniqueness.** The difference :math:`\delta` of two solutions of a convex problem satisfies :math:`H \delta = 0` with
+the Hessian H of the integrands, and :math:`\dot{\delta x} = A \delta x + B \delta u`, :math:`\delta x(t_0) = 0`. It
+vanishes if this system is left invertible: for constant A, B, H, if the pencil
+
+.. math:: \begin{pmatrix} A - s I & B \\ H_x & H_u \end{pmatrix}
+
+has full column rank for some s (Trentelman, Stoorvogel & Hautus, Control Theory for Linear Systems, 2001, section 8.2).
+A control at its bound whose switching function vanishes at isolated times only is equal in all solutions, and its
+column is omitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.optimality.cost_scale import (
+    AVERAGING_SHARE_OF_PHASE,
+    SMEARED,
+    LargestChanges,
+    lasts_for_share_of_phase,
+)
+from gnc_opt.planning.problem.bounds import Interval, intersect
+from gnc_opt.planning.problem.constraints import make_constraint
+from gnc_opt.planning.problem.expressions import model_parameter_arguments
+from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
+from gnc_opt.planning.problem.kink_detection import has_kinks
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
+from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING
+
+_ANYWHERE = 0.73 + 0.41j
+"""Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
+
+
+def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
+    """Return whether a problem is convex with one solution; ``determined`` (m,): controls common to all solutions."""
+    if not is_convex(problem) or problem.parameters.size:
+        return False
+    legs = list(problem.phases.values())
+    points = [leg.end_states(end) for leg in legs for end in ("initial", "final")]
+    conditions = problem.constraint_expression()
+    rows = _read_constant_matrix(ca.jacobian(conditions, ca.vertcat(*points)))
+    if rows is None:
+        return False
+    integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
+    of_ends = np.ones(
+        conditions.numel(), dtype=bool
+    )  # terms with integrals are not functions of the ends alone
+    of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
+    equal = rows[problem.constraint_interval().is_fixed & of_ends]
+    same = np.concatenate(
+        [np.append(leg.numbers.initial.is_fixed, leg.numbers.final.is_fixed) for leg in legs]
+    )
+    waiting, places = legs, _index_boundary_states(legs)
+    while waiting:
+        settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
+        if not settled or not all(
+            _is_left_invertible(problem, leg, (determined or {}).get(leg.name)) for leg in settled
+        ):
+            return False
+        for leg in settled:
+            same[np.concatenate(places[leg.name])] = True
+        waiting = [leg for leg in waiting if leg not in settled]
+    return True
+
+
+def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+    """Return the indices of initial and final states of each phase among all end states."""
+    found, at = {}, 0
+    for leg in legs:
+        n = leg.model.states.size
+        found[leg.name] = np.arange(at, at + n), np.arange(at + n, at + 2 * n)
+        at += 2 * n
+    return found
+
+
+def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool:
+    """Return whether equations between end states imply the same initial state of a phase in all solutions."""
+    left = initial[~same[initial]]
+    others = np.setdiff1d(np.flatnonzero(~same), left)
+    rows = equal[~np.any(equal[:, others] != 0, axis=1)]
+    return left.size == 0 or _has_full_column_rank(rows[:, left])
+
+
+def controls_determined_by_slope(s: PhaseSamples) -> Mask:
+    """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
+    worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
+    opens = lasts_for_share_of_phase(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
+    between = lasts_for_share_of_phase(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
+    return np.asarray(~np.any(opens | between, axis=1))
+
+
+def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -> bool:
+    _, x, u, p = leg.model.arguments()
+    if determined is not None:
+        u = u[np.flatnonzero(~determined).tolist()]
+        if u.is_empty():
+            return True
+    rates = leg.model.derivative()
+    z = ca.vertcat(x, u)
+    curved = ca.SX(z.numel(), z.numel())
+    for symbol, integrand in leg.integrands.values():
+        hessian = ca.hessian(integrand, z)[0]
+        if hessian.nnz():
+            curved += problem.sense * ca.jacobian(problem.cost, symbol) * hessian
+    values = leg.model.parameter_values
+    parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
+    a, b, h = (_read_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
+    if a is None or b is None or h is None:
+        return False
+    s = _ANYWHERE * max(float(np.max(np.abs(a), initial=0.0)), 1.0)
+    pencil = np.block([[a - s * np.eye(a.shape[0]), b], [h]])
+    return _has_full_column_rank(pencil)
+
+
+def _has_full_column_rank(matrix: Array) -> bool:
+    for axis in (1, 0):
+        sizes = np.max(np.abs(matrix), axis=axis, keepdims=True, initial=0.0)
+        matrix = matrix / np.where(sizes > 0, sizes, 1.0)
+    if matrix.shape[0] < matrix.shape[1]:
+        return False
+    return bool(scipy.linalg.svdvals(matrix)[-1] > RANK)
+
+
+def _read_constant_matrix(expression: Any) -> Array | None:
+    simple = ca.simplify(expression)
+    return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
+
+
+def is_convex(problem: Problem) -> bool:
+    """Return whether a problem is convex in its trajectory, as far as constant Hessians show."""
+    return (
+        all(time.is_fixed[0] for leg in problem.phases.values() for time in leg.time_ranges())
+        and _is_endpoint_problem_convex(problem)
+        and _are_phases_affine(problem)
+    )
+
+
+def _are_phases_affine(problem: Problem) -> bool:
+    for leg in problem.phases.values():
+        _, x, u, _ = leg.model.arguments()
+        z = ca.vertcat(x, u, problem.parameter_symbols())
+        rows = problem.bind(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
+        if not _is_affine(rows, z):
+            return False
+    return True
+
+
+def _is_endpoint_problem_convex(problem: Problem) -> bool:
+    """Return whether end conditions are affine, and the cost convex, in end points, parameters and integrals."""
+    legs = problem.phases.values()
+    integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
+    points = [value for leg in legs for value in (leg.end_states("initial"), leg.end_states("final"))]
+    z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
+    conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
+    for leg in legs:
+        conditions, cost = problem.bind(leg, conditions), problem.bind(leg, cost)
+    if not _is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
+        return False
+    for leg in legs:
+        _, x, u, _ = leg.model.arguments()
+        along = ca.vertcat(x, u, problem.parameter_symbols())
+        for symbol, integrand in leg.integrands.values():
+            expression = problem.bind(leg, integrand)
+            if _is_affine(expression, along):
+                continue
+            weight = ca.jacobian(cost, symbol)
+            grows = (
+                weight.is_constant() and float(ca.DM(weight)) >= 0 and not ca.depends_on(conditions, symbol)
+            )
+            if not grows or not _is_convex_quadratic(expression, along):
+                return False
+    return True
+
+
+def _is_affine(expression: Any, z: Any) -> bool:
+    return not any(ca.which_depends(expression, z, 2, True)) if expression.numel() else True
+
+
+def _is_convex_quadratic(expression: Any, z: Any) -> bool:
+    """Return whether the Hessian of a scalar expression is constant and positive semidefinite, without kinks."""
+    hessian = ca.hessian(expression, z)[0]
+    if not hessian.is_constant() or has_kinks(expression):
+        return False
+    values = np.linalg.eigvalsh(ca.DM(hessian).full())
+    return bool(np.all(values >= -ROUNDING * np.max(np.abs(values), initial=0.0)))
+
+
+def cost_lower_bound(problem: Problem) -> float:
+    """Return a lower bound of the minimised cost by interval arithmetic; -inf if unknown."""
+    return float(_boundary_lower_bounds(problem, [problem.sense * problem.cost])[0])
+
+
+def _boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
+    q, boxes = problem.parameter_interval(), []
+    for leg in problem.phases.values():
+        p = _parameter_interval(leg)
+        ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
+        boxes += [*ends, *leg.time_ranges(), _bound_integrals(problem, leg, q), p]
+    return compute_ranges(_build_boundary_function(problem, expressions), [*boxes, q]).lower
+
+
+def attains_lower_bound(
+    solution: Solution, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
+) -> bool:
+    """Return whether cost and costates are at their lower bounds, to ``tolerance`` of the scale ``amount``."""
+    problem = solution.need_problem("verify")
+    worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
+    if not max(worths) <= tolerance * amount:
+        return False
+    near = problem.sense * cost - cost_lower_bound(problem) <= tolerance**2 * amount
+    return bool(near and np.all(_excess_over_lower_bounds(solution) <= tolerance**2))
+
+
+def _excess_over_lower_bounds(solution: Solution) -> Array:
+    """Return the excess of each cost term over its minimum, relative to its scale."""
+    problem = solution.need_problem("verify").clone()
+    terms = list(_split_sum_terms(problem.sense * problem.cost))
+    for leg in problem.phases.values():
+        for symbol, integrand in list(leg.integrands.values()):
+            shares = [leg.integral(part) for part in _split_sum_terms(integrand)]
+            terms = [
+                part
+                for term in terms
+                for part in _split_sum_terms(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+            ]
+    problem.constraints = {
+        f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
+        for k, term in enumerate(terms)
+    }
+    problem.clear_cache()
+    none = {name: np.zeros(len(leg.integrands)) for name, leg in problem.phases.items()}
+    apart = replace(
+        solution,
+        problem=problem,
+        phases={
+            k: replace(v, integrals=none[k], integral_weights=none[k]) for k, v in solution.phases.items()
+        },
+        constraint_labels=problem.constraint_labels(),
+        constraint_values=np.zeros(len(terms)),
+        constraint_multipliers=np.zeros(len(terms)),
+    )
+    apart = recompute_from_problem(apart)
+    amounts = LargestChanges.from_solution(apart, list(apart.samples().values())).constraints
+    return np.asarray(
+        (boundary_gradients(apart).constraints - _boundary_lower_bounds(problem, terms)) / amounts
+    )
+
+
+def _split_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
+    """Yield the terms of a sum, multiplied out by constant factors."""
+    if expression.op() in (ca.OP_ADD, ca.OP_SUB):
+        first, second = (expression.dep(k) for k in range(2))
+        yield from _split_sum_terms(first, factor)
+        yield from _split_sum_terms(second, -factor if expression.op() == ca.OP_SUB else factor)
+    elif expression.op() in (ca.OP_NEG, ca.OP_TWICE):
+        yield from _split_sum_terms(
+            expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor
+        )
+    elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():
+        yield from _split_sum_terms(expression.dep(1), factor * float(expression.dep(0)))
+    elif expression.op() == ca.OP_MUL and expression.dep(1).is_constant():
+        yield from _split_sum_terms(expression.dep(0), factor * float(expression.dep(1)))
+    elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
+        yield from _split_sum_terms(expression.dep(0), factor / float(expression.dep(1)))
+    else:
+        yield factor * expression
+
+
+def _parameter_interval(leg: Phase) -> Interval:
+    return Interval(leg.model.parameter_values, leg.model.parameter_values)
+
+
+def _bound_integrals(problem: Problem, leg: Phase, q: Interval) -> Interval:
+    (initial, final), numbers = leg.time_ranges(), leg.numbers
+    times = Interval(initial.lower, final.upper)
+    integrands = leg.cache("integrands by all", lambda: _integrand_function(problem, leg))
+    rates = compute_ranges(integrands, [times, numbers.states, numbers.controls, _parameter_interval(leg), q])
+    least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
+    most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
+    spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
+    rate, span = ca.SX.sym("rate", rates.lower.size), ca.SX.sym("span", rates.lower.size)
+    return compute_ranges(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
+
+
+def _integrand_function(problem: Problem, leg: Phase) -> Any:
+    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+    return ca.Function("integrands", arguments, [ca.densify(problem.bind(leg, leg.integrand_expression()))])
+
+
+def _build_boundary_function(problem: Problem, expressions: Sequence[Any]) -> Any:
+    column, arguments = ca.vertcat(*expressions), []
+    legs = problem.phases.values()
+    for leg, parameters in zip(legs, model_parameter_arguments(legs), strict=True):
+        column = problem.bind(leg, column)
+        arguments += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
+        arguments += [leg.integral_symbols(), parameters]
+    return ca.Function("of_ends", [*arguments, problem.parameter_symbols()], [ca.densify(column)])

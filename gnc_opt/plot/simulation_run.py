@@ -1,0 +1,90 @@
+"""Figure of a closed-loop run: states with reference, applied controls, or errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, TypeAlias
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gnc_opt.errors import ArgumentError, did_you_mean, quote
+from gnc_opt.plot.style import (
+    QUIET,
+    apply_style,
+    axis_label,
+    legend_above,
+    line_style,
+    new_axes_rows,
+    variable_name_text,
+)
+from gnc_opt.simulation.simulation_run import LoggedSignal, Run
+
+Kind: TypeAlias = Literal["states", "controls", "errors"]
+
+_FOLLOWED: dict[str, Any] = {"color": QUIET, "linestyle": "--", "linewidth": 1.0}
+
+
+def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None) -> Figure:
+    """Return a figure of signals of a run over time, with one axis per (vector) signal.
+
+    Parameters
+    ----------
+    run : Run
+    kind : {"states", "controls", "errors"}
+        States of the plant with reference (dashed grey); applied controls (means over control steps) with commands of
+        the same name (dashed grey); errors of the states relative to the reference.
+    names : sequence of str, optional
+        Names of signals; default: all.
+
+    Raises
+    ------
+    UnknownNameError
+        The signal does not exist.
+    ArgumentError
+        Unknown kind, or errors of a run without reference.
+
+    Examples
+    --------
+    >>> figure = plot_run(run, "states", ["q"])
+    """
+    known = {
+        "states": run.layouts["state"].names,
+        "controls": run.layouts["applied"].names,
+        "errors": [n for n in run.reference_layout.names if n in run.layouts["error"]],
+    }
+    if kind not in known:
+        raise ArgumentError(f"a run has no {quote(kind)} to draw: {did_you_mean(str(kind), known)}")
+    signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
+    names = names or known[kind]
+    with apply_style():
+        figure, axes = new_axes_rows([1] * len(names), 1.7)
+        for ax, name in zip(axes, names, strict=True):
+            signal = signal_of(name)
+            if kind == "states":
+                _draw_reference(ax, run, name)
+            elif kind == "controls" and name in run.layouts["command"]:
+                _draw_signal(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
+            looks = [
+                {"label": variable_name_text(label), **line_style(i)} for i, label in enumerate(signal.labels)
+            ]
+            _draw_signal(ax, signal, looks)
+            ax.set_ylabel(axis_label(variable_name_text(signal.name), signal.unit))
+            legend_above(ax)
+            ax.set_xlim(run.times[0], run.times[-1])
+        axes[-1].set_xlabel("time (s)")
+    return figure
+
+
+def _draw_reference(ax: Axes, run: Run, name: str) -> None:
+    if run.reference is None or name not in run.reference_layout:
+        return
+    for i, row in enumerate(run.reference[run.reference_layout.slice(name)]):
+        ax.plot(run.times, row, label="reference" if i == 0 else "_", **_FOLLOWED)
+
+
+def _draw_signal(ax: Axes, signal: LoggedSignal, looks: Sequence[dict[str, Any]]) -> None:
+    """Draw the components of a signal; the last style is used for all further components."""
+    for i, row in enumerate(signal.values):
+        look = {"label": "_", **looks[min(i, len(looks) - 1)]}
+        ax.plot(signal.times, row, drawstyle="steps-post" if signal.held else "default", **look)

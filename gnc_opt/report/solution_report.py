@@ -1,0 +1,95 @@
+"""Report folder of a solution: page, summary, solution and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.report.html_document import make_report_folder, save_figures, write_page
+from gnc_opt.report.json_output import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from gnc_opt.plot.motion_samples import View
+
+
+def write_report(
+    solution: Solution,
+    verdict: Verdict | None,
+    directory: str | Path,
+    *,
+    view: View | None = None,
+    command: str | None = None,
+) -> list[Path]:
+    """Write a design review page, the solution, its JSON summary and the figures to a folder.
+
+    The page contains the trajectory, the controls and the optimality check, followed by the complete problem statement.
+
+    Parameters
+    ----------
+    solution : Solution
+        Without its problem, the figure of the Hamiltonian is omitted.
+    verdict : Verdict or None
+        None: no optimality check in the report.
+    directory : str or Path
+        Output folder; created if missing. Files of an earlier report are replaced.
+    view : gnc_opt.plot.View, optional
+        View for a figure of the trajectory and a 3-D scene (plotly of the extra ``report``).
+    command : str, optional
+        Command that reproduces the report, printed on the page.
+
+    Returns
+    -------
+    list of Path
+        ``report.html``, ``summary.json``, ``solution.npz`` and the figures (SVG). The page is
+        self-contained.
+
+    Raises
+    ------
+    GncOptError
+        ``directory`` is a file.
+    OSError
+        A file cannot be written.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_report
+    >>> paths = write_report(solution, go.verify(solution), "report")
+    >>> print([path.name for path in paths[:3]])
+    ['report.html', 'summary.json', 'solution.npz']
+    """
+    from gnc_opt.plot.motion_scene import scene_html
+    from gnc_opt.report.solution_page import solution_page_html
+
+    folder = make_report_folder(directory)
+    motion = "" if view is None else scene_html({solution.problem_name: solution}, view)
+    files = save_figures(folder, lambda: _draw_figures(solution, view))
+    text = solution_page_html(solution, verdict, files, motion=motion, command=command)
+    summary = write_json(folder / "summary.json", solution, verdict)
+    return [write_page(folder, text), summary, solution.save(folder / "solution.npz"), *files.values()]
+
+
+def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
+    """Yield file stem and figure of each plot of a solution with all phases."""
+    from gnc_opt.plot import trajectory
+    from gnc_opt.plot.controls import plot_controls
+    from gnc_opt.plot.motion_path import plot_motion
+    from gnc_opt.plot.refinement import plot_refinement
+
+    if view is not None and view.position is not None:
+        yield "trajectory", plot_motion(solution, view)
+    yield "states", trajectory.plot_states(solution)
+    if any(leg.controls.size for leg in solution.phases.values()):
+        yield "controls", plot_controls(solution)
+    constraints = trajectory.plot_path_constraints(solution)
+    if constraints is not None:
+        yield "constraints", constraints
+    yield "costates", trajectory.plot_costates(solution)
+    if solution.problem is not None:
+        yield "hamiltonian", trajectory.plot_hamiltonian(solution)
+    if solution.history is not None and len({p.points for p in solution.history.passes}) > 1:
+        yield "refinement", plot_refinement(solution.history)
