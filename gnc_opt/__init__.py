@@ -170,7 +170,7 @@ _NAMES_OF_MODULES = {
     "guidance": "design_neighbouring_optimal",
     "model": "Model",
     "model.expressions": "smooth_abs",
-    "model.table": "Table table table_from_csv",
+    "model.lookup_table": "Table table table_from_csv",
     "planning": (
         "Arc ArcKind Condition Continuation ContinuationStatus History LowerBound Mesh Minimum "
         "Multistart Phase PhaseSolution Problem RefinementLimits RefinementStatus Resolver ConditionResult "
