@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import trapezoid
 
-from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import exited_tables, mesh_text, objective_text, time_unit
+from gnc_opt.planning.solution.text_summary import list_table_exits, mesh_text, objective_text, time_unit
 from gnc_opt.planning.solution.verdict import (
     REMEDIES,
     Condition,
@@ -124,7 +124,7 @@ def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
     chips = "" if status.solved else status_label_html(f"not solved: {status.value.replace('_', ' ')}", "bad")
     if verdict is not None:
         tone = "good" if verdict.ok else "bad" if verdict.failed else "open"
-        word = "strict local minimum" if verdict.minimum else verdict.word
+        word = "strict local minimum" if verdict.minimum else verdict.outcome
         chips += status_label_html(f"optimality check: {word}", tone)
     sense = "maximised" if solution.maximised else "minimised"
     return f"{chips} objective <strong>{escape(objective_text(solution))}</strong> ({sense})"
@@ -137,7 +137,7 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
         return html_table(("", ""), rows)
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
-    groups = [(group, worst_condition(found)) for group, found in verdict.groups.items()]
+    groups = [(group, worst_condition(found)) for group, found in verdict.condition_groups.items()]
     checks = [(group, *_condition_cells(c, f"{c.name}: ")) for group, c in groups]
     return (
         _failure_table(solution, verdict)
@@ -148,9 +148,9 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
 
 def _failure_table(solution: Solution, verdict: Verdict) -> str:
     """Return the first open condition with place, size in the unit of the objective and remedy; others by name."""
-    if not verdict.open:
+    if not verdict.open_conditions:
         return ""
-    first, *others = verdict.open
+    first, *others = verdict.open_conditions
     rows = [
         (
             first.result.value,
@@ -180,9 +180,9 @@ def _solve_facts_table(solution: Solution) -> str:
     ]
     rows += [(f"parameter {name}", f"{solution.parameter(name)}") for name in solution.free_parameters.names]
     if solution.problem is not None and solution.status.solved:
-        rows.append(("accuracy", solution.accuracy.text))
+        rows.append(("accuracy", solution.accuracy.summary_text))
     rows += _consumption_rows(solution)
-    rows += [("table left", str(found)) for found in exited_tables(solution)]
+    rows += [("table left", str(found)) for found in list_table_exits(solution)]
     return html_table(("", ""), rows)
 
 
@@ -271,7 +271,7 @@ def _refinement_table(history: History | None) -> str:
     if history is None:
         return ""
     rows = [
-        (i, p.segments, p.points, f"{p.error:.1e}", f"{p.objective:.12g}", p.iterations, p.actions)
+        (i, p.n_segments, p.n_points, f"{p.error:.1e}", f"{p.objective:.12g}", p.iterations, p.actions)
         for i, p in enumerate(history.passes)
     ]
     titles = ("iteration", "segments", "points", "error", "objective", "NLP steps", "changes")
@@ -299,5 +299,5 @@ def _software_versions_table(solution: Solution, command: str | None) -> str:
         for name, value in solution.provenance.items()
         if name not in ("scheme", "mesh")
     ]
-    rows.append(("last solve", solution.statistics.text))
+    rows.append(("last solve", solution.statistics.summary_text))
     return command_html(command) + html_table(("", ""), rows)

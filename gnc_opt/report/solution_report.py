@@ -91,5 +91,5 @@ def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, 
     yield "costates", trajectory.plot_costates(solution)
     if solution.problem is not None:
         yield "hamiltonian", trajectory.plot_hamiltonian(solution)
-    if solution.history is not None and len({p.points for p in solution.history.passes}) > 1:
+    if solution.history is not None and len({p.n_points for p in solution.history.passes}) > 1:
         yield "refinement", plot_refinement(solution.history)

@@ -337,9 +337,9 @@ def test_figure_has_a_row_per_pass() -> None:
     _, history = refine_mesh(go.solve(two_phases(), mesh="2x3", tol=None), tol=1e-6)
     figure = plot_refinement(history)
     meshes, _ = figure.get_axes()
-    assert len(meshes.patches) == sum(p.segments for p in history.passes)
+    assert len(meshes.patches) == sum(p.n_segments for p in history.passes)
     ends = [bar.get_x() + bar.get_width() for bar in meshes.patches]
-    assert max(ends) == pytest.approx(history.final.times["second"][-1])
+    assert max(ends) == pytest.approx(history.final_iteration.times["second"][-1])
 
 
 # --- kinks ----------------------------------------------------------------------------------------------
