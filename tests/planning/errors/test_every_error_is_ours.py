@@ -31,14 +31,14 @@ ALLOWED = {
     "arguments.py: AttributeError": "what Python expects where a class has not one of its protocols",
     "integration.py: OdeError": "caught at once: why a propagation ended",
     "integration.py: LimitError": "one of those",
-    "multistart.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
+    "multistart_search.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
     "solution_refinement.py: KeyboardInterrupt": "Ctrl-C in a solve, passed on: the best candidate is kept",
     "staged_refinement.py: KeyboardInterrupt": "the same",
     "arc_warm_start.py: KeyboardInterrupt": "Ctrl-C before there is a solution that could be kept",
     "solver.py: KeyboardInterrupt": "the same",
-    "sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
-    "archive.py: _NotAnArchive": "caught at once and turned into 'is no archive'",
-    "archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
+    "parameter_sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
+    "result_archive.py: _NotAnArchive": "caught at once and turned into 'is no archive'",
+    "result_archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
 }
 
 

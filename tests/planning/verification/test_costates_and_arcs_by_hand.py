@@ -22,6 +22,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular
+from gnc_opt.planning.verification.active_limit_terms import find_costate_jumps
 from gnc_opt.planning.verification.costate_conditions import (
     _check_bound_impulses,
     _check_time_transversality,
@@ -30,8 +31,6 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_parameter_stationarity,
     check_transversality,
 )
-from gnc_opt.planning.verification.recomputed_solution import boundary_gradients, recompute_from_problem
-from gnc_opt.planning.verification.shifted_limits import find_costate_jumps
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
