@@ -65,7 +65,7 @@ class PhaseNumbers:
 
     Attributes
     ----------
-    turns : Turns, optional
+    turns : UnboundedAngles, optional
         Angles whose bounds were removed because they excluded no direction.
     """
 

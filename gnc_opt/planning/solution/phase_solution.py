@@ -117,7 +117,7 @@ class PhaseSolution:
     initial_time_bounds, final_time_bounds, duration_bounds : Interval
     composed_controls : tuple of ComposedControl
         Declared controls that are composed of two of ``controls``.
-    turns : Turns or None
+    turns : UnboundedAngles or None
         Range of the angular controls returned by name; ``u`` is continuous across turns.
 
     Examples

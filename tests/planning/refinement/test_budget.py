@@ -67,7 +67,7 @@ def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
     tried = [p for p in history.passes if not p.solved]
     assert tried and not history.converged
     # A solve is charged for as many iterations as its derivatives take, and makes one at least.
-    assert abs(sum(p.work for p in tried) - allowed) <= 16 * max(p.points for p in tried)
+    assert abs(sum(p.work for p in tried) - allowed) <= 16 * max(p.n_points for p in tried)
 
 
 @pytest.mark.parametrize("most", [3, 8])
