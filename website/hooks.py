@@ -57,7 +57,7 @@ SEARCH_WEIGHTS = {
 """By page or folder; 1 for all others."""
 
 _ON_THE_SITE = {
-    "**API reference** in the site that `mkdocs build` writes": "**[API reference](api/index.md)**",
+    "**API reference** in the site that `mkdocs build` writes (extra `docs`)": "**[API reference](api/index.md)**",
 }
 """What the first page says in the repository, where nothing is generated, and on the site."""
 

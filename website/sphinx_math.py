@@ -33,7 +33,15 @@ def module_page(docstring: str) -> str:
 
 
 class SphinxMath(griffe.Extension):
-    """For mkdocstrings: the docstring of every object, read by `dollars`."""
+    """For mkdocstrings: the docstring of every object, read by `dollars`, and of an enumeration its values."""
+
+    def on_class_members(self, *, cls: griffe.Class, **more: Any) -> None:
+        if cls.docstring and any(str(base).endswith(("Enum", "StatusWord")) for base in cls.bases):
+            values = [
+                f"`{name}`" for name, member in cls.members.items() if member.is_attribute and name.isupper()
+            ]
+            if values and "Attributes\n" not in cls.docstring.value:
+                cls.docstring.value += f"\n\nValues: {', '.join(values)}."
 
     def on_object(self, *, obj: griffe.Object, **more: Any) -> None:
         if obj.docstring:

@@ -125,6 +125,16 @@ def test_formulas_become_mathml() -> None:
     assert shown.startswith("<p><math") and "arithmatex" not in shown and "<mi>x</mi>" in shown
 
 
+def test_an_enumeration_lists_its_values() -> None:
+    griffe = pytest.importorskip("griffe")
+    code = (
+        'from enum import Enum\nclass Kind(Enum):\n    """Kind of an arc."""\n    LOWER = 1\n    UPPER = 2\n'
+    )
+    extensions = griffe.load_extensions(sphinx_math.SphinxMath)
+    module = griffe.visit("kinds", filepath=Path("kinds.py"), code=code, extensions=extensions)
+    assert module["Kind"].docstring.value == "Kind of an arc.\n\nValues: `LOWER`, `UPPER`."
+
+
 def test_names_without_a_description_are_left_out() -> None:
     def item(name: str, text: str) -> str:
         description = f'<div class="doc-md-description"> {text} </div>'
