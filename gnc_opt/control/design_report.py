@@ -11,7 +11,7 @@ from gnc_opt.arguments import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.text_formatting import html_heading, html_table
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.tolerances import EQUAL, ROUNDING
 
 REPORT_VALUE_WIDTH = 44
 """Width of the value column in characters; longer values shift the unit to the right."""
@@ -94,6 +94,8 @@ class DesignReport(StrictAttributes):
 
 def _entry_table_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
     first, *more = _format_value(fact).splitlines()
+    if more:
+        first, more = f"{len(more) + 1} rows:", [first, *more]
     return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
 
 
@@ -103,6 +105,7 @@ def _format_value(fact: ReportEntry) -> str:
         return fact.value
     array = np.asarray(fact.value)
     if array.ndim == 2:
+        array = np.where(np.abs(array) > EQUAL * np.max(np.abs(array), axis=0), array, 0.0)
         return "\n".join(_format_list(row) for row in array)
     return _format_list(np.atleast_1d(array))
 

@@ -78,7 +78,8 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
             if limit:
-                label = f"limit {limit:.3g} {unit}".rstrip()
+                far = ", outside the figure" * (limit > reach)
+                label = f"limit {limit:.3g} {unit}".rstrip() + far
                 ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": label})))
             ax.set_xlabel(axis_label(f"error of {variable_name_text(f'{name}[0]')}", unit))
             ax.set_ylabel(axis_label(f"error of {variable_name_text(f'{name}[{other}]')}", unit))

@@ -124,7 +124,8 @@ code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 #film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }
 #film button, #film select { font: inherit; min-height: 2.2rem; min-width: 4.5rem; }
 @media (max-width: 40rem) { table { font-size: .85rem; } th, td { padding-right: .6rem; }
-  th, td:not(:last-child) { white-space: normal; } .formulas { font-size: .8rem; } }
+  th, td:not(:last-child) { white-space: normal; } .formulas { font-size: .8rem; }
+  td:nth-child(n + 4):last-child { min-width: 8rem; } }
 @page { size: A4; margin: 14mm 15mm; }
 @media print { body { padding: 0; font-size: 10pt; line-height: 1.35; max-width: none; }
   p { margin: .3rem 0; } table, figcaption, .quiet { font-size: 8.5pt; }

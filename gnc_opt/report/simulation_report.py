@@ -30,6 +30,17 @@ if TYPE_CHECKING:
     from gnc_opt.simulation.simulation_run import Run
 
 
+CAMPAIGN_CAPTIONS = {
+    "distributions": (
+        "Share of the runs below each value. Dots: percentiles, with their 95 % confidence intervals. A limit (dashed) "
+        "that is far from all runs is not drawn; the table has its value."
+    ),
+    "dispersion": "final errors of all runs, by pairs of components. Within the circle, they meet the limit.",
+    "envelope": "1st, 50th and 99th percentile of all runs over time; shaded: their 95 % confidence intervals.",
+}
+"""Captions of the figures of a campaign, by kind."""
+
+
 def write_run_report(
     run: Run,
     directory: str | Path,
@@ -136,15 +147,13 @@ def write_campaign_report(
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
         "Overview": _results_table(campaign)
-        + figure_html(files, "distributions", "Distribution of each measure over all runs, with its limit."),
+        + figure_html(files, "distributions", CAMPAIGN_CAPTIONS["distributions"]),
         "Motion": motion,
-        "Dispersions": _prefixed_figures_html(
-            files, "dispersion_", "errors at the end of all runs, by pairs of components."
-        ),
+        "Dispersions": _prefixed_figures_html(files, "dispersion_", CAMPAIGN_CAPTIONS["dispersion"]),
         "Envelopes": _prefixed_figures_html(
             files,
             "envelope_",
-            "1st, 50th and 99th percentile of the runs over time, with their intervals of 95 % confidence.",
+            CAMPAIGN_CAPTIONS["envelope"],
         ),
         "Failures": html_table(("run", "cause"), failures),
         "Parameters": _drawn_parameters_table(campaign),

@@ -92,7 +92,9 @@ def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
 
 
 def _format_statistic(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "failed"
+    if not math.isfinite(value):
+        return "failed"
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
+from gnc_opt.planning.solution.verdict import REMEDIES
 from gnc_opt.progress import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 
@@ -144,6 +145,17 @@ def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) ->
     assert f"control polynomials exceed their bounds between nodes (a by {over:.3g} m/s^2)" in text
     assert "use saturated_control or refine" in text
     assert f"exceeded by {smeared.quality.max_bound_violation:.2g} of their range" in text
+
+
+def test_summary_of_a_failed_check_gives_the_worst_condition_and_one_thing_to_do(
+    smeared: go.Solution,
+) -> None:
+    first, *others = VERDICT.open_conditions
+    lines = summary(smeared.with_verdict(VERDICT)).splitlines()
+    assert lines[2] == f"  open         {first.name} 2.5e-01 (tolerance 1e-05) at {first.location_text}"
+    assert lines[3] == f"  what to do   {REMEDIES[first.name]}"
+    assert lines[4] == f"  also open    {', '.join(c.name for c in others)}"
+    assert not any(line.startswith(("  defect", "  bounds")) for line in lines)  # the verdict has them
 
 
 def test_summary_of_a_failed_solve_names_remedy_and_constraints(failed: go.Solution) -> None:

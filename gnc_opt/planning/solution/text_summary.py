@@ -15,7 +15,7 @@ from gnc_opt.planning.solution.history import History, RefinementStatus, Statist
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.planning.solution.trajectory_quality import Quality
-from gnc_opt.planning.solution.verdict import LowerBound, Verdict
+from gnc_opt.planning.solution.verdict import REMEDIES, LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.text_formatting import count_text
@@ -113,7 +113,7 @@ def summary(solution: SummarisedSolution) -> str:
         _labelled_line("mesh", mesh_text(solution)),
         _labelled_line("time spent", _time_spent_line(solution)),
     ]
-    if not solution.converged:
+    if not solution.converged and solution.verdict is None:
         lines += list(_node_violation_lines(quality))
     lines += list(_overshoot_lines(solution))
     lines += [_labelled_line("table", str(found)) for found in list_table_exits(solution)]
@@ -208,10 +208,12 @@ def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
     yield _labelled_line("optimality", optimality_text(solution))
     if solution.verdict is None:
         return
-    for c in solution.verdict.open_conditions[:SUMMARY_MAX_NAMES]:
-        yield _labelled_line(
-            "open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}"
-        )
+    for c in solution.verdict.open_conditions[:1]:
+        size = f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e})"
+        yield _labelled_line("open", f"{size} at {c.location_text}")
+        yield _labelled_line("what to do", REMEDIES.get(c.name, c.meaning))
+    if also := ", ".join(c.name for c in solution.verdict.open_conditions[1:]):
+        yield _labelled_line("also open", also)
     if solution.problem is not None and (missing := missing_bounds_text(solution.problem)):
         yield _labelled_line("what to do", missing)
 

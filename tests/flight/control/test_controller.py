@@ -54,3 +54,13 @@ def test_explanations_are_read_by_name_and_printed():
     assert explanation["pole"] == -1.25
     with pytest.raises(UnknownNameError, match="no fact 'pale': did you mean 'pole'"):
         explanation["pale"]
+
+
+def test_a_matrix_is_printed_by_rows_without_rounding_errors() -> None:
+    gain = np.array([[3e3, -2e-11, 5e-5], [1e-9, 4.0, 2e-6]])
+    lines = str(DesignReport("title", (ReportEntry("gain", gain, "N", "steady"),))).splitlines()
+    assert [line.split() for line in lines[2:]] == [
+        ["gain", "2", "rows:", "N", "steady"],
+        ["3e+03,", "0,", "5e-05"],
+        ["0,", "4,", "2e-06"],
+    ]
