@@ -1,7 +1,7 @@
 r"""Albatross: the weakest wind in which a bird soars indefinitely without flapping.
 
-Teaches a periodic problem with a free parameter: speed, climb, heading and height repeat after each cycle, the place
-does not, and the wind at 10 m is minimised. Energy comes from the shear of the wind over the sea.
+Shows a periodic problem with a free parameter. Speed, climb, heading and height repeat after each cycle, the position
+does not. The parameter, the wind at 10 m, is minimised. The bird gains energy from the wind shear over the sea.
 
 States: airspeed ``v`` (m/s), ``gamma``, heading ``chi`` from the wind's direction (rad), ``h`` (m). Controls: ``C_L``,
 bank ``mu`` (rad). Parameter: wind ``W10`` at 10 m (m/s).

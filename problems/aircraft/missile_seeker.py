@@ -1,7 +1,7 @@
 r"""Missile with a seeker: an interceptor hits a crossing target at a given angle and keeps it within its field of view.
 
-Teaches a state limit on an angle between velocity and line of sight, which is of first order in the acceleration,
-with a terminal impact angle; the control energy is minimised.
+Shows a limit of first order on the angle between velocity and line of sight, with a terminal impact angle. The control
+energy is minimised.
 
 States: missile ``x``, ``y`` (km), course ``gamma`` (rad). Control: ``a``, lateral acceleration (g).
 

@@ -1,6 +1,6 @@
 r"""Perching: a glider pitches up beyond the stall and reaches a point at low speed, as a bird lands on a wire.
 
-Teaches aerodynamics at any angle of attack: lift and drag of flat plates, wing and elevator, are smooth functions of
+Shows aerodynamics at large angles of attack: lift and drag of flat plates, wing and elevator, are smooth functions of
 the whole range. The elevator's rate is the control.
 
 States: ``x``, ``z`` (m), pitch ``theta``, elevator ``phi`` (rad), ``vx``, ``vz`` (m/s), ``q`` (rad/s). Control:

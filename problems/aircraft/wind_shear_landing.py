@@ -1,8 +1,8 @@
 r"""Abort landing in a wind shear: the largest minimum altitude of an airliner that flies through a downburst.
 
-Teaches a minimax objective: a parameter ``lowest`` is maximised below which the altitude may not fall, so that the
-answer touches it several times. The limit is of third order (altitude, climb rate, flight path, rate of the angle of
-attack), and tables of wind and thrust have kinks.
+Shows a minimax objective: the parameter ``lowest``, a lower limit of the altitude, is maximised, so that the
+trajectory touches it several times. The limit is of third order (altitude, climb rate, flight path, rate of the angle
+of attack), and tables of wind and thrust have kinks.
 
 States: ``x``, ``h`` (ft), airspeed ``v`` (ft/s), ``gamma``, ``alpha`` (rad). Control: ``rate`` of alpha (rad/s).
 

@@ -1,7 +1,6 @@
 r"""Air launch: the most mass that a two-stage rocket, dropped from an aircraft at 12 km, brings into orbit.
 
-Teaches a phase without a control: the length of the coast between the stages is free, and the law of steering follows
-from both burns together.
+Shows a phase without a control: the coast between the stages has a free duration. One steering law covers both burns.
 
 States: ``h`` (m), range angle ``theta`` (rad), ``v_r``, ``v_t`` (m/s), ``m`` (kg). Control: thrust angle ``beta``
 above the local horizontal (rad) while burning.

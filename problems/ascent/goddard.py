@@ -1,9 +1,8 @@
 r"""Goddard's rocket: how high does a sounding rocket get that must beat drag and gravity?
 
-Teaches the singular arc. Full thrust to the end would waste fuel on drag, slow ascent on gravity; between lift-off
-and burn-out lies an arc on which neither bound is right and the switching function vanishes for a while. Plain
-collocation chatters there, and reports up to 16 m too much. Optimising the structure (full, singular, off) as
-switch times removes that.
+Shows the singular arc. Full thrust to the end would waste fuel on drag, slow ascent on gravity; between them is an arc
+on which the switching function vanishes. Collocation alone chatters there and reports up to 16 m too much. Switching
+times of the structure full, singular, off as variables remove this error.
 
 States: ``h`` (m), ``v`` (m/s), ``m`` (kg). Control: ``thrust`` (N).
 

@@ -1,6 +1,6 @@
 r"""Goddard rocket with a speed limit: the highest ascent with at most a tenth of the circular orbital speed.
 
-Teaches a sequence of four different arcs: full thrust, singular, on the state limit, and off. On the limit the thrust
+Shows a sequence of four different arcs: full thrust, singular, on the state limit, and off. On the limit the thrust
 balances drag and weight.
 
 States: altitude ``h`` from the centre, ``v``, ``m``; units of the Earth's radius, its gravity and the mass at lift-off.

@@ -1,10 +1,9 @@
 r"""Bilimoria and Wie: turn a spherically symmetric satellite by 180 degrees in the least time.
 
-Teaches that the obvious answer may be a saddle. The turn about the axis itself (eigenaxis), torque up and down
-once, takes 2 sqrt(pi) = 3.5449 s and satisfies every first-order condition; nutating through the other two axes
-is 8.5 % faster, since the torque vector of three independent axes is longer than that of one. A guess on the
-axis stays there; the default guess is perturbed on purpose and escapes. It also teaches about redundant states:
-the norm of the quaternion is conserved, so the component of its costate along q is arbitrary.
+Shows a saddle point. The turn about the axis itself (eigenaxis) takes 2 sqrt(pi) = 3.5449 s and satisfies every
+first-order condition; nutation through the other two axes is 8.5 % faster, since the torque vector of three
+independent axes is longer than that of one. A guess on the axis stays there; the default guess is perturbed. The norm
+of the quaternion is conserved, so the component of its costate along q is arbitrary.
 
 States: ``q`` = q_BA, quaternion of body axes B relative to inertial axes A, scalar part first; ``omega`` = omega_BA_B
 (rad/s). Control: ``torque`` in B (N m), -1 to 1 each; the inertia is 1 kg m^2 about every axis.

@@ -1,8 +1,8 @@
 r"""Detumbling: a rigid satellite stops all rotation in the least time with a torque of limited magnitude.
 
-Teaches a time that is known beforehand: a torque opposed to the angular momentum lowers its magnitude at the highest
-rate whatever the inertia, so that the time is :math:`\|J \omega_0\| / T`. The components of the torque in the body
-follow a tumbling momentum.
+Shows a minimum time in closed form: a torque opposed to the angular momentum lowers its magnitude at the highest rate
+for any inertia, so that the time is :math:`\|J \omega_0\| / T`. The components of the torque in the body follow a
+tumbling momentum.
 
 States: ``w`` (body rates, rad/s). Control: vector ``u`` (N m).
 

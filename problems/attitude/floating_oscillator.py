@@ -1,8 +1,7 @@
 r"""Floating oscillator: two masses joined by a spring move by one unit, and come to rest together in the least time.
 
-Teaches how a flexible mode lengthens a bang-bang manoeuvre: a rigid body of the same mass would need
-:math:`2 \sqrt 2` with one switch, the flexible one three switches, symmetric about the middle. It models a slew
-with one mode.
+Shows how a flexible mode lengthens a bang-bang manoeuvre: a rigid body of the same mass needs :math:`2 \sqrt 2` with
+one switch, the flexible one has three switches, symmetric about the middle. It models a slew with one mode.
 
 States: ``x1``, ``x2``, ``v1``, ``v2``. Control: force ``u`` on the first mass.
 

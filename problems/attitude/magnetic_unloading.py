@@ -1,7 +1,7 @@
 r"""Magnetic unloading: magnetic coils unload the momentum of the wheels over one orbit with minimum energy.
 
-Teaches controls whose effect turns with the orbit: a magnetic moment makes no torque along the field, so that all three
-components of the momentum can be removed only because the field changes direction. The problem is linear and quadratic.
+Shows controls whose effect depends on the orbit: a magnetic moment has no torque along the field, so that all three
+components of the momentum are removed only because the field changes direction. The problem is linear-quadratic.
 
 States: momentum ``h`` (N m s) in the orbit frame. Control: magnetic moment ``m`` (A m^2).
 

@@ -1,7 +1,7 @@
 r"""Slew past the Sun: a telescope turns by 120 degrees with three wheels and keeps 30 degrees away from the Sun.
 
-Teaches a keep-out cone on an attitude, and a guess on one side of it: the direct turn would look into the Sun. Torques
-and momenta of the wheels are limited, and the wheels carry momentum from the start.
+Shows a keep-out cone on an attitude, and a guess on one side of it: the direct turn would point at the Sun. Torques
+and momenta of the wheels are limited, and the wheels have momentum at the start.
 
 States: ``q`` (attitude, scalar first), ``w`` (body rates, rad/s), ``h`` (wheel momenta, N m s). Control: ``u`` (torques
 on the wheels, N m).

@@ -1,7 +1,6 @@
 r"""Slew past two cones: a star tracker keeps away from Sun and Moon while a satellite turns.
 
-Teaches two keep-out cones at once, one of which the direct turn enters while leaving it on the wrong side leads into
-the other.
+Shows two keep-out cones: the direct turn enters one of them, and one way around it leads into the other.
 
 States: ``q`` (attitude, scalar first), ``w`` (body rates, rad/s). Control: ``u`` (N m).
 

@@ -1,7 +1,7 @@
-r"""The spacecraft as it flies, its sensors and wheels in numbers, and the slew.
+r"""The simulated spacecraft, data of its sensors and wheels, and the slew.
 
-Body, wheels and manoeuvre are those of `problems.reaction_wheels.model` (Navabi and Hosseini, 2018). The plant has
-motors beside them that follow their command with a lag, and a torque from outside: with M the motor torques on the
+Body, wheels and manoeuvre are those of `problems.reaction_wheels.model` (Navabi and Hosseini, 2018). The plant adds
+motors that follow their command with a lag, and an external torque: with M the motor torques on the
 body,
 
 .. math:: J \dot\omega = -\omega \times (J \omega + A h) + A M + T_{ext}, \qquad \dot h = -M, \qquad

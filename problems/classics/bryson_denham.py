@@ -1,10 +1,9 @@
 r"""Bryson-Denham: throw a mass back with the least effort, without its touching a wall at l = 1/9 m.
 
-Teaches a state constraint of second order: the control appears only in the second derivative of x <= l. Where the
-trajectory meets the limit and where it leaves it, lam_x jumps, by 18 down each time, while the control stays
-continuous. And it warns of constraints that are enforced at the nodes only: one segment of degree 8 gives
-J = 3.982, half a percent *better* than the optimum, with an ODE residual of zero. A cost that is too good is as
-wrong as one that is too high; only a look between the nodes tells.
+Shows a state constraint of second order: the control appears in the second derivative of x <= l. At both ends of the
+active arc lam_x jumps down by 18, while the control is continuous. A constraint that is enforced at the nodes only
+gives a wrong result: one segment of degree 8 gives J = 3.982, half a percent *below* the optimum, with an ODE residual
+of zero. A check between the nodes finds this.
 
 States: ``x`` (m), ``v`` (m/s). Control: ``a`` (m/s^2).
 

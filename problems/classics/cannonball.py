@@ -1,8 +1,8 @@
 r"""Cannonball: how large a ball, and how steep a shot, for the longest range with a given energy of the powder?
 
-Teaches a static parameter that is optimised together with the flight, through dynamics and a boundary constraint; and
-phases that end at an event, here the top of the trajectory. A large ball is slow, since it is heavy, and a small one
-is held up by the air.
+Shows a static parameter that is optimised together with the flight, through dynamics and a boundary constraint, and
+phases that end at an event, here the top of the trajectory. A large ball is slow because of its mass, and a small one
+because of its drag.
 
 States: ``r``, ``h`` (m), ``v`` (m/s), ``gamma`` (rad). Parameter: ``radius`` (m) of the iron ball. No control.
 

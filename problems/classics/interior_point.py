@@ -1,7 +1,7 @@
 r"""Interior point: on its way from 1 to 0.75 in 1 s, the state must pass through 0.9 at 0.75 s.
 
-Teaches phases at their simplest. A constraint inside the interval splits it in two, joined by a linkage; the
-costate jumps there, and the jump is the price of the constraint: dJ*/dx of the point to be passed.
+Shows the simplest linkage. A constraint inside the interval divides it into two phases; the costate jumps there, and
+the jump is dJ*/dx of the point to be passed.
 
 State: ``x``. Control: ``u``, -1 to 1. No units; time in s.
 

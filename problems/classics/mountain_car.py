@@ -1,7 +1,7 @@
 r"""Mountain car: an engine too weak for the slope swings back and forth until the car gets over the hill.
 
-Teaches a guess that oscillates: from a straight line the first mesh finds no swing at all. The number of swings is
-that of the guess, and the control switches between its bounds at their turns.
+Shows a guess that oscillates: from a straight line the first mesh finds no swing. The number of swings is that of the
+guess, and the control switches between its bounds at their turns.
 
 States: ``x``, ``v``. Control: ``u``.
 

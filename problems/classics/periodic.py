@@ -1,8 +1,7 @@
 r"""Periodic control: hold a disturbed plant near zero, day after day.
 
-Teaches boundary conditions that join both ends: x(2 pi) = x(0) with neither value given, by linking the phase
-to itself. The costate is then periodic as well, which no single end says, and the optimum is the forced
-response alone, without any transient.
+Shows boundary conditions that join both ends: x(2 pi) = x(0) with neither value given, by a link of the phase to
+itself. The costate is then periodic as well, and the optimum is the forced response alone, without a transient.
 
 State: ``x``. Control: ``u``. No units; time in s.
 

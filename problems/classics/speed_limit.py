@@ -1,9 +1,8 @@
 r"""Speed limit: 1 m from rest to rest in the least time, no faster than 0.5 m/s.
 
-Teaches the simplest state constraint. Its first time derivative holds the control (order one), so on the limit
-the control is what keeps the speed, zero, and neither bang nor singular in the usual sense: the multiplier of
-the limit does the work that the switching function does elsewhere. Each m/s of limit that is missing below 1
-m/s costs more than the last.
+Shows the simplest state constraint. Its first time derivative contains the control (order one), so on the limit the
+control keeps the speed constant and is zero: neither bang nor singular. The multiplier of the limit replaces the
+switching function. The cost of a lower limit increases more than linearly.
 
 States: ``x`` (m), ``v`` (m/s, at most 0.5). Control: ``a`` (m/s^2, -1 to 1).
 

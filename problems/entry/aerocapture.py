@@ -1,7 +1,7 @@
 r"""Aerocapture: one pass through the atmosphere of Mars brakes a probe from its arrival to an orbit at the least cost.
 
-Teaches an end condition that is an orbit: after the pass the apoapsis is 500 km high, and what a burn there must add
-to make the orbit circular is minimised. Full lift up or down is optimal but for a switch.
+Shows an end condition that is an orbit: after the pass the apoapsis is 500 km high, and the burn there that makes the
+orbit circular is minimised. Full lift up or down is optimal except at one switch.
 
 States: ``h`` (m), ``v`` (m/s), ``gamma`` (rad). Control: ``u``, cosine of the bank angle.
 

@@ -1,6 +1,6 @@
 r"""Boost glide: a glider released at 6 km/s flies as far as it can without exceeding its limit of heat flux.
 
-Teaches phugoids: the farthest glide without a limit skips; the limit of heating flattens the first skips, and the
+Shows phugoids: the farthest glide without a limit skips; the limit of heating flattens the first skips, and the
 trajectory touches it several times.
 
 States: ``h`` (m), range angle ``theta`` (rad), ``v`` (m/s), ``gamma`` (rad). Control: lift coefficient ``C_L``.

@@ -1,6 +1,6 @@
 r"""Belly flop: a rocket that falls on its side turns upright and lands with the least propellant.
 
-Teaches rotation under a gimbal in the plane: the engine that turns the vehicle also pushes it sideways, and the
+Shows rotation under a gimbal in the plane: the engine that turns the vehicle also accelerates it sideways, and the
 thrust has a lower limit.
 
 States: ``x``, ``z`` (m), ``vx``, ``vz`` (m/s), tilt ``theta`` from the vertical (rad), ``q`` (rad/s), ``m`` (kg).

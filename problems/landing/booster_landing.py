@@ -1,7 +1,7 @@
 r"""Booster landing: a returning first stage burns as late as it can and lands upright with drag and engine limits.
 
-Teaches a plan that starts on an event: while the engine is off the drag brakes for free, so that the time of ignition
-is the essence of the answer. Coast and burn are phases; the thrust has a lower limit.
+Shows an optimised ignition time: before ignition drag brakes without propellant. Coast and burn are phases; the thrust
+has a lower limit.
 
 States: ``x``, ``z`` (m), ``vx``, ``vz`` (m/s), ``m`` (kg). Control in the burn: vector ``T`` (N).
 

@@ -1,7 +1,7 @@
 r"""Finite burns: from a circular orbit to one of three times its radius with two burns and the least velocity change.
 
-Teaches phases with different states: the acceleration of the thrust grows as propellant burns, is held in no phase of
-coasting, and goes on where it ended by a constraint between the two burns.
+Shows phases with different states: the acceleration of the thrust grows as propellant burns. It is no state of the
+coasts, and a constraint between the burns makes it continuous.
 
 States: ``r``, ``theta``, ``v_r``, ``v_t``, thrust acceleration ``a`` (not while coasting) and velocity change
 ``spent``; canonical units. Control: angle ``u`` of the thrust above the local horizontal (rad). Exhaust speed c = 1.5.

@@ -1,8 +1,7 @@
 r"""Libration transfer: low thrust carries a probe from the Earth-Moon point L1 to L2 with the least energy.
 
-Teaches the restricted three-body problem in rotating coordinates: the motion is unstable, so that a little thrust at
-the right time goes far, and several ways past the Moon are local minima: the guess passes it slowly on the far side
-of L1.
+Shows the restricted three-body problem in rotating coordinates. The motion is unstable, so that small thrust has a
+large effect. Several ways past the Moon are local minima; the guess passes it slowly on the far side of L1.
 
 States: ``x``, ``y``, ``vx``, ``vy`` in the rotating frame; units of the Earth-Moon distance and month. Control:
 ``ax``, ``ay``.

@@ -1,7 +1,7 @@
 r"""Solar sail to Mars: the fastest flight from the Earth's circular orbit to that of Mars without propellant.
 
-Teaches a control that is an angle with no bound that matters: the sail's push falls with the square of the cosine of
-its cone angle, and no push towards the Sun is possible.
+Shows an angle as control, without active bounds: the acceleration by the sail falls with the square of the cosine of
+its cone angle and cannot point towards the Sun.
 
 States: ``r``, ``theta`` (rad), ``v_r``, ``v_t``; astronomical units and mu = 1. Control: cone angle ``alpha`` (rad).
 

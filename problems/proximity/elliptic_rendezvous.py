@@ -1,6 +1,6 @@
 r"""Rendezvous on an ellipse: a chaser comes to rest beside a target on an eccentric orbit with the least energy.
 
-Teaches time-varying dynamics: the equations of relative motion along an ellipse with the true anomaly as independent
+Shows time-varying dynamics: the equations of relative motion along an ellipse with the true anomaly as independent
 variable. The problem is linear and quadratic, so that the optimum is known from the Gramian of the transition matrix.
 
 States: ``x`` (radial), ``y`` (along track) and their derivatives ``vx``, ``vy``, all multiplied by

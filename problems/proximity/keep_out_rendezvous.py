@@ -1,7 +1,6 @@
 r"""Rendezvous past a keep-out sphere: an inspector flies from behind a station to ahead of it with the least energy.
 
-Teaches an obstacle in the way of the straight line: the two sides of the sphere are two minima, and a guess that is
-bent to one side chooses.
+Shows an obstacle on the straight line: the two sides of the sphere are two minima, and a curved guess selects one.
 
 States: ``r`` (m), ``v`` (m/s) in radial, along-track and cross-track direction. Control: ``a`` (mm/s^2).
 

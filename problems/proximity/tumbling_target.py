@@ -1,7 +1,7 @@
 r"""Docking with a tumbling target: a chaser meets a port that rotates, with its velocity, in the least time.
 
-Teaches end conditions that depend on the free final time: the port is on a circle, and where it will be is part of
-the answer. The thrust is a vector of limited length.
+Shows end conditions that depend on the free final time: the port moves on a circle. The thrust is a vector of limited
+length.
 
 States: ``r`` (m), ``v`` (m/s) in the target's plane of rotation. Control: vector ``a`` (m/s^2).
 

@@ -1,7 +1,7 @@
 """Attitude slews with a pyramid of four reaction wheels: feedback linearisation, quaternion LQR, optimal slews.
 
 A body at rest is turned by the motor torques of four wheels, with the least energy or in the least time, within the
-wheels' torque and speed limits, and the slew is tracked. Two published attitude controllers stand beside it; their
+wheels' torque and speed limits, and the slew is tracked. Two published attitude controllers are compared; their
 printed numbers are reproduced by ``python -m benchmarks.validation.published reaction_wheels``. The page is
 docs/reaction_wheels.md.
 

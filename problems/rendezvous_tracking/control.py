@@ -183,7 +183,7 @@ class Tracking:
 
     @property
     def disturbances(self) -> list[simulation.Disturbance]:
-        """What pushes."""
+        """Differential force, dispersed by direction."""
         return [simulation.ConstantDisturbance("differential force", np.zeros(3), on="v_L")]
 
     def loop(self, controller: control.Controller) -> simulation.ClosedLoop:

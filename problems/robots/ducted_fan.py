@@ -1,6 +1,6 @@
 r"""Ducted fan: a vehicle on one fan moves 1 m sideways, where time costs a thousand times as much as thrust.
 
-Teaches a state limit that is entered smoothly: the fan may tilt by 30 degrees at most, and does so twice.
+Shows a state limit that is entered smoothly: the fan may tilt by at most 30 degrees, and does so twice.
 
 States: ``x1``, ``x2`` (m), ``v1``, ``v2`` (m/s), tilt ``alpha`` (rad), ``w`` (rad/s). Controls: forces ``u1`` across
 and ``u2`` along the fan (N).

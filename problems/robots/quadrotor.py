@@ -1,8 +1,8 @@
 r"""Planar quadrotor: from rest to rest, 6 m to the side, in the least time; past two discs, or through a gate.
 
-Teaches bang-singular arcs and keep-out discs. Thrust and rate of turn are the controls. Thrust is at one of its
-limits, the rate too but for a while between, where H does not depend on it. A disc touches the flight for an instant
-or for an arc; the gate is a point between two phases.
+Shows bang-singular arcs and keep-out discs. Thrust and rate of turn are the controls. Thrust is at one of its limits,
+the rate too except for an arc on which H does not depend on it. The path touches a disc at an instant or along an arc;
+the gate is a point between two phases.
 
 States: ``p`` (m), ``v`` (m/s), sideways and up, ``theta`` (rad). Controls: ``F`` (m/s^2), 1 to 20, ``w`` (rad/s),
 within 10.

@@ -1,7 +1,7 @@
 r"""Space robot: a free-floating arm reaches from one pose to another in the least time, and its base ends upright.
 
-Teaches dynamics with a non-holonomic constraint: angular momentum is zero, so that the base turns with the joints, and
-two joints bring three angles to their places by a detour. Accelerations of the joints are the controls.
+Shows dynamics with a non-holonomic constraint: angular momentum is zero, so that the base turns with the joints, and
+two joints control three angles. Accelerations of the joints are the controls.
 
 States: base attitude ``phi``, joint angles ``q1``, ``q2`` (rad), rates ``w1``, ``w2`` (rad/s). Controls: ``a1``, ``a2``
 (rad/s^2).

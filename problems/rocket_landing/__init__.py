@@ -1,4 +1,4 @@
-"""A rocket lands on Mars in wind, its plan made again in flight, beside a published law.
+"""A rocket lands on Mars in wind, with re-planning in flight, compared with a published law.
 
     python -m problems.rocket_landing [--runs N] [--seed S] [--json OUT] [--checkpoint DIR]
 

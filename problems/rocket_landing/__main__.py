@@ -1,4 +1,4 @@
-"""``python -m problems.rocket_landing``: landings as planned, with the plan made again in flight, and by ZEM/ZEV."""
+"""``python -m problems.rocket_landing``: landings as planned, with re-planning in flight, and by ZEM/ZEV."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEMANDED = 0.99
 _UNITS = {"miss": "m", "speed across": "m/s", "speed downward": "m/s", "propellant": "kg"}
 _COUNTS = {
     "replans": lambda flown: np.nansum(flown.measure("replans")),
-    "in vain": lambda flown: np.nansum(flown.measure("failed replans")),
+    "failed": lambda flown: np.nansum(flown.measure("failed replans")),
     "crashes": lambda flown: flown.event_totals["crash"],
 }
 _WIDTH = 110

@@ -24,7 +24,7 @@ from problems.tethered_formation import model
 Goal: TypeAlias = Literal["time", "effort"]
 
 MESH = go.Mesh.uniform(60, 3)
-"""To begin with: the least time has arcs of 3 s in 100 s, which 20 segments do not tell apart."""
+"""To begin with: the least time has arcs of 3 s in 100 s, which 20 segments do not resolve."""
 
 # --- the problem ----------------------------------------------------------------------------------------
 
