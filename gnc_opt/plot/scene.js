@@ -90,7 +90,7 @@
   const axis = (i) => ({ title: title(data.labels[i]), range: range(i, data.down && i > 0), gridcolor: colour("--line"),
     zerolinecolor: colour("--line"), showbackground: false, showspikes: false, showticklabels: data.moves && data.labels[i] !== "", nticks: extents[i] < 0.3 * longest ? 2 : 6 });
   const extents = data.high.map((v, i) => v - data.low[i]), longest = Math.max(...extents);
-  const wide = Math.max(1, 1.2 * stage.clientHeight / stage.clientWidth); // narrow windows show less of the width
+  const wide = Math.max(1, 1.4 * stage.clientHeight / stage.clientWidth); // narrow windows show less of the width
   const away = 0.7 * wide * Math.hypot(...extents) / longest;
   const layout = () => ({
     margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "one",

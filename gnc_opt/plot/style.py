@@ -48,6 +48,9 @@ _STYLE: dict[str, Any] = {
 }
 
 
+_LONG_LABEL = 25
+"""Number of characters from which labels have one column in a narrow figure."""
+
 _NARROW: ContextVar[bool] = ContextVar("narrow figures", default=False)
 
 
@@ -150,6 +153,8 @@ def legend_above(ax: Axes) -> None:
 def legend_on_top(figure: Figure, axes: Sequence[Any], columns: int = 5) -> None:
     """Put one legend of the labels in some axes at the top of a figure; two columns in narrow figures."""
     handles = {h.get_label(): h for ax in axes for h in ax.get_legend_handles_labels()[0]}
-    columns = min(len(handles), 2 if _NARROW.get() else columns)
+    if _NARROW.get():
+        columns = 1 if max(map(len, handles), default=0) > _LONG_LABEL else 2
+    columns = min(len(handles), columns)
     where = "upper center" if figure.get_layout_engine() is None else "outside upper center"
     figure.legend(handles=list(handles.values()), loc=where, ncols=columns, columnspacing=1.6)

@@ -148,7 +148,9 @@ class Formulas:
             return f"<mfrac><mrow>{above}</mrow><mrow>{below}</mrow></mfrac>", _ATOM
         if op in (ca.OP_SQ, ca.OP_POW, ca.OP_CONSTPOW):
             power = "<mn>2</mn>" if op == ca.OP_SQ else write(parts[1], _SUM)
-            return f"<msup><mrow>{write(parts[0], _ATOM)}</mrow><mrow>{power}</mrow></msup>", _ATOM
+            base = write(parts[0], _ATOM)
+            base = _add_parentheses(base) if base.startswith(("<mfrac", "<msup")) else base
+            return f"<msup><mrow>{base}</mrow><mrow>{power}</mrow></msup>", _ATOM
         if op == ca.OP_SQRT:
             return f"<msqrt>{write(parts[0], _SUM)}</msqrt>", _ATOM
         if op == ca.OP_FABS:

@@ -173,12 +173,15 @@ def _condition_cells(condition: Condition, prefix: str = "") -> tuple[str, ...]:
 
 
 def _solve_facts_table(solution: Solution) -> str:
-    unit = time_unit(solution)
     rows = [
-        (f"phase {name}", f"{leg.initial_time:.10g} to {leg.final_time:.10g} {unit}")
+        (f"phase {name}", f"{leg.initial_time:.10g} to {leg.final_time:.10g} {time_unit(solution)}")
         for name, leg in solution.phases.items()
     ]
-    rows += [(f"parameter {name}", f"{solution.parameter(name)}") for name in solution.free_parameters.names]
+    free = solution.free_parameters
+    rows += [
+        (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
+        for label, value, unit in zip(free.labels, solution.parameter_values, free.units, strict=True)
+    ]
     if solution.problem is not None and solution.status.solved:
         rows.append(("accuracy", solution.accuracy.summary_text))
     rows += _consumption_rows(solution)

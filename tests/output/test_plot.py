@@ -27,7 +27,7 @@ from gnc_opt.plot import (
     plot_states,
     save_figure,
 )
-from gnc_opt.plot.style import narrow_figures
+from gnc_opt.plot.style import legend_on_top, narrow_figures, new_axes_rows
 
 
 @pytest.fixture(scope="module")
@@ -265,3 +265,18 @@ def test_a_vector_control_is_shown_by_magnitude_and_components() -> None:
         [line.get_ydata()[0] for line in force_axes.get_lines()], [-0.6, -0.8], atol=1e-6
     )
     assert plot_path_constraints(solution) is None  # the length of the direction is none
+
+
+def test_long_labels_of_a_narrow_figure_are_below_each_other() -> None:
+    columns = []
+    for label in ("short", "a label of more than half the width"):
+        with narrow_figures():
+            figure, (ax,) = new_axes_rows([1], 2.0)
+            ax.plot([0.0, 1.0], label="run")
+            ax.plot([1.0, 0.0], label=label)
+            legend_on_top(figure, [ax])
+        FigureCanvasAgg(figure).draw()
+        boxes = [text.get_window_extent() for text in figure.legends[0].get_texts()]
+        assert max(box.x1 for box in boxes) < figure.bbox.x1
+        columns.append(len({round(box.x0) for box in boxes}))
+    assert columns == [2, 1]

@@ -54,6 +54,7 @@ EXPRESSIONS = [
     (1 + X**2 + Y**2) ** 3 + (1 + X**2 + Y**2) * X - ca.cos(1 + X**2 + Y**2),
     1e-7 * X + 3.25e12 * Y,
     X**1.5 - 1 / Y,
+    (X / Y) ** 2 + (X**1.5) ** 2,
 ]
 
 
@@ -69,6 +70,15 @@ def test_formulas_have_the_values_of_their_expressions(expression):
     found = value(ElementTree.fromstring(f"<math>{text}</math>"), values)
     exact = float(ca.Function("f", [X, Y], [expression])(1.7, 0.6))
     assert found == pytest.approx(exact, rel=1e-9)
+
+
+def test_the_base_of_a_power_is_in_parentheses_if_it_is_a_fraction_or_a_power():
+    writer = Formulas(component_names_mathml(NAMES))
+    for expression, base in (((X / Y) ** 2, "mfrac"), ((X**1.5) ** 2, "msup")):
+        power = ElementTree.fromstring("".join(writer.split_terms(expression)))
+        assert power.tag == "msup"
+        opened, inner, closed = power[0][0]
+        assert (opened.text, inner.tag, closed.text) == ("(", base, ")")
 
 
 def test_what_occurs_twice_is_written_once():

@@ -315,6 +315,9 @@ class Parsed(HTMLParser):
         if tag not in self.EMPTY:
             self.open.append(tag)
 
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
 
@@ -406,9 +409,12 @@ def test_page_states_what_is_used_and_prints_no_rounding_errors(tmp_path: Path) 
     leg.initial(q=1.0, v=0.0, mass=5.0, way=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(F=(-1.0, 1.0))
+    third = problem.parameter("third", lower=0.0, upper=1.0, unit="N")
+    problem.constrain("a third", 3.0 * third, equals=1.0)
     problem.minimize(leg.final_time)
     solution = go.solve(problem)
     words = Parsed(write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")).words
+    assert words[words.index("parameter third") + 1] == "0.3333333333 N"
     assert words[words.index("decrease of mass") + 1] == "0.2 kg"
     assert words[words.index("effort of F") + 1].startswith("2 N s")
     state, costate = words.index("state"), words.index("costate")
