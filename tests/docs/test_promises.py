@@ -135,6 +135,23 @@ def test_json_of_a_problem_file(tmp_path: Path) -> None:
         assert f"`{key}`" in sentence[1], key
 
 
+# --- solver options -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("section", "of"),
+    [
+        ("Arguments of `go.solve`", go.solve),
+        ("SolverOptions", go.SolverOptions),
+        ("RefinementLimits", go.RefinementLimits),
+    ],
+)
+def test_solver_options_lists_every_argument(section: str, of: Any) -> None:
+    assert sorted(documented(doc("solver_options").section(section))) == sorted(
+        inspect.signature(of).parameters
+    )
+
+
 # --- controllers and loops ----------------------------------------------------------------------------
 
 
