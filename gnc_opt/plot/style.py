@@ -48,8 +48,8 @@ _STYLE: dict[str, Any] = {
 }
 
 
-_LONG_LABEL = 25
-"""Number of characters from which labels have one column in a narrow figure."""
+_LONG_LABEL, _LONG_NAME = 25, 8
+"""Characters above which labels have one column in a narrow figure, and names of components two instead of three."""
 
 _NARROW: ContextVar[bool] = ContextVar("narrow figures", default=False)
 
@@ -146,7 +146,9 @@ def unit_text(unit: str) -> str:
 
 def legend_above(ax: Axes) -> None:
     """Put the axis' legend above it, where it cannot hide data."""
-    columns = 3 if _NARROW.get() else 6
+    labels = (re.sub(r"\\[a-z]+|\W|_", "", text) for text in ax.get_legend_handles_labels()[1])
+    narrow = 2 if max(map(len, labels), default=0) > _LONG_NAME else 3
+    columns = narrow if _NARROW.get() else 6
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2)
 
 

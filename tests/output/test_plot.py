@@ -27,7 +27,7 @@ from gnc_opt.plot import (
     plot_states,
     save_figure,
 )
-from gnc_opt.plot.style import legend_on_top, narrow_figures, new_axes_rows
+from gnc_opt.plot.style import legend_above, legend_on_top, narrow_figures, new_axes_rows
 
 
 @pytest.fixture(scope="module")
@@ -280,3 +280,12 @@ def test_long_labels_of_a_narrow_figure_are_below_each_other() -> None:
         assert max(box.x1 for box in boxes) < figure.bbox.x1
         columns.append(len({round(box.x0) for box in boxes}))
     assert columns == [2, 1]
+    columns = []
+    for name in ("$v_{\\mathrm{L}}$", "direction"):
+        with narrow_figures():
+            _, (ax,) = new_axes_rows([1], 2.0)
+            for i in range(3):
+                ax.plot([0.0, 1.0], label=f"{name}[{i}]")
+            legend_above(ax)
+        columns.append(ax.get_legend()._ncols)
+    assert columns == [3, 2]
