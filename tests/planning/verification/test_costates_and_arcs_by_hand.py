@@ -23,6 +23,7 @@ from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.active_limit_terms import find_costate_jumps
+from gnc_opt.planning.verification.bang_bang_second_order import _switching_sign_violation
 from gnc_opt.planning.verification.costate_conditions import (
     _check_bound_impulses,
     _check_time_transversality,
@@ -50,6 +51,22 @@ def pair(bend: float = 0.0, cost: float = 1.0) -> go.Problem:
     leg.path("p", x + y, upper=100.0)
     problem.minimize(leg.integral(cost * (x + bend * u**2 / 2 + w**2 / 2)))
     return problem
+
+
+@pytest.mark.parametrize(("sign", "wrong"), [(1.0, 0.0), (-1.0, 1.0)])
+def test_sign_of_a_switching_function_between_unequal_bounds(sign: float, wrong: float) -> None:
+    """u falls from 1 to 0 at 1 s, where its switching function t - 1 changes its sign; as a share of H."""
+    s = by_hand.samples(
+        pair(),
+        lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.array([1.0 - k + 0 * t, 0 * t]),
+        lambda t, k: np.array([sign * (t - 1), 0 * t]),
+        weights=(0.0,),
+        breaks=(0.0, 1.0, 2.0),
+        control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
+    )
+    violation = _switching_sign_violation(s, 0, np.array([1.0]), 1.0)
+    assert violation == pytest.approx(wrong, abs=1e-9)
 
 
 BOX = by_hand.interval([-1.0, -3.0], [1.0, 3.0])
@@ -192,6 +209,7 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
     (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     expected = sign * 2.0 * 4.0 * 1.5**2 / s.hamiltonian_scale
     assert arc == SingularArc("phase leg, u from 0.5 to 2 s", 1, pytest.approx(expected), why)
+    assert np.array_equal(np.arange(*arc.samples), np.flatnonzero(s.segments == 1))
 
 
 def test_controls_that_curve_h_together_are_not_affine() -> None:
