@@ -115,7 +115,7 @@ def minima_lines(outcomes: Sequence[GlobalOutcome]) -> Iterator[str]:
             over = minimum.objective - outcome.best_known
             yield (
                 f"{outcome.case:4} {rank:4} {_time(minimum):>14} {over:+10.2e} {minimum.hits:5} "
-                f"{minimum.trajectories:5} {minimum.standing:8} {coarse}"
+                f"{minimum.trajectories:5} {minimum.check_result:8} {coarse}"
             )
 
 

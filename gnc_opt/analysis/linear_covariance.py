@@ -47,7 +47,7 @@ def format_covariance_table(found: LinearCovariance) -> str:
     for variable in layout.variables:
         sigma = float(np.linalg.norm(found.std(variable.name)[:, -1]))
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
-        shares = [(s, share) for s, share in found.budget(variable.name).items() if share > 0][:3]
+        shares = [(s, share) for s, share in found.variance_budget(variable.name).items() if share > 0][:3]
         lines.append((line + ", ".join(f"{s} {_format_share(share)}" for s, share in shares)).rstrip())
     lines.append("  sources: shares of the variance")
     return "\n".join(lines)
@@ -91,7 +91,7 @@ class LinearCovariance(StrictAttributes, PrintableResult):
     --------
     >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> result = go.linear_covariance(scenario)
-    >>> print({source: f"{share:.0%}" for source, share in result.budget("q").items()})
+    >>> print({source: f"{share:.0%}" for source, share in result.variance_budget("q").items()})
     {'initial.q': '55%', 'gauge': '43%', 'initial.v': '1%'}
     """
 
@@ -109,19 +109,19 @@ class LinearCovariance(StrictAttributes, PrintableResult):
 
     def covariance(self, signal: str) -> Array:
         """Return the covariance of a signal over time, (n_times, size, size)."""
-        return np.asarray(self.by_source(signal).sum(axis=0))
+        return np.asarray(self.covariance_by_source(signal).sum(axis=0))
 
     def std(self, signal: str) -> Array:
         """Return the standard deviations (1 sigma) of a signal over time, (size, n_times)."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance(signal), axis1=1, axis2=2).T, 0.0))
 
-    def by_source(self, signal: str) -> Array:
+    def covariance_by_source(self, signal: str) -> Array:
         """Return the covariances of a signal due to each of `sources`, (n_sources, n_times, size, size)."""
         kind, name = self._parse_signal(signal)
         place = self.layouts[kind].slice(name)
         return self.parts[kind][:, :, place, place]
 
-    def budget(self, signal: str, at: float | None = None) -> dict[str, float]:
+    def variance_budget(self, signal: str, at: float | None = None) -> dict[str, float]:
         """Return the share of each source in a signal's variance, in descending order.
 
         The variance is the trace of the covariance. The shares add up to 1, unless the variance is zero.
@@ -132,7 +132,7 @@ class LinearCovariance(StrictAttributes, PrintableResult):
         at : float, optional
             Time (s); the nearest logged one is used. Default: the last.
         """
-        parts = self.by_source(signal)
+        parts = self.covariance_by_source(signal)
         k = -1 if at is None else int(np.argmin(np.abs(self.times[: parts.shape[1]] - at)))
         traces = np.trace(parts[:, k], axis1=1, axis2=2)
         shares = traces / max(float(traces.sum()), TINY)

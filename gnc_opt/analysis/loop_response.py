@@ -28,7 +28,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.simulation.actuators import ZeroOrderHold
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, StepContext
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.tolerances import ROUNDING
 
@@ -49,10 +49,10 @@ class _CommandPerturbation(Block):
         return {"d": (np.zeros(size), unit)}
 
     @property
-    def memoryless(self) -> bool:
+    def is_memoryless(self) -> bool:
         return True
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(signal + p["d"], state)
 
 
@@ -97,7 +97,7 @@ class LoopResponse(StrictAttributes):
         closed = self._closed_loop_transfer(omega, index)
         return np.asarray(np.eye(closed.shape[1]) + closed)
 
-    def channel(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
+    def channel_open_loop(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
         """Return the open loop of one command with the others closed, (n_omega,) complex."""
         i = self.commands.labels.index(self._read_command_label(command))
         return np.asarray(1 / self.sensitivity(omega, index)[:, i, i] - 1)

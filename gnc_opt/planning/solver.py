@@ -149,7 +149,7 @@ class Resolver:
         stated.check()
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.from_solution(near)
-            tol = reached_tolerance(self.solution) if self.tol is None else self.tol
+            tol = solution_tolerance(self.solution) if self.tol is None else self.tol
             return solve_by_known_arcs(problem, arcs, tol, "changed")
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
@@ -281,7 +281,7 @@ def solve(
         if nearby is not None:
             return nearby
         if in_a_loop and _is_refined(guess) and _is_variation(problem, guess):
-            tol = reached_tolerance(guess)
+            tol = solution_tolerance(guess)
         if tol is not None and _is_refined(guess):
             return _solve_again(problem, guess, tol, progress, throw)
     within = SolveLimits() if tol is None else SolveLimits(cpu_deadline=budget.cpu_deadline)
@@ -321,7 +321,7 @@ def _solve_variation(
         found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
         if found is not None:
             return found
-        tol = reached_tolerance(known) if known.structure or _is_refined(known) else None
+        tol = solution_tolerance(known) if known.structure or _is_refined(known) else None
     if tol is None or not (known.structure or known.history is not None):
         return None
     return solve_by_known_arcs(
@@ -386,7 +386,7 @@ def _is_warm_better(warm: Solution, cold: Solution) -> bool:
     return cold.history is None or warm.history.final_iteration.error < cold.history.final_iteration.error
 
 
-def reached_tolerance(known: Solution) -> float:
+def solution_tolerance(known: Solution) -> float:
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
 
 

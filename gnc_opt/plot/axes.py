@@ -46,7 +46,7 @@ def hamiltonian_unit(solution: Solution) -> str:
 def hamiltonian_terms_size(solution: Solution, leg: PhaseSolution) -> float:
     """Return the largest sum of the magnitudes of the terms lambda_i dx_i/dt along a phase."""
     t = leg.point_times
-    terms = leg.lam(t) * solution.functions(leg.name).rates(t, leg.x(t), leg.u(t))
+    terms = leg.lam(t) * solution.phase_functions(leg.name).rates(t, leg.x(t), leg.u(t))
     return float(np.max(np.sum(np.abs(terms), axis=0)))
 
 

@@ -73,7 +73,7 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
     omega = response.frequencies
     gain, phase = figure.subplots(2, 1, sharex=True)
     for k in range(response.times.size):
-        loop = response.channel(omega, label, k)
+        loop = response.channel_open_loop(omega, label, k)
         gain.loglog(omega, np.abs(loop), **line_style(k))
         phase.semilogx(omega, np.degrees(_unwrap_phase(loop)), **line_style(k))
     gain.axhline(1.0, color=QUIET, linewidth=0.8)
@@ -87,7 +87,7 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
 def _draw_nyquist(figure: Figure, response: LoopResponse, label: str) -> None:
     ax = figure.subplots()
     for k in range(response.times.size):
-        loop = response.channel(response.frequencies, label, k)
+        loop = response.channel_open_loop(response.frequencies, label, k)
         ax.plot(loop.real, loop.imag, **line_style(k))
     ax.plot(-1.0, 0.0, "+", color="black", markersize=9)
     alpha = float(np.fmin.reduce(response.disk_margins))  # NaN for open loops

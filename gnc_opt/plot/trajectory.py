@@ -160,7 +160,7 @@ def _list_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSolution
 
 
 def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: int) -> None:
-    paths = solution.functions(leg.name).paths
+    paths = solution.phase_functions(leg.name).paths
     t, values = sample_densely(
         lambda t, side: paths(t, leg.x(t, side), leg.applied(t, side))[i], leg.applied.jump_times
     )
@@ -252,5 +252,5 @@ def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
 
 
 def _applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
-    hamiltonian = solution.functions(leg.name).hamiltonian
+    hamiltonian = solution.phase_functions(leg.name).hamiltonian
     return lambda t, side: hamiltonian(t, leg.x(t, side), leg.applied(t, side), leg.lam(t, side))

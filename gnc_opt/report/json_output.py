@@ -35,9 +35,8 @@ def search_dict(found: Multistart) -> dict[str, Any]:
         "failures": dict(found.failures),
         "minima": [
             {
-                **_attributes_dict(
-                    minimum, "objective", "hits", "trajectories", "refined", "verdict_ok", "standing"
-                ),
+                **_attributes_dict(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
+                "standing": minimum.check_result,
                 "starts": list(minimum.starts),
                 "coarse_objectives": list(minimum.coarse_objectives),
                 "solution": summary_dict(minimum.solution),

@@ -27,7 +27,7 @@ from gnc_opt.simulation.block import (
     Defaults,
     Parameters,
     Step,
-    Tick,
+    StepContext,
     clip,
     differs_after_clipping,
     read_block_values,
@@ -165,16 +165,16 @@ class Allocation(Block):
         self._allocate(ca.SX.zeros(np.shape(self.matrix)[0]))
 
     @property
-    def memoryless(self) -> bool:
+    def is_memoryless(self) -> bool:
         return True
 
-    def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
+    def output_sizes(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
         return {self.to: (np.shape(self.matrix)[1], self.unit)}
 
-    def check(self, size: int, h: float, dt: float) -> None:
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
         check_effect_rows(self.matrix, size, self.name)
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(self._allocate(signal), state)
 
     def _allocate(self, signal: Any) -> Any:
@@ -214,10 +214,10 @@ class Mixer(Block):
     unit: str = ""
 
     @property
-    def memoryless(self) -> bool:
+    def is_memoryless(self) -> bool:
         return True
 
-    def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
+    def output_sizes(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
         rows = np.shape(self.matrix)[0]
         parts = {self.to: rows} if isinstance(self.to, str) else dict(self.to)
         if sum(parts.values()) != rows:
@@ -226,12 +226,12 @@ class Mixer(Block):
             )
         return {name: (size, self.unit) for name, size in parts.items()}
 
-    def check(self, size: int, h: float, dt: float) -> None:
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
         columns = np.shape(self.matrix)[1]
         if columns != size:
             raise DesignError(f"'{self.name}' mixes {columns} outputs, but gets {size}.")
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(read_numbers(self.matrix, f"the matrix of '{self.name}'") @ signal, state)
 
 
@@ -330,12 +330,12 @@ class WheelArray(Block):
         """Number of wheels."""
         return int(np.shape(self.axes)[1])
 
-    def outputs(
+    def output_sizes(
         self, sizes: Mapping[str, int], units: Mapping[str, str]
     ) -> dict[str, tuple[int, str]] | None:
         return None if self.to is None else {self.to: (self.n_wheels, "N m")}
 
-    def check(self, size: int, h: float, dt: float) -> None:
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
         check_effect_rows(self.axes, size, self.name)
 
     def parameters(self, size: int, unit: str) -> Defaults:
@@ -355,13 +355,13 @@ class WheelArray(Block):
             "health": (np.ones(self.n_wheels), ""),
         }
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"max_torque": (0.0, math.inf), "max_momentum": (0.0, math.inf), "health": (0.0, 1.0)}
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX(0, 1) if self.momenta is not None else p["momentum"]
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         h_w = self._wheel_momenta(tick, state)
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
         n = None if self.balance == "none" else null_vector(self.axes, self.failed)
@@ -380,7 +380,7 @@ class WheelArray(Block):
         after = state if self.momenta is not None else h_w - torque * tick.h
         return Step(torque if self.to is not None else np.asarray(self.axes) @ torque, after, saturated)
 
-    def _wheel_momenta(self, tick: Tick, state: Any) -> Any:
+    def _wheel_momenta(self, tick: StepContext, state: Any) -> Any:
         if self.momenta is None:
             return state
         if self.momenta not in tick.x:

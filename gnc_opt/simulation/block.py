@@ -14,7 +14,7 @@ from gnc_opt.arguments import read_label, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import as_vector
-from gnc_opt.simulation.intersample_input import Wave
+from gnc_opt.simulation.intersample_input import ActuatorWave
 
 Parameters: TypeAlias = Mapping[str, Any]
 """Parameters of a block by name, SX columns."""
@@ -24,7 +24,7 @@ Defaults: TypeAlias = dict[str, tuple[Array, str]]
 
 
 @dataclass(frozen=True)
-class Tick:
+class StepContext:
     """Time, step lengths and plant state, as inputs of a block.
 
     Attributes
@@ -97,7 +97,7 @@ class Block:
             )
 
     @property
-    def memoryless(self) -> bool:
+    def is_memoryless(self) -> bool:
         """Whether the output depends on the present input only; other blocks act once per minor step."""
         return False
 
@@ -110,41 +110,43 @@ class Block:
         """Return values and units of the parameters, for a signal of ``size`` components in ``unit``."""
         return {}
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         """Return the smallest and largest permitted values of parameters by name."""
         return {}
 
-    def noise(self, size: int) -> int:
+    def noise_size(self, size: int) -> int:
         """Return the number of standard normal random numbers per step."""
         return 0
 
-    def outputs(
+    def output_sizes(
         self, sizes: Mapping[str, int], units: Mapping[str, str]
     ) -> dict[str, tuple[int, str]] | None:
         """Return sizes and units of the signals that replace those of `on`; ``None`` if they are unchanged."""
         return None
 
-    def check(self, size: int, h: float, dt: float) -> None:
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
         """Raise `ArgumentError` if the block does not support ``size`` components or these step lengths (s)."""
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         """Return the initial memory, SX.
 
         ``signal`` is the first sample (sensors), the feedforward (actuators that start at trim), or zero.
         """
         return ca.SX(0, 1)
 
-    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+    def propagate_wave(
+        self, tick: StepContext, wave: ActuatorWave, state: Any, p: Parameters, noise: Any
+    ) -> tuple[ActuatorWave, Step]:
         """Return an actuator's output for an input wave within a minor step, and the result of its step.
 
-        Blocks that are `memoryless` act at every time; others use the mean input and have a constant output.
+        Blocks that are `is_memoryless` act at every time; others use the mean input and have a constant output.
         """
         step = self.step(tick, wave.mean, state, p, noise)
-        if self.memoryless:
+        if self.is_memoryless:
             return wave.apply_memoryless(lambda y: self.step(tick, y, state, p, noise).signal), step
-        return Wave(step.signal), step
+        return ActuatorWave(step.signal), step
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         """Return the output signal and the next memory.
 
         Parameters

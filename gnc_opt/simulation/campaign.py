@@ -204,7 +204,7 @@ class Campaign(StrictAttributes, PrintableResult):
         return float(np.max(_nan_to_infinity(self.measure(name))))
 
     @property
-    def counts(self) -> dict[RunStatus, int]:
+    def status_counts(self) -> dict[RunStatus, int]:
         """Number of runs by status."""
         found = Counter(outcome.status for outcome in self.outcomes)
         return {status: found[status] for status in RunStatus if found[status]}

@@ -32,7 +32,7 @@ def select_printed_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
 def format_campaign_table(campaign: CampaignStatistics) -> str:
     """Return the summary table of a campaign: outcomes, percentiles, and pass rates with confidence intervals."""
     runs, asked = len(campaign), campaign.asked
-    counts = ", ".join(f"{count} {status.value}" for status, count in campaign.counts.items())
+    counts = ", ".join(f"{count} {status.value}" for status, count in campaign.status_counts.items())
     interrupted = f" of {asked}, interrupted" if campaign.interrupted else ""
     lines = [f"campaign of {runs} runs{interrupted}, seed {campaign.seed}: {counts or 'none has ended'}"]
     if not runs:
@@ -107,7 +107,7 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
         "span": list(campaign.span),
         "interrupted": campaign.interrupted,
         "confidence": CONFIDENCE,
-        "outcomes": {status.value: count for status, count in campaign.counts.items()},
+        "outcomes": {status.value: count for status, count in campaign.status_counts.items()},
         "events": campaign.event_totals,
         "failures": [
             {

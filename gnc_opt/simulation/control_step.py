@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation.block import Step, Tick
+from gnc_opt.simulation.block import Step, StepContext
 from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.event_location import EventWatch, event_note_layout, event_record_layout
-from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
+from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import LoopWiring
 from gnc_opt.simulation.recorded_quantities import Extremes
 from gnc_opt.simulation.signals import BlockLink, ColumnLayout, replace_signals, replace_waves, stack_signals
@@ -36,7 +36,7 @@ class ControlStep:
         zero = {k: self._memory_sizes(links, k) for k, links in groups}
         m = wiring.minor_steps
         noises = {
-            k: [link.block.noise(link.size) * (m if k == "actuator" else 1) for link in links]
+            k: [link.block.noise_size(link.size) * (m if k == "actuator" else 1) for link in links]
             for k, links in groups
         }
         controls, commands = wiring.plant.controls.size, wiring.controller.commands.size
@@ -86,9 +86,9 @@ class ControlStep:
     def _memory_sizes(self, links: Sequence[BlockLink], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
-        tick = Tick(0.0, length, self.wiring.dt, self.split_state(x))
+        tick = StepContext(0.0, length, self.wiring.dt, self.split_state(x))
         return [
-            link.block.start(ca.SX.zeros(link.size), self.split_parameters(link), tick).shape[0]
+            link.block.initial_memory(ca.SX.zeros(link.size), self.split_parameters(link), tick).shape[0]
             for link in links
         ]
 
@@ -108,11 +108,11 @@ class ControlStep:
         signals = {
             n: by_name[n] if n in by_name else self._output_expression(n, t, x) for n in self.measured.names
         }
-        tick = Tick(t, self.wiring.dt, self.wiring.dt, by_name)
+        tick = StepContext(t, self.wiring.dt, self.wiring.dt, by_name)
         after = {}
         for i, link in enumerate(self.wiring.sensors):
             key, p, signal = f"sensor {i}", self.split_parameters(link), stack_signals(signals, link.on)
-            before = link.block.start(signal, p, tick) if memory is None else memory[key]
+            before = link.block.initial_memory(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
             signals = replace_signals(signals, link, step.signal)
             after[key] = before if memory is None else step.state
@@ -126,27 +126,29 @@ class ControlStep:
         return ca.substitute(expression, ca.vertcat(time, xs, ps), ca.vertcat(t, x, self.plant_p))
 
     def apply_actuators(
-        self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
-    ) -> tuple[list[Wave], Any]:
+        self, tick: StepContext, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
+    ) -> tuple[list[ActuatorWave], Any]:
         """Return the applied controls and the saturation flags of the commands; updates ``memory``."""
         commands, controls = self.wiring.controller.commands, self.wiring.plant.controls
-        waves = {n: Wave(u[commands.slice(n)]) for n in commands.names}
+        waves = {n: ActuatorWave(u[commands.slice(n)]) for n in commands.names}
         origin = {n: {n} for n in commands.names}
         saturated = {n: ca.SX.zeros(commands[n].size) for n in commands.names}
         for i, link in enumerate(self.wiring.actuators):
-            key, count = f"actuator {i}", link.block.noise(link.size)
+            key, count = f"actuator {i}", link.block.noise_size(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
             wave = concatenate_waves([waves[n] for n in link.on])
-            wave, step = link.block.flow(tick, wave, memory[key], self.split_parameters(link), noise)
+            wave, step = link.block.propagate_wave(
+                tick, wave, memory[key], self.split_parameters(link), noise
+            )
             memory[key] = step.state
             _detect_saturation(saturated, step, link, origin)
             waves = replace_waves(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
-        nothing = {n: Wave(ca.SX.zeros(controls[n].size)) for n in controls.names}
+        nothing = {n: ActuatorWave(ca.SX.zeros(controls[n].size)) for n in controls.names}
         return [waves.get(n, nothing[n]) for n in controls.names], stack_signals(saturated, commands.names)
 
-    def initial_actuator_memories(self, tick: Tick, r: Any) -> dict[str, Any]:
+    def initial_actuator_memories(self, tick: StepContext, r: Any) -> dict[str, Any]:
         """Return the initial memories of the actuators; the feedforward passes through them if one starts at trim."""
         wiring, memory = self.wiring, {}
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
@@ -154,11 +156,11 @@ class ControlStep:
             block, p = link.block, self.split_parameters(link)
             signal = stack_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
             begin = signal if block.starts_at_trim else ca.SX.zeros(link.size)
-            memory[f"actuator {i}"] = first = block.start(begin, p, tick)
+            memory[f"actuator {i}"] = first = block.initial_memory(begin, p, tick)
             if wiring.starts_at_trim:
-                quiet = ca.SX.zeros(block.noise(link.size))
+                quiet = ca.SX.zeros(block.noise_size(link.size))
                 signals = replace_signals(
-                    signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal
+                    signals, link, block.propagate_wave(tick, ActuatorWave(signal), first, p, quiet)[1].signal
                 )
         return memory
 
@@ -190,7 +192,7 @@ class ControlStep:
         self,
         t: Any,
         x: Any,
-        waves: list[Wave],
+        waves: list[ActuatorWave],
         state: dict[str, Any],
         span: tuple[Any, Any] | None = None,
         watches: Sequence[Callable[[IntegrationStep, Callable[[Any], Any]], None]] = (),
@@ -215,15 +217,15 @@ class ControlStep:
             f, t + begin, x, length, n, wave.sample_for_integration(begin, length / n), notify_watches
         )
 
-    def make_tick(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
-        return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, self.split_state(state["plant"]))
+    def make_tick(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
+        return StepContext(w["t"] + i * self.h, self.h, self.wiring.dt, self.split_state(state["plant"]))
 
     def update_disturbances(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
         """Return the state with the disturbances' memories for this control step."""
         new = dict(state)
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
-            tick = Tick(w["t"], self.wiring.dt, self.wiring.dt, self.split_state(state["plant"]))
+            tick = StepContext(w["t"], self.wiring.dt, self.wiring.dt, self.split_state(state["plant"]))
             new[key] = link.block.update(tick, state[key], self.split_parameters(link), w[key])  # type: ignore[attr-defined]
         return new
 
@@ -258,7 +260,7 @@ class ControlStep:
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.join({**nothing, **told})
 
-    def quantity_extremes(self, waves: Sequence[Wave]) -> Extremes:
+    def quantity_extremes(self, waves: Sequence[ActuatorWave]) -> Extremes:
         panels = 1 if all(wave.at is None for wave in waves) else 2
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 

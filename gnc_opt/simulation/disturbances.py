@@ -16,7 +16,14 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers
 from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_period_start
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, read_block_scalar, read_block_values
+from gnc_opt.simulation.block import (
+    Block,
+    Defaults,
+    Parameters,
+    StepContext,
+    read_block_scalar,
+    read_block_values,
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,7 @@ class Disturbance(Block):
         if not isinstance(self.on, str):
             raise ArgumentError(f"disturbance '{self.name}' acts on nothing: give on= a state or a control.")
 
-    def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
+    def update(self, tick: StepContext, state: Any, p: Parameters, noise: Any) -> Any:
         """Return the memory for this control step, SX; arguments as in `step`."""
         return state
 
@@ -131,28 +138,28 @@ class PiecewiseConstantNoise(Disturbance):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {"sigma": (read_block_values(self.sigma, size, f"sigma of '{self.name}'"), unit)}
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"sigma": (0.0, math.inf)}
 
-    def noise(self, size: int) -> int:
+    def noise_size(self, size: int) -> int:
         return size
 
-    def _steps(self, dt: float) -> int:
+    def _steps_per_value(self, dt: float) -> int:
         return max(
             1,
             count_whole_steps(dt if self.period is None else self.period, dt, f"the period of '{self.name}'"),
         )
 
-    def check(self, size: int, h: float, dt: float) -> None:
-        self._steps(dt)
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
+        self._steps_per_value(dt)
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(signal.shape[0] + 1)
 
-    def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
+    def update(self, tick: StepContext, state: Any, p: Parameters, noise: Any) -> Any:
         size = state.shape[0] - 1
         drawn = ca.if_else(is_period_start(state[size]), noise, state[:size])
-        return ca.vertcat(drawn, advance_step_counter(state[size], self._steps(tick.dt)))
+        return ca.vertcat(drawn, advance_step_counter(state[size], self._steps_per_value(tick.dt)))
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
         return p["sigma"] * state[:-1]

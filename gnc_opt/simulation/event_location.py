@@ -112,11 +112,11 @@ class _EventPassage:
     def _context_entries(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
 
-    def _passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
+    def _create_passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
         return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
 
     def build_function(self) -> Any:
-        q, t, p, *context = self._passage_symbols(("q", self.places.size))
+        q, t, p, *context = self._create_passage_symbols(("q", self.places.size))
         one = self._leg_to_next_event()
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
@@ -129,7 +129,7 @@ class _EventPassage:
 
     def _leg_to_next_event(self) -> Any:
         """Return the function of a leg to the next event or to the end; inactive when the step is complete."""
-        inputs = self._passage_symbols(("q", self.places.size))
+        inputs = self._create_passage_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
         v = self.places.split(q)
@@ -140,13 +140,13 @@ class _EventPassage:
             self._advance_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
         )
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
-        given = self._passage_symbols(("q", self.places.size), *bounds)
+        given = self._create_passage_symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
         flown = ca.Function.if_else("fly", self._propagate_through_event(), quiet)(
             found, q, whole, first, last, t, p, *context
         )
         fly = ca.Function("fly", inputs, [flown])
-        q, t, p, *context = self._passage_symbols(("q", self.places.size))
+        q, t, p, *context = self._create_passage_symbols(("q", self.places.size))
         v = self.places.split(q)
         on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
         choice = ca.Function.if_else("one", fly, idle)
@@ -159,7 +159,7 @@ class _EventPassage:
 
     def _propagate_through_event(self) -> Any:
         """Propagate to a candidate crossing, and through its event if the row crosses zero."""
-        q, _, first, last, t, p, *context = symbols = self._passage_symbols(
+        q, _, first, last, t, p, *context = symbols = self._create_passage_symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
         v, narrow = self.places.split(q), self._narrow_bracket()
@@ -173,7 +173,7 @@ class _EventPassage:
             self._advance_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
         )
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
-        given = self._passage_symbols(*more, ("first", 1), ("last", 1))
+        given = self._create_passage_symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
         choice = ca.Function.if_else("meet", self._locate_and_apply_event(), go_on)
         met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
@@ -197,7 +197,7 @@ class _EventPassage:
         return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
     def _locate_and_apply_event(self) -> Any:
-        q, _, crossing, first, last, t, p, *context = given = self._passage_symbols(
+        q, _, crossing, first, last, t, p, *context = given = self._create_passage_symbols(
             ("q", self.places.size),
             ("beyond", self.places.size),
             ("crossing", self.n_rows),

@@ -33,7 +33,7 @@ Input: TypeAlias = Callable[[int, float], Any]
 
 
 @dataclass(frozen=True)
-class Wave:
+class ActuatorWave:
     """Actuator output within a minor step.
 
     Attributes
@@ -50,10 +50,10 @@ class Wave:
         """Return the value for the exponentials ``decay``."""
         return self.mean if self.at is None else self.at(decay)
 
-    def apply_memoryless(self, function: Callable[[Any], Any]) -> Wave:
+    def apply_memoryless(self, function: Callable[[Any], Any]) -> ActuatorWave:
         """Return the wave after a memoryless block."""
         at = self.at
-        return Wave(function(self.mean), None if at is None else lambda decay: function(at(decay)))
+        return ActuatorWave(function(self.mean), None if at is None else lambda decay: function(at(decay)))
 
     def sample_for_integration(self, begin: Any, sigma: Any) -> Input:
         """Return the input for integration steps of length ``sigma`` from ``begin`` (s)."""
@@ -61,11 +61,11 @@ class Wave:
         return lambda k, node: self.evaluate_at(lambda tau: projected(tau, k, node))
 
 
-def concatenate_waves(waves: Sequence[Wave]) -> Wave:
+def concatenate_waves(waves: Sequence[ActuatorWave]) -> ActuatorWave:
     mean = ca.vertcat(*[wave.mean for wave in waves])
     if all(wave.at is None for wave in waves):
-        return Wave(mean)
-    return Wave(mean, lambda decay: ca.vertcat(*[wave.evaluate_at(decay) for wave in waves]))
+        return ActuatorWave(mean)
+    return ActuatorWave(mean, lambda decay: ca.vertcat(*[wave.evaluate_at(decay) for wave in waves]))
 
 
 class _ProjectedDecay:

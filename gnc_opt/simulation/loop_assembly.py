@@ -16,7 +16,7 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, did_you_mean
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.simulation.block import Block, Tick
+from gnc_opt.simulation.block import Block, StepContext
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event, Events
 from gnc_opt.simulation.recorded_quantities import Quantities, Quantity
@@ -149,7 +149,7 @@ class LoopWiring:
         """Smallest and largest permitted values of `layout`, each of shape (n,)."""
         lower, upper = (np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf))
         for link, step in self.link_step_lengths:
-            for name, (least, largest) in link.block.limits(step, self.dt).items():
+            for name, (least, largest) in link.block.parameter_limits(step, self.dt).items():
                 place = self.layout.slice(f"{link.block.name}.{name}")
                 lower[place], upper[place] = least, largest
         return lower, upper
@@ -223,7 +223,7 @@ def wire_loop(
         quantities,
     )
     for link, step in wiring.link_step_lengths:
-        link.block.check(link.size, step, dt)
+        link.block.check_sizes(link.size, step, dt)
     _check_sensor_functions(wiring)
     _check_trim(wiring)
     return wiring
@@ -232,15 +232,15 @@ def wire_loop(
 def _check_sensor_functions(wiring: LoopWiring) -> None:
     """Evaluate every sensor once, so that invalid user functions raise an error here."""
     states, dt = wiring.plant.states, wiring.dt
-    tick = Tick(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
+    tick = StepContext(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
     for link in wiring.sensors:
         block, signal = link.block, ca.SX.sym("y", link.size)
         p = {
             name: ca.SX.sym(name, value.size)
             for name, (value, _) in block.parameters(link.size, link.unit).items()
         }
-        noise = ca.SX.sym("noise", block.noise(link.size))
-        block.step(tick, signal, block.start(signal, p, tick), p, noise)
+        noise = ca.SX.sym("noise", block.noise_size(link.size))
+        block.step(tick, signal, block.initial_memory(signal, p, tick), p, noise)
 
 
 def _check_trim(wiring: LoopWiring) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.simulation.block import Tick
+from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.event_location import build_event_passage, event_note_layout
 from gnc_opt.simulation.loop_assembly import LoopWiring
@@ -192,14 +192,16 @@ class _KernelBuilder(ControlStep):
         w = self.known.split(column)
         x = stack_signals(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
         y, sensors = self.apply_sensors(x, w["t"], None, w)
-        tick = Tick(w["t"], self.h, wiring.dt, self.split_state(x))
+        tick = StepContext(w["t"], self.h, wiring.dt, self.split_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
         parts |= {"plant": x, **sensors, "quantities": create_empty_record(len(wiring.quantities))}
         parts |= self.initial_actuator_memories(tick, w["r"])
         if wiring.events:
             parts |= self.initial_event_record(w["t"], x)
         for i, link in enumerate(wiring.disturbances):
-            parts[f"push {i}"] = link.block.start(ca.SX.zeros(link.size), self.split_parameters(link), tick)
+            parts[f"push {i}"] = link.block.initial_memory(
+                ca.SX.zeros(link.size), self.split_parameters(link), tick
+            )
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
         kind = _symbol_type(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])

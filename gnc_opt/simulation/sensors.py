@@ -19,7 +19,7 @@ from gnc_opt.simulation.block import (
     Defaults,
     Parameters,
     Step,
-    Tick,
+    StepContext,
     read_block_scalar,
     read_block_values,
 )
@@ -45,21 +45,23 @@ class Noise(Block):
     retraction: Callable[[Any, Any], Any] | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"sigma": (read_block_values(self.sigma, self.noise(size), f"sigma of '{self.name}'"), unit)}
+        return {
+            "sigma": (read_block_values(self.sigma, self.noise_size(size), f"sigma of '{self.name}'"), unit)
+        }
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"sigma": (0.0, math.inf)}
 
-    def noise(self, size: int) -> int:
+    def noise_size(self, size: int) -> int:
         if self.retraction is None:
             return size
         return int(np.size(read_numbers(self.sigma, f"sigma of '{self.name}'")))
 
-    def check(self, size: int, h: float, dt: float) -> None:
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:
-            _check_retraction(self.retraction, size, self.noise(size), f"sigma of '{self.name}'")
+            _check_retraction(self.retraction, size, self.noise_size(size), f"sigma of '{self.name}'")
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         error = p["sigma"] * noise
         return Step(signal + error if self.retraction is None else self.retraction(signal, error), state)
 
@@ -87,12 +89,12 @@ class Bias(Block):
         count = size if self.retraction is None else int(np.size(read_numbers(self.bias, self.name)))
         return {"bias": (read_block_values(self.bias, count, f"the bias of '{self.name}'"), unit)}
 
-    def check(self, size: int, h: float, dt: float) -> None:
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:
             count = int(np.size(read_numbers(self.bias, self.name)))
             _check_retraction(self.retraction, size, count, f"the bias of '{self.name}'")
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(
             signal + p["bias"] if self.retraction is None else self.retraction(signal, p["bias"]), state
         )
@@ -117,16 +119,16 @@ class RandomWalk(Block):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {"sigma": (read_block_values(self.sigma, size, f"sigma of '{self.name}'"), f"{unit}/s^0.5")}
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"sigma": (0.0, math.inf)}
 
-    def noise(self, size: int) -> int:
+    def noise_size(self, size: int) -> int:
         return size
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(signal.shape[0])
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(signal + state, state + p["sigma"] * math.sqrt(tick.dt) * noise)
 
 
@@ -159,7 +161,7 @@ class SensorOutage(Block):
             raise ArgumentError(f"'{self.name}' ends at {end[0]:g} s, before it begins at {begin[0]:g} s.")
         return {"begin": (begin, "s"), "end": (end, "s")}
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
         if self.where is not None:

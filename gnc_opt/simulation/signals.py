@@ -12,7 +12,7 @@ import casadi as ca
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Block, slice_rows
-from gnc_opt.simulation.intersample_input import Wave
+from gnc_opt.simulation.intersample_input import ActuatorWave
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[lis
                 raise unknown_name(what, name, f"the loop at '{block.name}'", signals)
         sizes = {n: signals[n][0] for n in on}
         units = {n: signals[n][1] for n in on}
-        new = block.outputs(sizes, units)
+        new = block.output_sizes(sizes, units)
         outputs = {n: signals[n] for n in on} if new is None else new
         links.append(
             BlockLink(
@@ -109,7 +109,9 @@ def replace_signals(signals: Mapping[str, Any], link: BlockLink, column: Any) ->
     return rest
 
 
-def replace_waves(waves: Mapping[str, Wave], link: BlockLink, wave: Wave) -> dict[str, Wave]:
+def replace_waves(
+    waves: Mapping[str, ActuatorWave], link: BlockLink, wave: ActuatorWave
+) -> dict[str, ActuatorWave]:
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():

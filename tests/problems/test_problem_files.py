@@ -135,7 +135,10 @@ def test_thrust_keeps_its_norm_and_burns_the_fuel(name: str) -> None:
     limits = [bound[row][0] for bound in (leg.control_bounds.lower, leg.control_bounds.upper)]
     assert np.all((norm >= limits[0] * (1 - 1e-6)) & (norm <= limits[1] * (1 + 1e-6)))
     weights = np.concatenate(
-        [rule.weights * width / 2 for rule, width in zip(leg.rules, np.diff(leg.breaks), strict=True)]
+        [
+            rule.weights * width / 2
+            for rule, width in zip(leg.collocation_rules, np.diff(leg.breaks), strict=True)
+        ]
     )
     burnt = norm @ weights
     wanted = {

@@ -128,7 +128,7 @@ from gnc_opt.simulation.allocation import (
     pseudo_inverse,
     read_effect_matrix,
 )
-from gnc_opt.simulation.block import Tick
+from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.compiled_step import StepExecutor
 from gnc_opt.simulation.confidence_intervals import (
@@ -140,7 +140,7 @@ from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_p
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.event_location import EventWatch
 from gnc_opt.simulation.final_values import estimate_integration_errors
-from gnc_opt.simulation.intersample_input import Wave, concatenate_waves
+from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.signals import ColumnLayout, link_blocks

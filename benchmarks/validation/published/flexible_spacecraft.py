@@ -28,7 +28,7 @@ from benchmarks.validation.published.comparison import (
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, Reference, feedforward
 from gnc_opt.simulation import ClosedLoop, Disturbance, Noise, Run, Saturation, SinusoidalDisturbance
-from gnc_opt.simulation.block import Defaults, Parameters, Tick, read_block_scalar
+from gnc_opt.simulation.block import Defaults, Parameters, StepContext, read_block_scalar
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle, quaternion_to_dcm
 from problems.flexible_spacecraft import control, model, optimal
 
@@ -139,10 +139,10 @@ class PublishedDisturbance(Disturbance):
     def noise(self, size: int) -> int:
         return size
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def start(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(signal.shape[0])
 
-    def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
+    def update(self, tick: StepContext, state: Any, p: Parameters, noise: Any) -> Any:
         # the distribution function of a normal number is uniform
         return 0.5 * (1 + ca.erf(noise / np.sqrt(2.0)))
 

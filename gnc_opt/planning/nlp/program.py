@@ -66,7 +66,7 @@ class NlpProblem:
         return int(self.p.numel())
 
     @cached_property
-    def lagrangian(self) -> Any:
+    def lagrangian_function(self) -> Any:
         """Return the function `(x, p, lam_g) -> (f, g, gradient of f + lam_g . g)`; the gradient is (nx, 1)."""
         if self.grad_f is not None and self.jac_g is not None:
             x, p, lam_g = create_nlp_symbols(self, "x", "p", "lam_g")

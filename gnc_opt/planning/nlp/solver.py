@@ -251,7 +251,7 @@ class NlpSolver:
             x, lam_x, lam_g = arguments["x0"].copy(), np.zeros_like(x), np.zeros_like(lam_g)
         fixed = run.box_x.is_fixed
         if fixed.any() or not status.solved:
-            f_dm, g_dm, gradient = self.problem.lagrangian(x, arguments["p"], lam_g)
+            f_dm, g_dm, gradient = self.problem.lagrangian_function(x, arguments["p"], lam_g)
             f, g = float(f_dm), _flat_vector(g_dm)
             lam_x[fixed] = -_flat_vector(gradient)[fixed]
         doubtful = status in _MAY_HIDE_UNBOUNDED and _has_diverged(x, f, RUNAWAY)

@@ -331,6 +331,6 @@ def variation_norm_weights(transcription: Transcription) -> Array:
     for part in transcription.parts.values():
         collocation = part.collocation
         # States at inner boundaries follow from the points; they are weighted by the adjacent segments.
-        widths = collocation.mesh.widths
+        widths = collocation.mesh.segment_widths
         weights[collocation.boundary_states[:, 1:-1]] = 0.5 * (widths[:-1] + widths[1:])
     return weights

@@ -68,7 +68,7 @@ class CostateJumpCandidates:
         near: float,
     ) -> CostateJumpCandidates:
         """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
-        found = [cls._empty(transcription.n_variables)]
+        found = [cls._no_candidates(transcription.n_variables)]
         for name, part in transcription.parts.items():
             leg, functions, phase = (problem.phases[name], phase_functions_at(problem, name, q), fitted[name])
             orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
@@ -101,7 +101,7 @@ class CostateJumpCandidates:
         )
 
     @classmethod
-    def _empty(cls, n_variables: int) -> CostateJumpCandidates:
+    def _no_candidates(cls, n_variables: int) -> CostateJumpCandidates:
         nowhere = np.zeros(0, dtype=bool)
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
@@ -145,7 +145,7 @@ def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
 def _boundary_time_derivatives(mesh: Mesh) -> Array:
     """Return the derivatives of the boundary times in the anchor times (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
-    anchors = fractions[list(mesh.anchors)]
+    anchors = fractions[list(mesh.anchor_breaks)]
     return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])
 
 
@@ -374,12 +374,12 @@ def _fill_program_variables(
     for name, part in transcription.parts.items():
         collocation, phase = part.collocation, fitted[name]
         breaks = phase.x.breaks
-        points = breaks[0] + collocation.fractions * (breaks[-1] - breaks[0])
+        points = breaks[0] + collocation.point_fractions * (breaks[-1] - breaks[0])
         x[collocation.boundary_states] = phase.x(breaks)
         x[collocation.boundary_states[:, -1]] = phase.x(breaks[-1], "left")
         x[collocation.point_states], x[collocation.point_controls] = phase.x(points), phase.u(points)
         free_times = part.times < transcription.n_variables
-        x[part.times[free_times]] = breaks[list(collocation.mesh.anchors)][free_times]
+        x[part.times[free_times]] = breaks[list(collocation.mesh.anchor_breaks)][free_times]
     x[transcription.parameter_places] = q
     return set_integral_variables(transcription, problem, x)
 

@@ -76,7 +76,7 @@ class Ellipsoid:
         return np.asarray(self.radius[:, None] * self.axes * self.shares)
 
     @property
-    def nonzero_axes(self) -> Array:
+    def nonzero_semi_axes(self) -> Array:
         """Principal semi-axes with 1 for states without displacement, for derivatives."""
         radius = np.where(self.radius > 0, self.radius, 1.0)
         return np.asarray(radius[:, None] * self.axes * self.shares)
@@ -187,7 +187,7 @@ def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: i
     """Return the derivatives of an integrand in states and controls, (n_times, n) and (n_times, m)."""
     alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
     none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
-    return alone.state_gradient(times, x, u, *none).T, alone.switching(times, x, u, none[0]).T
+    return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T
 
 
 def compute_phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:

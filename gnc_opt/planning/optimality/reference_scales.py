@@ -394,9 +394,11 @@ class EndPoints:
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.leg.name]
             free, n = ~s.leg.initial_bounds.is_fixed, s.leg.states.size
-            for column in ((start.nonzero_axes if still else start.semi_axes)[:, free] * free[:, None]).T:
+            for column in (
+                (start.nonzero_semi_axes if still else start.semi_axes)[:, free] * free[:, None]
+            ).T:
                 moves.append(self._pad_displacement({6 * k: column}))
-            for column in (end.nonzero_axes if still else end.semi_axes).T:
+            for column in (end.nonzero_semi_axes if still else end.semi_axes).T:
                 moves.append(self._pad_displacement({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
         return moves
 

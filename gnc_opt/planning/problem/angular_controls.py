@@ -39,21 +39,21 @@ class UnboundedAngles:
     pairs: tuple[tuple[int, int], ...] = ()
 
     @property
-    def free_controls(self) -> Array:
+    def unbounded_controls(self) -> Array:
         """Controls without bounds in the solver (n_controls,)."""
         return np.isfinite(self.lower)
 
     def solver_bounds(self, bounds: Interval) -> Interval:
         """Return bounds for the solver: angles may exceed their range by one turn, so that they can cross its ends."""
         return Interval(
-            np.where(self.free_controls, self.lower - self.periods, bounds.lower),
-            np.where(self.free_controls, self.upper + self.periods, bounds.upper),
+            np.where(self.unbounded_controls, self.lower - self.periods, bounds.lower),
+            np.where(self.unbounded_controls, self.upper + self.periods, bounds.upper),
         )
 
     def wrap_angles(self, u: Array) -> Array:
         """Return controls (n_controls, ...) with angles shifted by whole periods into their range."""
         u = u.copy()
-        for i in np.flatnonzero(self.free_controls):
+        for i in np.flatnonzero(self.unbounded_controls):
             low, high, period = self.lower[i], self.upper[i], self.periods[i]
             beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)
             above, below = (np.maximum(turns, 0.0) for turns in beyond)

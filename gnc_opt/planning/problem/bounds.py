@@ -128,7 +128,7 @@ class Interval:
         """Width of each component (n,); 0 where it is unbounded."""
         return np.nan_to_num(self.upper - self.lower, posinf=0.0)
 
-    def component(self, i: int) -> Interval:
+    def component_interval(self, i: int) -> Interval:
         """Return the interval of one component, shape (1,)."""
         return Interval(self.lower[i : i + 1], self.upper[i : i + 1])
 

@@ -368,7 +368,9 @@ def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, 
             (
                 what,
                 rows,
-                _function_with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]),
+                _function_with_jacobian(
+                    problem.bind_parameters(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]
+                ),
             )
             for what, rows, expression in _collect_phase_expressions(leg)
             if rows

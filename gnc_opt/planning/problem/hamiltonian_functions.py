@@ -91,7 +91,7 @@ class PhaseFunctions:
         """H = w.L + lam.f, shape (...)."""
         return np.asarray(self._evaluate_function("hamiltonian", t, x, u, lam)[0])
 
-    def switching(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
+    def switching_functions(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """Switching functions dH/du, without path multipliers, shape of u."""
         return self._evaluate_function("switching", t, x, u, lam)
 
@@ -228,7 +228,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
     mu = ca.SX.sym("mu", len(leg.path_labels))
     weights = ca.SX.sym("weights", len(leg.integrands))
     f, c, integrands = (
-        problem.bind(leg, e)
+        problem.bind_parameters(leg, e)
         for e in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
     )
     hamiltonian = ca.dot(lam, f) + ca.dot(weights, integrands)

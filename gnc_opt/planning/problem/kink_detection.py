@@ -28,7 +28,7 @@ _WORDS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Kinks:
+class KinkFunctions:
     """Nonsmooth operations: descriptions, and ``(t, x, u, p, q)`` -> arguments whose sign changes are the kinks."""
 
     words: tuple[str, ...]
@@ -47,10 +47,10 @@ def has_kinks(expression: Any) -> bool:
     return bool(find_operations(expression) & _WORDS.keys())
 
 
-def find_kinks(problem: ProblemData, leg: Phase) -> Kinks | None:
+def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
     """Return the nonsmooth operations along a phase, except tables; None if there are none."""
 
-    def find() -> Kinks | None:
+    def find() -> KinkFunctions | None:
         _, x, u, _ = leg.model.arguments()
         expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
         if not has_kinks(expression):
@@ -66,7 +66,7 @@ def find_kinks(problem: ProblemData, leg: Phase) -> Kinks | None:
         if not found:
             return None
         words, arguments = zip(*found.values(), strict=True)
-        return Kinks(words, build_phase_function(problem, leg, "kinks", ca.vertcat(*arguments)))
+        return KinkFunctions(words, build_phase_function(problem, leg, "kinks", ca.vertcat(*arguments)))
 
     return problem.cache(("kinks", leg.name), find)
 

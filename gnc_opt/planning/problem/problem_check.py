@@ -228,7 +228,7 @@ def check_unused_controls(problem: ProblemData) -> None:
     for leg in problem.phases.values():
         counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
         acted_on = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
-        used = _collect_used_symbols([problem.bind(leg, acted_on)])
+        used = _collect_used_symbols([problem.bind_parameters(leg, acted_on)])
         for variable in leg.model.controls.variables:
             idle = _find_unused_components(variable, leg.model.symbol(variable.name), used)
             if idle:
@@ -244,8 +244,8 @@ def _check_unused_parameters(problem: ProblemData) -> None:
     used = _collect_used_symbols(
         [
             ends,
-            *(problem.bind(leg, ends) for leg in legs),
-            *(problem.bind(leg, stack_expressions(leg)) for leg in legs),
+            *(problem.bind_parameters(leg, ends) for leg in legs),
+            *(problem.bind_parameters(leg, stack_expressions(leg)) for leg in legs),
         ]
     )
     models = {id(leg.model): leg.model for leg in legs}.values()

@@ -144,7 +144,7 @@ class ProblemData(StrictAttributes):
             raise unknown_name("phase", phase, f"problem '{self.name}'", self.phases)
         return self.phases[phase]
 
-    def bind(self, phase: Phase, expression: Any) -> Any:
+    def bind_parameters(self, phase: Phase, expression: Any) -> Any:
         """Replace model parameters that the problem optimises by the symbols of the problem."""
         for name, symbol in self._parameters.items():
             if name in phase.model.parameters:

@@ -99,10 +99,10 @@ class ErrorScales:
 def _compute_collocated_integrals(samples: PhaseSamples) -> Array:
     """Return the integrals of each segment by the quadrature of its collocation points (n_integrals, K)."""
     leg = samples.leg
-    weights = np.concatenate([r.weights for r in leg.rules])
+    weights = np.concatenate([r.weights for r in leg.collocation_rules])
     weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
     values = samples.functions.integrands(leg.point_times, get_states_at_points(leg), np.hstack(leg.u.values))
-    return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1], axis=1))
+    return np.asarray(np.add.reduceat(values * weights, leg.mesh.point_offsets[:-1], axis=1))
 
 
 def _largest_per_segment(samples: PhaseSamples, values: Array) -> Array:
@@ -216,7 +216,7 @@ def _find_unconstrained_segments(samples: PhaseSamples, pure_paths: Array, cost_
     pushed = np.any(forces > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
     jumps = np.any(np.abs(leg.state_impulses) * cost_shares[:, None] > NEGLIGIBLE, axis=0)
     jumps[[0, -1]] = False  # the ends of a phase have boundary conditions
-    held = np.logical_or.reduceat(pushed, leg.mesh.offsets[:-1])
+    held = np.logical_or.reduceat(pushed, leg.mesh.point_offsets[:-1])
     return np.asarray(~(held | jumps[:-1] | jumps[1:]))
 
 
@@ -227,7 +227,7 @@ def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
 
 def get_states_at_points(leg: PhaseSolution) -> Array:
     """Return the states at the collocation points, with the limit from inside the segment: (n, N)."""
-    at_end = np.concatenate([r.points == 1.0 for r in leg.rules])
+    at_end = np.concatenate([r.points == 1.0 for r in leg.collocation_rules])
     return np.where(at_end, leg.x(leg.point_times, "left"), leg.x(leg.point_times, "right"))
 
 

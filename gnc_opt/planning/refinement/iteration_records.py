@@ -79,7 +79,7 @@ def record_iteration(
     )
 
 
-def show_progress(
+def print_iterations(
     name: str, tol: float, shown: bool
 ) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
     """Return a context manager whose value prints a pass, or does nothing; see `gnc_opt.progress`."""

@@ -31,4 +31,4 @@ def _minimise_phase_hamiltonian(s: PhaseSamples) -> PhaseSolution:
     nearest = np.clip(np.searchsorted(times, s.leg.point_times), 1, times.size - 1)
     nearest -= s.leg.point_times - times[nearest - 1] < times[nearest] - s.leg.point_times
     values: Array = controls[:, nearest]
-    return replace(s.leg, u=interpolate_points(s.leg.breaks, s.leg.rules, values))
+    return replace(s.leg, u=interpolate_points(s.leg.breaks, s.leg.collocation_rules, values))

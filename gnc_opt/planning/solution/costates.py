@@ -66,8 +66,13 @@ def correct_path_arc_costates(
         return leg
     start, end, values = leg.lam_start.copy(), leg.lam_end.copy(), [v.copy() for v in leg.lam.values]
     for k in np.flatnonzero(np.any(at_limit, axis=0)):
-        rows, here = np.flatnonzero(at_limit[:, k]), slice(leg.mesh.offsets[k], leg.mesh.offsets[k + 1])
-        continued = leg.point_costates[:, here] @ interpolation_matrix(leg.rules[k].points, [-1.0, 1.0]).T
+        rows, here = (
+            np.flatnonzero(at_limit[:, k]),
+            slice(leg.mesh.point_offsets[k], leg.mesh.point_offsets[k + 1]),
+        )
+        continued = (
+            leg.point_costates[:, here] @ interpolation_matrix(leg.collocation_rules[k].points, [-1.0, 1.0]).T
+        )
         for ends, column in ((start, 0), (end, 1)):
             time, side = leg.breaks[k + column], SIDES[column]
             gradients = functions.path_state_jacobian(time, leg.x(time, side), leg.u(time, side))[rows].T
@@ -137,7 +142,7 @@ class PhaseCostates:
 def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
     """Return the costates at the collocation points (n_states, N): m_j / omega_j."""
     pieces = []
-    for k, rule in enumerate(collocation.rules):
+    for k, rule in enumerate(collocation.collocation_rules):
         # The factor w_k / 2 of multipliers and quadrature weights cancels.
         pieces.append(-lam_g[collocation.dynamics_rows[k]] @ collocation.dynamics_matrix(k) / rule.weights)
     return np.hstack(pieces)
@@ -146,7 +151,7 @@ def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
 def dynamics_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
     """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
-    for k, rule in enumerate(collocation.rules):
+    for k, rule in enumerate(collocation.collocation_rules):
         wanted = -costates[:, _segment_points(collocation, k)] * rule.weights
         if collocation.family.has_end_row:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
@@ -214,10 +219,10 @@ def split_duplicate_path_multipliers(
     settled = paths.copy()
     lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
     pushed = np.abs(paths) * lengths > NEGLIGIBLE * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
-    shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.offsets[1:-1]])
+    shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.point_offsets[1:-1]])
     shared |= np.append(shared[1:], False)
     held = _segments_with_multipliers(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
-    for k, right in enumerate(collocation.mesh.offsets[1:-1]):
+    for k, right in enumerate(collocation.mesh.point_offsets[1:-1]):
         share = np.stack([held[:, k] * weights[right - 1], held[:, k + 1] * weights[right]], axis=1)
         total = paths[:, right - 1 : right + 1] @ weights[right - 1 : right + 1]
         rows = ~mixed & np.any(share > 0, axis=1)
@@ -312,7 +317,7 @@ class _CostatePieces:
 
     def extrapolate_costates_along_bounds(self) -> None:
         """LG: extrapolate the costate of the points if a bound is active at every node of a segment."""
-        for k, rule in enumerate(self.collocation.rules):
+        for k, rule in enumerate(self.collocation.collocation_rules):
             here = _segment_points(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
@@ -333,7 +338,7 @@ class _CostatePieces:
         """Return the costates between the points."""
         collocation = self.collocation
         nodes, values = [], []
-        for k, rule in enumerate(collocation.rules):
+        for k, rule in enumerate(collocation.collocation_rules):
             here = _segment_points(collocation, k)
             if collocation.family.has_end_row:
                 nodes.append(np.append(rule.points, 1.0))
@@ -351,12 +356,12 @@ class _CostatePieces:
 
 
 def _segment_points(collocation: PhaseCollocation, k: int) -> slice:
-    return slice(collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1])
+    return slice(collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1])
 
 
 def _segment_durations(collocation: PhaseCollocation, weights: Array) -> Array:
     """Return the durations of the segments, (K,): the sums of their quadrature weights."""
-    return np.add.reduceat(weights, collocation.mesh.offsets[:-1])
+    return np.add.reduceat(weights, collocation.mesh.point_offsets[:-1])
 
 
 def _segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
@@ -385,7 +390,7 @@ def _boundary_costates(
     starts, ends = [], []
     for k in range(collocation.mesh.segments):
         derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)
-        first, last = collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1] - 1
+        first, last = collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1] - 1
         start, end = derivative[:, 0], derivative[:, -1]
         if collocation.family.starts_at_point:
             start = start + point_gradients[:, first]

@@ -130,13 +130,13 @@ def _marginal_defect_costs(s: PhaseSamples) -> Array:
 
 def _collocation_quadratures(leg: PhaseSolution, s: PhaseSamples) -> Array:
     """Return the weighted integrals of each segment by the quadrature of the collocation points (K,)."""
-    weights = np.concatenate([rule.weights for rule in leg.rules])
+    weights = np.concatenate([rule.weights for rule in leg.collocation_rules])
     weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
-    at_end = np.concatenate([rule.points == 1.0 for rule in leg.rules])
+    at_end = np.concatenate([rule.points == 1.0 for rule in leg.collocation_rules])
     times = leg.point_times
     x = np.where(at_end, leg.x(times, "left"), leg.x(times, "right"))
     values = s.functions.weights @ s.functions.integrands(times, x, np.hstack(leg.u.values))
-    return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1]))
+    return np.asarray(np.add.reduceat(values * weights, leg.mesh.point_offsets[:-1]))
 
 
 def _marginal_violation_costs(s: PhaseSamples) -> Array:

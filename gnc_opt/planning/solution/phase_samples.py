@@ -248,12 +248,12 @@ class PhaseSamples:
     @cached_property
     def switching_functions(self) -> Array:
         """dH/du without path multipliers along the applied control (m, n_samples)."""
-        return self.functions.switching(self.times, self.x, self.u, self.lam)
+        return self.functions.switching_functions(self.times, self.x, self.u, self.lam)
 
     @cached_property
     def cost_gradient(self) -> Array:
         """Contribution of the integrands to dH/du, (m, n_samples)."""
-        return self.functions.switching(self.times, self.x, self.u, np.zeros_like(self.lam))
+        return self.functions.switching_functions(self.times, self.x, self.u, np.zeros_like(self.lam))
 
     @cached_property
     def _hamiltonian_changes(self) -> Array:

@@ -164,7 +164,7 @@ class PhaseSolution:
     turns: UnboundedAngles | None = None
 
     @cached_property
-    def rules(self) -> tuple[CollocationRule, ...]:
+    def collocation_rules(self) -> tuple[CollocationRule, ...]:
         """The collocation rule of each segment."""
         return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
@@ -193,13 +193,13 @@ class PhaseSolution:
     def point_times(self) -> Array:
         """Times of the collocation points, shape (N,)."""
         left, width = self.breaks[:-1], np.diff(self.breaks)
-        pieces = [left[k] + 0.5 * width[k] * (1 + r.points) for k, r in enumerate(self.rules)]
+        pieces = [left[k] + 0.5 * width[k] * (1 + r.points) for k, r in enumerate(self.collocation_rules)]
         return np.concatenate(pieces)
 
     @cached_property
     def applied(self) -> SaturatedControl:
         """Applied controls, within the bounds."""
-        return SaturatedControl(self.u, self.control_bounds, self.rules)
+        return SaturatedControl(self.u, self.control_bounds, self.collocation_rules)
 
     @cached_property
     def path_multiplier(self) -> PiecewisePolynomial:
@@ -262,7 +262,7 @@ class PhaseSolution:
         return Signal(name, layout[name].unit, layout[name].labels, source, rows)
 
     def _interpolate_points(self, values: Array) -> PiecewisePolynomial:
-        return interpolate_points(self.breaks, self.rules, values)
+        return interpolate_points(self.breaks, self.collocation_rules, values)
 
 
 def interpolate_points(breaks: Array, rules: Sequence[CollocationRule], values: Array) -> PiecewisePolynomial:

@@ -69,11 +69,11 @@ def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
         boundaries = build_phase_guess(leg, np.asarray(collocation.mesh.breaks))
-        points = build_phase_guess(leg, collocation.fractions)
+        points = build_phase_guess(leg, collocation.point_fractions)
         x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
         x[collocation.boundary_states] = boundaries.states
         free_times = part.times < transcription.n_variables
-        breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)]
+        breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)]
         times = boundaries.times[0] + breaks * (boundaries.times[1] - boundaries.times[0])
         x[part.times[free_times]] = times[free_times]
     if problem.parameters.size:
@@ -153,11 +153,11 @@ def _fill_phase_variables(
     transcription: Transcription, part: PhasePart, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _stretch_times(old, collocation.fractions)
+    points = _stretch_times(old, collocation.point_fractions)
     breaks = _stretch_times(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
-    at_end = np.concatenate([rule.points == 1.0 for rule in collocation.rules])
+    at_end = np.concatenate([rule.points == 1.0 for rule in collocation.collocation_rules])
 
     def sample(signal: Callable[[Array, Side], Array]) -> Array:
         return np.where(at_end, signal(points, "left"), signal(points, "right"))
@@ -167,7 +167,7 @@ def _fill_phase_variables(
     x[collocation.point_states[~shared]] = states[~shared]
     x[collocation.point_controls] = sample(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
-    times = _stretch_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
+    times = _stretch_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)])
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:

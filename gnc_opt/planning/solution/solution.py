@@ -181,7 +181,9 @@ class Solution(PrintableResult):
     def hamiltonian(self, t: ArrayLike, phase: str | None = None, side: Side = "right") -> Array | float:
         """Return H = L + lambda.f at time(s) t; needs the problem."""
         leg = self.phase(phase)
-        values = self.functions(leg.name).hamiltonian(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))
+        values = self.phase_functions(leg.name).hamiltonian(
+            t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
+        )
         return float(values) if np.ndim(t) == 0 else values
 
     def switching_function(
@@ -189,7 +191,9 @@ class Solution(PrintableResult):
     ) -> Array | float:
         """Return dH/du of a control at time(s) t; positive values imply the lower bound."""
         leg = self.phase(phase)
-        values = self.functions(leg.name).switching(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))
+        values = self.phase_functions(leg.name).switching_functions(
+            t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
+        )
         rows = values[leg.controls.slice(name)]
         if rows.shape[0] > 1:
             return rows
@@ -213,7 +217,7 @@ class Solution(PrintableResult):
             return np.asarray(values)
         return float(values[0]) if np.ndim(t) == 0 else np.asarray(values[0])
 
-    def functions(self, phase: str) -> PhaseFunctions:
+    def phase_functions(self, phase: str) -> PhaseFunctions:
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
         leg = self.phase(phase)
         problem = self.need_problem("evaluate functions of")
@@ -226,7 +230,10 @@ class Solution(PrintableResult):
     @cached_property
     def _samples(self) -> dict[str, PhaseSamples]:
         """Cached samples; refinement evaluates derived quantities repeatedly."""
-        return {name: PhaseSamples.from_phase(leg, self.functions(name)) for name, leg in self.phases.items()}
+        return {
+            name: PhaseSamples.from_phase(leg, self.phase_functions(name))
+            for name, leg in self.phases.items()
+        }
 
     # --- quality ----------------------------------------------------------------------------------
 
@@ -283,7 +290,7 @@ class Solution(PrintableResult):
             Times, states and the error of each final state.
         """
         leg = self.phase(phase)
-        return integrate_dynamics(leg, self.functions(leg.name), control=control, rtol=rtol)
+        return integrate_dynamics(leg, self.phase_functions(leg.name), control=control, rtol=rtol)
 
     def __str__(self) -> str:
         from gnc_opt.planning.solution.text_summary import summary

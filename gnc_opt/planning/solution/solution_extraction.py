@@ -182,7 +182,7 @@ def _extract_phase(
         final_time=float(anchors[-1]),
         x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=interpolate_points(
-            breaks, collocation.rules, _point_idle_directions(leg, functions, times, x, u, lam)
+            breaks, collocation.collocation_rules, _point_idle_directions(leg, functions, times, x, u, lam)
         ),
         lam=costates.polynomial,
         lam_start=costates.start,
@@ -214,7 +214,7 @@ def _point_idle_directions(
         at = np.flatnonzero(u[size][0] <= AT_LIMIT * np.max(u[size]))
         pushing = u[:, at].copy()
         pushing[size] = 1.0
-        primer = functions.switching(times[at], x[:, at], pushing, lam[:, at])[direction]
+        primer = functions.switching_functions(times[at], x[:, at], pushing, lam[:, at])[direction]
         most = np.max(np.linalg.norm(primer, axis=0), initial=0.0)
         found[direction, at] = -0.5 * primer / most if most > 0 else u[direction, at]
     return found
@@ -225,12 +225,12 @@ def state_polynomial(
 ) -> PiecewisePolynomial:
     """Return the state polynomial of the scheme; ``scaled_rates`` (n_states, N) are dx/dt times the arc duration."""
     nodes, values = [], []
-    for k, rule in enumerate(collocation.rules):
+    for k, rule in enumerate(collocation.collocation_rules):
         states = variables[collocation.segment_nodes(k)]
         if collocation.family.has_end_row:
             states = states[:, :-1]
         if collocation.family.ends_at_point:
-            here = scaled_rates[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
+            here = scaled_rates[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]]
             extra = ~np.isin(rule.state_nodes, rule.points)
             path = rule.integrate_to(rule.state_nodes[extra])
             middle = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * here @ path.T

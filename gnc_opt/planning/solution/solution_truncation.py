@@ -43,7 +43,7 @@ def _truncate_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
         lam=_truncate_signal(leg.lam, first, breaks),
     )
     points = fresh.point_times
-    ends_segment = np.concatenate([rule.points == 1.0 for rule in fresh.rules])
+    ends_segment = np.concatenate([rule.points == 1.0 for rule in fresh.collocation_rules])
 
     def sample_inside_segments(signal: PiecewisePolynomial) -> Array:
         return np.where(ends_segment, signal(points, "left"), signal(points, "right"))

@@ -58,7 +58,7 @@ class Minimum:
     verdict_ok: bool = False
 
     @property
-    def standing(self) -> Literal["ok", "NOT ok", "coarse"]:
+    def check_result(self) -> Literal["ok", "NOT ok", "coarse"]:
         """Result of the optimality check of the objective, or "coarse" for the coarse mesh."""
         if self.verdict_ok:
             return "ok"

@@ -176,7 +176,7 @@ class Multistart(PrintableResult):
             digits = f"{minimum.objective:.10g}" if minimum.verdict_ok else f"{minimum.objective:.6g}"
             lines.append(
                 f"{digits:>18} {abs(minimum.objective - self.minima[0].objective):11.3g} "
-                f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.standing}"
+                f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.check_result}"
             )
         if self.failures:
             lines.append(f"without a minimum: {_failures_text(self.failures)}")

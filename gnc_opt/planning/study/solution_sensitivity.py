@@ -242,7 +242,7 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
             continue
         times, variables = leg.point_times, program.x * program.scaling.variables
         states, controls = (variables[p] for p in (collocation.point_states, collocation.point_controls))
-        functions = solution.functions(name)
+        functions = solution.phase_functions(name)
         curvature = functions.control_hessian(
             times, states, controls, leg.point_costates, leg.path_multipliers
         )
@@ -438,7 +438,9 @@ def _differentiate_phase(
     anchors = moved[part.times]
     rates = _scaled_rate_derivatives(program, part, leg, change, moved)
     states = state_polynomial(collocation, leg.breaks, response.variables, rates)
-    controls = interpolate_points(leg.breaks, leg.rules, response.variables[collocation.point_controls])
+    controls = interpolate_points(
+        leg.breaks, leg.collocation_rules, response.variables[collocation.point_controls]
+    )
     shifts = _boundary_time_derivatives(transcription, part, anchors)
     return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
 
@@ -505,7 +507,7 @@ def _directional_rate_derivative(problem: Problem, leg: Phase) -> Any:
     def build() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
-        rates = problem.bind(leg, leg.model.derivative())
+        rates = problem.bind_parameters(leg, leg.model.derivative())
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 

@@ -49,7 +49,7 @@ def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: Phas
     """
     if not held.states:
         return
-    bounds, going_on = leg.numbers.states, _find_continued_states(leg, held)
+    bounds, going_on = leg.numbers.states, _find_states_on_linked_arcs(leg, held)
     _apply_arc_bounds(box, collocation.point_states, _kinds_at_points(held.states, collocation), bounds)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
@@ -68,7 +68,7 @@ def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: Phas
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
-def _find_continued_states(leg: Phase, held: FixedArcs) -> set[int]:
+def _find_states_on_linked_arcs(leg: Phase, held: FixedArcs) -> set[int]:
     """Return the states that the previous phase links from an arc on the same bound."""
     found = set()
     for name in leg.model.states.names:
@@ -176,8 +176,8 @@ def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> S
     if not junction.tangent:
         return SideControls(places[:, :0], np.zeros(0))
     segment = junction.boundary - (junction.tangent < 0)
-    points = slice(*collocation.mesh.offsets[segment : segment + 2])
-    rule = collocation.rules[segment]
+    points = slice(*collocation.mesh.point_offsets[segment : segment + 2])
+    rule = collocation.collocation_rules[segment]
     return SideControls(places[:, points], interpolation_matrix(rule.points, [-float(junction.tangent)])[0])
 
 
@@ -192,7 +192,7 @@ def list_smooth_controls(leg: Phase) -> tuple[SmoothControl, ...]:
 def build_smoothness_rows(smooth: SmoothControl, collocation: PhaseCollocation) -> tuple[Indices, Array]:
     """Return control variables of segments (N,), and orthonormal rows that vanish for polynomials of the degree."""
     mesh = collocation.mesh
-    points = slice(mesh.offsets[smooth.first], mesh.offsets[smooth.last])
+    points = slice(mesh.point_offsets[smooth.first], mesh.point_offsets[smooth.last])
     left = mesh.arc_starts[smooth.first]
     right = mesh.arc_starts[smooth.last - 1] + mesh.arc_widths[smooth.last - 1]
     places = 2 * (collocation.arc_fractions[points] - left) / (right - left) - 1

@@ -47,18 +47,18 @@ class PhaseCollocation:
         return get_family(self.scheme)
 
     @cached_property
-    def rules(self) -> tuple[CollocationRule, ...]:
+    def collocation_rules(self) -> tuple[CollocationRule, ...]:
         """The collocation rule of each segment."""
         return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
     def _index_row_ranges(self, starts: Array, widths: Array) -> Array:
-        pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.rules)]
+        pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.collocation_rules)]
         return np.concatenate(pieces)
 
     @cached_property
-    def fractions(self) -> Array:
+    def point_fractions(self) -> Array:
         """Collocation times as fractions of the phase on the given mesh, shape (N,); for guesses."""
-        return self._index_row_ranges(np.asarray(self.mesh.breaks), self.mesh.widths)
+        return self._index_row_ranges(np.asarray(self.mesh.breaks), self.mesh.segment_widths)
 
     @cached_property
     def arc_fractions(self) -> Array:
@@ -74,7 +74,7 @@ class PhaseCollocation:
     def quadrature_weights(self) -> Array:
         """Quadrature weights as fractions of the arcs, shape (N,); they sum to 1 over each arc."""
         widths = self.mesh.arc_widths
-        return np.concatenate([0.5 * widths[k] * r.weights for k, r in enumerate(self.rules)])
+        return np.concatenate([0.5 * widths[k] * r.weights for k, r in enumerate(self.collocation_rules)])
 
     # --- variables --------------------------------------------------------------------------------
 
@@ -82,7 +82,7 @@ class PhaseCollocation:
     def _number_variables(self) -> tuple[Indices, Indices, Indices, int]:
         n, m, mesh = self.n_states, self.n_controls, self.mesh
         starts, ends = self.family.starts_at_point, self.family.ends_at_point
-        degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.offsets)
+        degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.point_offsets)
         # Variables of a segment: states and controls point by point, then the state at its end.
         sizes = (n + m) * degrees - n * starts + n * (not ends)
         places = self.first_variable + n + np.concatenate([[0], np.cumsum(sizes)])
@@ -181,12 +181,12 @@ class PhaseCollocation:
 
     def state_matrix(self, k: int) -> Array:
         """Return the coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
-        rule = self.rules[k]
+        rule = self.collocation_rules[k]
         return self.family.state_matrix(rule.differentiation, rule.end_values)
 
     def dynamics_matrix(self, k: int) -> Array:
         """Return the coefficients of the point values F_j in the rows of segment k, without -w_k/2: (rows, n)."""
-        return self.family.dynamics_matrix(self.rules[k].integration)
+        return self.family.dynamics_matrix(self.collocation_rules[k].integration)
 
     @cached_property
     def linear_dynamics_entries(self) -> tuple[Indices, Indices, Array]:
@@ -202,7 +202,7 @@ class PhaseCollocation:
 
     def segment_nodes(self, k: int) -> Indices:
         """Return the state variables in the rows of segment k, shape (n_states, nodes)."""
-        points = self.point_states[:, self.mesh.offsets[k] : self.mesh.offsets[k + 1]]
+        points = self.point_states[:, self.mesh.point_offsets[k] : self.mesh.point_offsets[k + 1]]
         return self.family.row_variables(
             self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]
         )
@@ -219,7 +219,7 @@ class PhaseCollocation:
             matrix = -0.5 * self.mesh.arc_widths[k] * self.dynamics_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
-            point = self.mesh.offsets[k] + j
+            point = self.mesh.point_offsets[k] + j
             columns.append((dynamics[:, None] + n_outputs * point[None, :]).ravel())
             values.append(np.tile(matrix[i, j], self.n_states))
         rows.append(self.path_rows.ravel())

@@ -123,12 +123,12 @@ class Mesh:
         return sum(self.degrees)
 
     @cached_property
-    def widths(self) -> Array:
+    def segment_widths(self) -> Array:
         """Segment widths as fractions of the phase, shape (K,)."""
         return np.diff(np.asarray(self.breaks))
 
     @cached_property
-    def anchors(self) -> tuple[int, ...]:
+    def anchor_breaks(self) -> tuple[int, ...]:
         """Breaks whose times are given or variables: 0, the movable ones, K. Arcs lie between them."""
         return (0, *self.movable, self.segments)
 
@@ -142,26 +142,26 @@ class Mesh:
     @cached_property
     def arc_starts(self) -> Array:
         """Each segment's start as a fraction of its arc, shape (K,)."""
-        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchors)
+        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchor_breaks)
         first, last = breaks[anchors[self.segment_arcs]], breaks[anchors[self.segment_arcs + 1]]
         return np.asarray((breaks[:-1] - first) / (last - first))
 
     @cached_property
     def arc_widths(self) -> Array:
         """Segment widths as fractions of their arcs, shape (K,)."""
-        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchors)
+        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchor_breaks)
         first, last = breaks[anchors[self.segment_arcs]], breaks[anchors[self.segment_arcs + 1]]
-        return np.asarray(self.widths / (last - first))
+        return np.asarray(self.segment_widths / (last - first))
 
     @cached_property
-    def offsets(self) -> tuple[int, ...]:
+    def point_offsets(self) -> tuple[int, ...]:
         """Index of each segment's first collocation point, and N at the end; K + 1 of them."""
         return tuple(int(i) for i in np.concatenate([[0], np.cumsum(self.degrees)]))
 
     def __str__(self) -> str:
         uniform = len(set(self.degrees)) == 1
         degrees = str(self.degrees[0]) if uniform else f"({min(self.degrees)}..{max(self.degrees)})"
-        equal = np.allclose(self.widths, self.widths[0])
+        equal = np.allclose(self.segment_widths, self.segment_widths[0])
         kind = " (free breakpoints)" if self.movable else "" if equal else " (uneven)"
         return f"{self.segments}x{degrees}{kind}"
 

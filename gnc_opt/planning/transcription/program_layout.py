@@ -102,7 +102,7 @@ class ProgramNumbering:
         free_times = [
             (name, anchor)
             for name, collocation in collocations.items()
-            for anchor in collocation.mesh.anchors
+            for anchor in collocation.mesh.anchor_breaks
             if not self._is_anchor_fixed(name, anchor)
         ]
         time_place = {key: variable + i for i, key in enumerate(free_times)}
@@ -128,7 +128,7 @@ class ProgramNumbering:
         for k, (name, collocation) in enumerate(collocations.items()):
             places = [
                 time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
-                for anchor in collocation.mesh.anchors
+                for anchor in collocation.mesh.anchor_breaks
             ]
             self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
 

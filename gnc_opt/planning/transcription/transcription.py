@@ -130,7 +130,7 @@ class Transcription(ProgramNumbering):
             if of == "dynamics"
             else (leg.integrand_expression(), ca.SX(0, 1))
         )
-        outputs = self.problem.bind(leg, ca.vertcat(span * rates, others))
+        outputs = self.problem.bind_parameters(leg, ca.vertcat(span * rates, others))
         return PointFunction.differentiate(
             "point",
             ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
@@ -236,7 +236,7 @@ class Transcription(ProgramNumbering):
         for name, label in self._direct:
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
         for leg in phases:
-            outputs = self.problem.bind(leg, outputs)
+            outputs = self.problem.bind_parameters(leg, outputs)
         data = ca.vertcat(*model_parameter_arguments(self.problem.phases.values()))
         return PointFunction.differentiate("ends", ca.vertcat(*arguments), data, outputs)
 

@@ -143,8 +143,11 @@ def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: fl
 def _path_multipliers_without_impulses(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) from interior points of segments; boundary points have atoms."""
     leg = s.leg
-    inner = [np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool) for rule in leg.rules]
-    nodes = tuple(rule.points[here] for rule, here in zip(leg.rules, inner, strict=True))
+    inner = [
+        np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool)
+        for rule in leg.collocation_rules
+    ]
+    nodes = tuple(rule.points[here] for rule, here in zip(leg.collocation_rules, inner, strict=True))
     values = tuple(v[:, here] for v, here in zip(leg.path_multiplier.values, inner, strict=True))
     mu, pure = s.mu.copy(), s.pure_paths
     mu[pure] = s.sample_signal(PiecewisePolynomial(leg.breaks, nodes, values))[pure]
@@ -220,7 +223,7 @@ def check_complementarity(
         leg, times = s.leg, s.leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
         paths = s.functions.paths(times, x, u)
-        shares = np.concatenate([0.5 * rule.weights for rule in leg.rules])
+        shares = np.concatenate([0.5 * rule.weights for rule in leg.collocation_rules])
         shares = shares * np.repeat(np.diff(leg.breaks), leg.mesh.degrees)
         # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
         most = np.max(own.deviation, axis=1, initial=0.0)

@@ -59,7 +59,7 @@ def best_direction_gradient(
             continue
         pushing = u[:, at].copy()
         pushing[magnitude] = 1.0
-        sigma = s.functions.switching(times[at], x[:, at], pushing, lam[:, at])[direction]
+        sigma = s.functions.switching_functions(times[at], x[:, at], pushing, lam[:, at])[direction]
         along = np.sum(sigma * pushing[direction], axis=0)
         gradient[magnitude, at] -= along + np.linalg.norm(sigma, axis=0)
     return gradient
@@ -72,7 +72,7 @@ def fix_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples])
         collocation = cone.point.transcription.parts[s.leg.name].collocation
         places, times = (
             collocation.point_controls,
-            s.leg.initial_time + s.leg.duration * collocation.fractions,
+            s.leg.initial_time + s.leg.duration * collocation.point_fractions,
         )
         for i in np.flatnonzero(np.any(s.inactive_controls, axis=1)):
             alone = np.interp(times, s.times, s.inactive_controls[i]) > (1 - NOTABLE)
@@ -117,7 +117,7 @@ def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> M
     held = cone.strong[cone.point.x.size :][collocation.path_rows]
     along = np.zeros((collocation.n_paths, collocation.mesh.segments + 1), dtype=bool)
     for row in s.pure_paths:
-        along[row, 1:] = np.logical_and.reduceat(held[row], collocation.mesh.offsets[:-1])
+        along[row, 1:] = np.logical_and.reduceat(held[row], collocation.mesh.point_offsets[:-1])
     return np.asarray(along[:, 1:] & ~along[:, :-1])
 
 
@@ -180,7 +180,7 @@ class CriticalCone:
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
         dx = s.sample_signal(_interpolate_states(breaks, part.collocation, change))
-        rules = part.collocation.rules
+        rules = part.collocation.collocation_rules
         du = s.sample_signal(interpolate_points(breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
@@ -228,7 +228,7 @@ def _extend_active_limits_along_arcs(
 
 
 def _variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
-    return np.asarray(places[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]])
+    return np.asarray(places[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]])
 
 
 def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
@@ -243,5 +243,5 @@ def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
 def _interpolate_states(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
     """Return the polynomials of varied states through start, points and end of each segment."""
     values = tuple(change[_state_node_variables(collocation, k)] for k in range(collocation.mesh.segments))
-    nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.rules)
+    nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.collocation_rules)
     return PiecewisePolynomial(breaks, nodes, values)

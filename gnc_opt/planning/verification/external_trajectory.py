@@ -55,7 +55,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> 
     if leg.restatement is None:
         return own
     arguments = [*stated.arguments(), problem.parameter_symbols()]
-    values = ca.densify(problem.bind(leg, leg.restatement.values))
+    values = ca.densify(problem.bind_parameters(leg, leg.restatement.values))
     function = ca.Function("restated", arguments, [values])
     p = model_parameters(problem, problem.phases[leg.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -332,7 +332,7 @@ def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -
 def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
     """Return the arcs of controls at a bound at all times, between their jumps; none if a control is interior."""
     arcs: list[Arc] = []
-    breaks = leg.breaks[list(leg.mesh.anchors)]
+    breaks = leg.breaks[list(leg.mesh.anchor_breaks)]
     slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
     for i, label in enumerate(leg.controls.labels):
         lower, upper = leg.control_bounds.near(leg.u(leg.point_times), slack)

@@ -93,7 +93,7 @@ def refine_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
             movable.append(len(breaks) - 1)
         begins, ends = singular[k] and not beside[k], singular[k] and not beside[k + 2]
         inner = (*(CUTS[0] if begins else ()), *(CUTS[1] if ends else ()))
-        breaks += [mesh.breaks[k] + share * mesh.widths[k] for share in inner] + [mesh.breaks[k + 1]]
+        breaks += [mesh.breaks[k] + share * mesh.segment_widths[k] for share in inner] + [mesh.breaks[k + 1]]
         degrees += [max(degree, SINGULAR_SEGMENT_MIN_POINTS) if singular[k] else degree] * (len(inner) + 1)
     return Mesh(tuple(breaks), tuple(degrees), tuple(movable))
 
@@ -113,7 +113,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
                 last = part.collocation.boundary_states[_driven_states(s, i), -1]
-                squares[last] = 0.5 * part.collocation.mesh.widths[-1]
+                squares[last] = 0.5 * part.collocation.mesh.segment_widths[-1]
             block, places = _build_integral_variations(squares.size, part, i, singular[i])
             itself[places] = False
             blocks.append(block)
@@ -158,7 +158,7 @@ def _segments_without_active_limits(cone: CriticalCone, part: PhasePart) -> Mask
     others = np.any(cone.strong[:n][collocation.point_states] & inner, axis=0)
     others |= np.any(cone.strong[n:][collocation.path_rows], axis=0)
     held = cone.strong[:n][collocation.point_controls] | others
-    return ~np.logical_or.reduceat(held, collocation.mesh.offsets[:-1], axis=1)
+    return ~np.logical_or.reduceat(held, collocation.mesh.point_offsets[:-1], axis=1)
 
 
 def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
@@ -247,14 +247,16 @@ def _build_integral_variations(n: int, part: PhasePart, control: int, singular: 
         # Radau's rule, reversed to include the end of the segment.
         nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
         slopes = (
-            2 / mesh.widths[k] * differentiation_matrix(np.append(-1.0, nodes), collocation.rules[k].points)
+            2
+            / mesh.segment_widths[k]
+            * differentiation_matrix(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
         )
-        places = collocation.point_controls[control, mesh.offsets[k] : mesh.offsets[k + 1]]
+        places = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
         columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start
         slopes = slopes[:, int(count == 0) :]
         entries.append((np.repeat(places, columns.size), np.tile(columns, places.size), slopes.ravel()))
         count += nodes.size
-        squares.append(0.5 * mesh.widths[k] * shares)
+        squares.append(0.5 * mesh.segment_widths[k] * shares)
         squares[-1][-1] += mesh.breaks[following] - mesh.breaks[k + 1]
     rows, columns, values = map(np.concatenate, zip(*entries, strict=True))
     block = scipy.sparse.csc_array((values, (rows, columns)), shape=(n, count))

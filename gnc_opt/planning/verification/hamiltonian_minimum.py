@@ -199,7 +199,7 @@ class _MinimumSearch:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
         s, group, (times, x, u) = self.s, self.group, self._expand_controls(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._control_box[1]
-        gradient = s.functions.switching(times, x, u, lam)[group] * span
+        gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
         bends = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
@@ -235,7 +235,7 @@ class _MinimumSearch:
         times, x, u = self._expand_controls(self._applied_shares, np.arange(self.chosen.size))
         flown = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
-        slope = s.functions.switching(times, x, u, s.lam[:, self.chosen])
+        slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
         strength = np.linalg.norm(slope[direction], axis=0)
         u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
         least, most = (limit[magnitude, None] for limit in control_search_bounds(s))

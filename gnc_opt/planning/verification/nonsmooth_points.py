@@ -16,7 +16,7 @@ from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.reference_scales import Scales, hamiltonian_differences
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
-from gnc_opt.planning.problem.kink_detection import Kinks, find_kinks
+from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
@@ -109,7 +109,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     if share > 0:
         return KinkPoint(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
     for s in samples:
-        principal = scales.phases[s.leg.name].along.nonzero_axes
+        principal = scales.phases[s.leg.name].along.nonzero_semi_axes
         coarse = hamiltonian_differences(s, principal, STEPS[0])
         if not np.any(_is_concave(coarse, scales.cost)):
             continue
@@ -136,12 +136,16 @@ def _is_concave(coarse: Array, cost: float) -> Mask:
     return np.asarray(-coarse[1] >= SMALL * np.maximum(np.abs(coarse[0]), cost))
 
 
-def _evaluate_kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
+def _evaluate_kink_arguments(
+    s: PhaseSamples, kinks: KinkFunctions, times: Array, x: Array, u: Array
+) -> Array:
     numbers = s.functions.p, s.functions.q
     return evaluate_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
 
 
-def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> KinkPoint | None:
+def _find_jump(
+    s: PhaseSamples, kinks: KinkFunctions, i: int, between: Array, tolerance: float
+) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
     def arguments_at(times: Array) -> Array:
@@ -161,7 +165,7 @@ def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance:
     )
 
 
-def _find_sliding_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> KinkPoint | None:
+def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:
     """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
     sizes = nonzero_magnitude(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]

@@ -59,7 +59,7 @@ def recompute_from_problem(solution: Solution) -> Solution:
     )
     measured = {
         name: replace(
-            leg, integrals=integrate_cost_terms(PhaseSamples.from_phase(leg, checked.functions(name)))
+            leg, integrals=integrate_cost_terms(PhaseSamples.from_phase(leg, checked.phase_functions(name)))
         )
         for name, leg in stated.items()
     }

@@ -158,7 +158,7 @@ def _are_phases_affine(problem: Problem) -> bool:
     for leg in problem.phases.values():
         _, x, u, _ = leg.model.arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
-        rows = problem.bind(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
+        rows = problem.bind_parameters(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
         if not _is_affine(rows, z):
             return False
     return True
@@ -172,14 +172,14 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
     z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
     conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
     for leg in legs:
-        conditions, cost = problem.bind(leg, conditions), problem.bind(leg, cost)
+        conditions, cost = problem.bind_parameters(leg, conditions), problem.bind_parameters(leg, cost)
     if not _is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
     for leg in legs:
         _, x, u, _ = leg.model.arguments()
         along = ca.vertcat(x, u, problem.parameter_symbols())
         for symbol, integrand in leg.integrands.values():
-            expression = problem.bind(leg, integrand)
+            expression = problem.bind_parameters(leg, integrand)
             if _is_affine(expression, along):
                 continue
             weight = ca.jacobian(cost, symbol)
@@ -303,14 +303,16 @@ def _bound_integrals(problem: Problem, leg: Phase, q: Interval) -> Interval:
 
 def _integrand_function(problem: Problem, leg: Phase) -> Any:
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
-    return ca.Function("integrands", arguments, [ca.densify(problem.bind(leg, leg.integrand_expression()))])
+    return ca.Function(
+        "integrands", arguments, [ca.densify(problem.bind_parameters(leg, leg.integrand_expression()))]
+    )
 
 
 def _build_boundary_function(problem: Problem, expressions: Sequence[Any]) -> Any:
     column, arguments = ca.vertcat(*expressions), []
     legs = problem.phases.values()
     for leg, parameters in zip(legs, model_parameter_arguments(legs), strict=True):
-        column = problem.bind(leg, column)
+        column = problem.bind_parameters(leg, column)
         arguments += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
         arguments += [leg.integral_symbols(), parameters]
     return ca.Function("of_ends", [*arguments, problem.parameter_symbols()], [ca.densify(column)])

@@ -21,14 +21,14 @@ from gnc_opt.simulation.block import (
     Defaults,
     Parameters,
     Step,
-    Tick,
+    StepContext,
     clip,
     differs_after_clipping,
     read_block_scalar,
     read_block_values,
     slice_rows,
 )
-from gnc_opt.simulation.intersample_input import Wave
+from gnc_opt.simulation.intersample_input import ActuatorWave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 MIN_TIME_CONSTANT_S = 1e-12
@@ -53,7 +53,7 @@ class _InitializedActuator(Block):
             "initial": (read_block_values(self.initial, size, f"the first output of '{self.name}'"), unit)
         }
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return p.get("initial", signal)
 
 
@@ -81,14 +81,16 @@ class Lag(_InitializedActuator):
         tau = read_block_values(self.tau, size, f"the time constant of '{self.name}'")
         return {"tau": (tau, "s"), **self._initial_parameter(size, unit)}
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"tau": (0.0, math.inf)}
 
-    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+    def propagate_wave(
+        self, tick: StepContext, wave: ActuatorWave, state: Any, p: Parameters, noise: Any
+    ) -> tuple[ActuatorWave, Step]:
         tau, target = ca.fmax(p["tau"], MIN_TIME_CONSTANT_S), wave.mean
         gap, faded = state - target, ca.expm1(-tick.h / tau)
         step = Step(target - gap * tau / tick.h * faded, state + gap * faded)
-        return Wave(step.signal, lambda decay: target + gap * decay(tau)), step
+        return ActuatorWave(step.signal, lambda decay: target + gap * decay(tau)), step
 
 
 @dataclass(frozen=True)
@@ -115,10 +117,10 @@ class RateLimit(_InitializedActuator):
         rate = read_block_values(self.rate, size, f"the rate of '{self.name}'")
         return {"rate": (rate, f"{unit}/s"), **self._initial_parameter(size, unit)}
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"rate": (TINY, math.inf)}
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         wanted, reach = signal - state, p["rate"] * tick.h
         change = clip(wanted, -reach, reach)
         mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
@@ -155,7 +157,7 @@ class Delay(_InitializedActuator):
             **self._initial_parameter(size, unit),
         }
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"delay": (0.0, self._delay_line_length(h) * h * (1 + ROUNDING))}
 
     def _delay_line_length(self, h: float) -> int:
@@ -163,10 +165,10 @@ class Delay(_InitializedActuator):
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
         return count_periods_begun(longest, h)
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        return ca.repmat(super().start(signal, p, tick), self._delay_line_length(tick.h), 1)
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
+        return ca.repmat(super().initial_memory(signal, p, tick), self._delay_line_length(tick.h), 1)
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
         line = ca.vertcat(signal, state)  # newest value first
         steps = p["delay"] / tick.h
@@ -196,17 +198,19 @@ class ZeroOrderHold(Block):
 
     period: float
 
-    def check(self, size: int, h: float, dt: float) -> None:
-        self._steps(h)
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
+        self._steps_per_period(h)
 
-    def _steps(self, h: float) -> int:
+    def _steps_per_period(self, h: float) -> int:
         count = count_whole_steps(self.period, h, f"the period of '{self.name}'")
         return read_integer(count, f"the number of minor steps in the period of '{self.name}'", 1)
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.vertcat(signal, 0.0)
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
         output = ca.if_else(is_period_start(state[size]), signal, state[:size])
-        return Step(output, ca.vertcat(output, advance_step_counter(state[size], self._steps(tick.h))))
+        return Step(
+            output, ca.vertcat(output, advance_step_counter(state[size], self._steps_per_period(tick.h)))
+        )

@@ -18,7 +18,7 @@ from gnc_opt.simulation.block import (
     Defaults,
     Parameters,
     Step,
-    Tick,
+    StepContext,
     clip,
     read_block_scalar,
     read_block_values,
@@ -58,26 +58,26 @@ class Pwm(Block):
             ),
         }
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"thrust": (TINY, math.inf), "minimum_on": (0.0, math.inf)}
 
-    def check(self, size: int, h: float, dt: float) -> None:
-        if self._steps(h, dt) < 2:
+    def check_sizes(self, size: int, h: float, dt: float) -> None:
+        if self._steps_per_period(h, dt) < 2:
             raise ArgumentError(
                 f"the period of '{self.name}' is one minor step of {h:g} s, too short to modulate: give "
                 "the loop more minor_steps."
             )
 
-    def _steps(self, h: float, dt: float) -> int:
+    def _steps_per_period(self, h: float, dt: float) -> int:
         return count_whole_steps(
             dt if self.period is None else self.period, h, f"the period of '{self.name}'"
         )
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.vertcat(ca.SX.zeros(signal.shape[0]), 0.0)
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        size, count = signal.shape[0], self._steps(tick.h, tick.dt)
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size, count = signal.shape[0], self._steps_per_period(tick.h, tick.dt)
         held, phase = state[:size], state[size]
         command = ca.if_else(is_period_start(phase), signal, held)
         on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
@@ -126,10 +126,10 @@ class SchmittTrigger(Block):
             "off_level": (off, unit),
         }
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(signal.shape[0])
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         polarity = update_schmitt_trigger(signal, state, p["on_level"], p["off_level"])
         return Step(p["thrust"] * polarity + _propagate_nan(signal), polarity)
 
@@ -177,13 +177,13 @@ class Pwpf(Block):
             "gain": (read_block_scalar(self.gain, f"the gain of '{self.name}'"), ""),
         }
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"tau": (MIN_TIME_CONSTANT_S, math.inf)}
 
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(2 * signal.shape[0])
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
         y, polarity = (
             state[:size],

@@ -15,7 +15,7 @@ from gnc_opt.simulation.block import (
     Defaults,
     Parameters,
     Step,
-    Tick,
+    StepContext,
     clip,
     differs_after_clipping,
     read_block_values,
@@ -41,7 +41,7 @@ class Saturation(Block):
     upper: ArrayLike = math.inf
 
     @property
-    def memoryless(self) -> bool:
+    def is_memoryless(self) -> bool:
         return True
 
     def parameters(self, size: int, unit: str) -> Defaults:
@@ -53,7 +53,7 @@ class Saturation(Block):
             )
         return {"lower": (lower, unit), "upper": (upper, unit)}
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         limited = clip(signal, p["lower"], p["upper"])
         return Step(limited, state, differs_after_clipping(limited, signal))
 
@@ -77,7 +77,7 @@ class ScaleFactor(Block):
     bias: ArrayLike = 0.0
 
     @property
-    def memoryless(self) -> bool:
+    def is_memoryless(self) -> bool:
         return True
 
     def parameters(self, size: int, unit: str) -> Defaults:
@@ -86,7 +86,7 @@ class ScaleFactor(Block):
             "bias": (read_block_values(self.bias, size, f"the bias of '{self.name}'"), unit),
         }
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(p["factor"] * signal + p["bias"], state)
 
 
@@ -111,10 +111,10 @@ class Deadband(Block):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {"width": (read_block_values(self.width, size, f"the width of '{self.name}'"), unit)}
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"width": (0.0, math.inf)}
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(ca.if_else(ca.fabs(signal) < p["width"], 0.0, signal), state)
 
 
@@ -139,8 +139,8 @@ class Quantisation(Block):
             "step_size": (read_block_values(self.step_size, size, f"the step size of '{self.name}'"), unit)
         }
 
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+    def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"step_size": (TINY, math.inf)}
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+    def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(p["step_size"] * ca.floor(signal / p["step_size"] + 0.5), state)

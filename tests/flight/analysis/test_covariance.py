@@ -87,11 +87,11 @@ def test_every_source_has_the_covariance_of_the_discrete_recursion(found):
 
 def test_budget_shares_add_up_and_name_the_largest_first(found):
     expected, _ = recursion()
-    shares = found.budget("v", at=3.0)
+    shares = found.variance_budget("v", at=3.0)
     variances = {name: S[30, 1, 1] for name, S in expected.items()}
     assert list(shares) == sorted(variances, key=variances.get, reverse=True)
     assert shares == pytest.approx({n: x / sum(variances.values()) for n, x in variances.items()})
-    assert sum(found.budget("q").values()) == pytest.approx(1.0)
+    assert sum(found.variance_budget("q").values()) == pytest.approx(1.0)
 
 
 def test_commands_scatter_by_gain_and_noise(found):
@@ -136,7 +136,7 @@ def test_delays_lags_and_an_estimator_are_part_of_the_loop():
     assert predicted.times[[0, 1, -1]] == pytest.approx([0.0, 0.7, 6.0])
     runs = go.monte_carlo(loop, 1000, **MISSION, seed=5, dispersions=spread, executor="serial")
     assert agrees(predicted, runs)
-    assert predicted.budget("q")["odometer"] > 0.5
+    assert predicted.variance_budget("q")["odometer"] > 0.5
 
 
 def test_a_filter_in_error_on_the_nominal_run_weighs_by_a_covariance_that_scatters(monkeypatch):
@@ -183,7 +183,7 @@ def test_without_a_source_nothing_scatters():
     model = sled()
     quiet = go.linear_covariance(go.Scenario(go.ClosedLoop(model, regulator(model)), **MISSION))
     assert quiet.sources == () and np.all(quiet.std("q") == 0)
-    assert quiet.budget("q") == {} and "sigma" in str(quiet)
+    assert quiet.variance_budget("q") == {} and "sigma" in str(quiet)
 
 
 # --- attitudes ----------------------------------------------------------------------------------------

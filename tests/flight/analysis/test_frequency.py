@@ -43,7 +43,7 @@ def test_the_open_loop_is_that_of_the_sampled_plant():
         (K @ np.linalg.solve(np.exp(1j * w * DT) * np.eye(2) - P[:2, :2], P[:2, 2:]))[0, 0] for w in omega
     ]
     assert found.open_loop(omega)[:, 0, 0] == pytest.approx(np.array(expected), rel=1e-9)
-    assert found.channel(omega, "F") == pytest.approx(np.array(expected), rel=1e-9)
+    assert found.channel_open_loop(omega, "F") == pytest.approx(np.array(expected), rel=1e-9)
     assert found.sensitivity(omega)[:, 0, 0] == pytest.approx(1 / (1 + np.array(expected)), rel=1e-9)
 
 
@@ -153,7 +153,7 @@ def test_figures_show_what_they_say():
     response = loop_response(bare(Lag("motor", 0.1)), **HERE, at=[0.0, 0.5])
     gain, phase = plot_response(response).axes
     omega = response.frequencies
-    assert gain.lines[0].get_ydata() == pytest.approx(np.abs(response.channel(omega, "F")))
+    assert gain.lines[0].get_ydata() == pytest.approx(np.abs(response.channel_open_loop(omega, "F")))
     crossing = np.argmin(np.abs(np.log(gain.lines[0].get_ydata())))
     margin = np.degrees(response.margins().phase[0])
     assert phase.lines[0].get_ydata()[crossing] == pytest.approx(-180 + margin, abs=1.0)
@@ -181,7 +181,7 @@ def test_mistakes_are_refused():
     with pytest.raises(go.ArgumentError, match="has events"):
         loop_response(ends, **HERE)
     with pytest.raises(go.ArgumentError, match="no command 'G': give one of F"):
-        response.channel([1.0], "G")
+        response.channel_open_loop([1.0], "G")
     with pytest.raises(go.ArgumentError, match=r"between 0 and pi / dt"):
         response.open_loop([40.0])
     wild = loop_response(bare(ScaleFactor("gain", 30.0)), **HERE)

@@ -25,7 +25,7 @@ def found():
 
 
 def test_of_a_linear_loop_they_are_the_budget_of_the_linear_covariance(found):
-    theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD)).budget("q")
+    theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD)).variance_budget("q")
     expected = {name: theory[name] for name in SPREAD}
     expected["noise"] = 1 - sum(expected.values())
     assert set(found.total) == set(expected)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Tick, Wave, link_blocks, pseudo_inverse, read_effect_matrix
+from testing.internals import ActuatorWave, StepContext, link_blocks, pseudo_inverse, read_effect_matrix
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.simulation import (
@@ -41,7 +41,7 @@ EYE = np.eye(2)
 
 
 def moment(t=0.0, **x):
-    return Tick(t, H, DT, {name: ca.SX(ca.DM(value)) for name, value in x.items()})
+    return StepContext(t, H, DT, {name: ca.SX(ca.DM(value)) for name, value in x.items()})
 
 
 def numbers(column):
@@ -58,7 +58,7 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
     tick = tick or moment()
     p, column = parameters(block, np.size(signal), **changes), ca.SX(ca.DM(signal))
     before = block.start(column, p, tick) if state is None else ca.SX(ca.DM(state))
-    _, step = block.flow(tick, Wave(column), before, p, ca.SX(ca.DM(list(noise))))
+    _, step = block.flow(tick, ActuatorWave(column), before, p, ca.SX(ca.DM(list(noise))))
     return (
         numbers(step.signal),
         numbers(step.state),
@@ -123,7 +123,7 @@ def test_parameters_have_values_units_and_permitted_ranges(block, expected, limi
 @pytest.mark.parametrize("longest", [-0.1, np.nan, INF])
 def test_a_longest_delay_that_is_none_is_refused(longest):
     with pytest.raises(ArgumentError, match="longest delay of 'b'"):
-        Delay("b", 0.0, maximum=longest).limits(H, DT)
+        Delay("b", 0.0, maximum=longest).parameter_limits(H, DT)
 
 
 @pytest.mark.parametrize(
@@ -174,9 +174,9 @@ def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
         (lambda: Allocation("b", EYE, method="best"), "cannot allocate by 'best'"),
         (lambda: Allocation("b", EYE, to="a b"), "name of a signal"),
         (lambda: Allocation("b", np.ones((1, 3)), method="min-max"), "2 null directions"),
-        (lambda: Allocation("b", EYE).check(3, H, DT), "allocates 2 components, but gets 3"),
-        (lambda: Mixer("b", EYE).check(3, H, DT), "mixes 2 outputs, but gets 3"),
-        (lambda: Mixer("b", EYE, {"f": 3}).outputs({}, {}), "2 rows for 3 components"),
+        (lambda: Allocation("b", EYE).check_sizes(3, H, DT), "allocates 2 components, but gets 3"),
+        (lambda: Mixer("b", EYE).check_sizes(3, H, DT), "mixes 2 outputs, but gets 3"),
+        (lambda: Mixer("b", EYE, {"f": 3}).output_sizes({}, {}), "2 rows for 3 components"),
         (lambda: read_effect_matrix([1.0, 2.0], (), "it"), "shape"),
         (lambda: read_effect_matrix([[1.0, np.nan]], (), "it"), "finite"),
         (lambda: read_effect_matrix(EYE, (2,), "it"), "no actuator 2: it has 0 to 1"),

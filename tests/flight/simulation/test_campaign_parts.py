@@ -192,7 +192,7 @@ def test_statistics_of_a_campaign():
     assert campaign.maximum("own") == INF and campaign.worst("q", 3) == [5, 0, 4]
     assert campaign_by_hand(measured={"own": np.arange(4.0)}).maximum("own") == 3.0
     assert len(campaign_by_hand(indices=np.arange(4)).worst("q")) == 4
-    assert campaign.counts == {RunStatus.OK: 2, RunStatus.CONTROLLER_ALARM: 1, RunStatus.LOST: 1}
+    assert campaign.status_counts == {RunStatus.OK: 2, RunStatus.CONTROLLER_ALARM: 1, RunStatus.LOST: 1}
     assert list(campaign.failures) == [1, 5] and campaign.failures[1].what == "guard"
     none = campaign_by_hand(outcomes=(), limits={})
     for act in (none.pass_rate, lambda: none.percentile("q", 0.5), lambda: none.maximum("q")):

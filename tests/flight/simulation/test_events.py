@@ -383,7 +383,7 @@ def test_campaigns_count_events_and_judge_their_times(tmp_path):
     assert campaign.measure("time(touchdown)")[soft] == pytest.approx(time[soft], abs=1e-12)
     assert np.all(np.isnan(campaign.measure("time(touchdown)")[~soft]))
     assert np.array_equal(campaign.passed(), soft & (time <= 1.45))
-    assert campaign.counts.get(RunStatus.TERMINATED_BY_EVENT, 0) == np.sum(ends & (speed > 14.1))
+    assert campaign.status_counts.get(RunStatus.TERMINATED_BY_EVENT, 0) == np.sum(ends & (speed > 14.1))
     assert f"touchdown in {np.sum(soft)} runs" in str(campaign)
     again = Campaign.load(campaign.save(tmp_path / "campaign.npz"))
     assert np.array_equal(again.event_times, campaign.event_times, equal_nan=True)

@@ -291,18 +291,21 @@ def test_failed_runs_are_kept_and_count_as_not_passed():
         # x = x0 / sqrt(1 - 2 k x0^2 t): 0.98, 5.4, and infinite before the end
         expected = {0.1: RunStatus.OK, 0.6: RunStatus.CONTROLLER_ALARM, 5.0: RunStatus.NOT_FINITE}[k]
         assert outcome.status is (RunStatus.INVALID_PARAMETERS if tau < 0 else expected)
-    assert set(campaign.counts) == {
+    assert set(campaign.status_counts) == {
         RunStatus.OK,
         RunStatus.CONTROLLER_ALARM,
         RunStatus.NOT_FINITE,
         RunStatus.INVALID_PARAMETERS,
     }
-    assert sum(campaign.counts.values()) == 60
-    assert campaign.pass_rate().passed == campaign.counts[RunStatus.OK] and campaign.pass_rate().runs == 60
+    assert sum(campaign.status_counts.values()) == 60
+    assert (
+        campaign.pass_rate().passed == campaign.status_counts[RunStatus.OK]
+        and campaign.pass_rate().runs == 60
+    )
     assert campaign.percentile("x", 0.99).value == np.inf == campaign.maximum("x")
     text = str(campaign)
     assert "failed" in text and "'lag.tau" in text and "is outside" in text and "large" in text
-    assert len(json.loads(campaign.to_json())["failures"]) == 60 - campaign.counts[RunStatus.OK]
+    assert len(json.loads(campaign.to_json())["failures"]) == 60 - campaign.status_counts[RunStatus.OK]
     blown = next(i for i, o in campaign.failures.items() if o.status is RunStatus.NOT_FINITE)
     assert campaign.rerun(blown).outcome == campaign.outcomes[blown]
     refused = next(i for i, o in campaign.failures.items() if o.status is RunStatus.INVALID_PARAMETERS)

@@ -81,7 +81,7 @@ def test_bryson_denham_with_a_path_constraint(mesh: go.Mesh, scheme: str) -> Non
     """Points at the entry and exit carry the impulses of 18; LG has none there and stays too cheap."""
     solution = solve(bryson_denham(as_path=True), mesh, scheme, tolerance=1e-12)
     leg = solution.phase()
-    rules = [rule.weights for rule in leg.rules]
+    rules = [rule.weights for rule in leg.collocation_rules]
     weights = np.concatenate([w * h / 2 for w, h in zip(rules, np.diff(leg.breaks), strict=True)])
     pushes = leg.path_multipliers[0] * weights
     assert np.all(pushes >= 0.0)

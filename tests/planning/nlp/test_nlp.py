@@ -333,7 +333,7 @@ def test_ctrl_c_keeps_the_iterate(solver: str, capfd: pytest.CaptureFixture[str]
     result = solve(rosenbrock(20), -0.5, -5, 5, options=SolverOptions(solver=solver), callback=press)
     assert result.status is Status.INTERRUPTED
     assert 5 <= result.iterations <= 7
-    assert result.f < float(rosenbrock(20).lagrangian(np.full(20, -0.5), [], [])[0])
+    assert result.f < float(rosenbrock(20).lagrangian_function(np.full(20, -0.5), [], [])[0])
     assert signal.getsignal(signal.SIGINT) is before
     assert is_silent(capfd)
 

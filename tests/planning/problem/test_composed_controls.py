@@ -99,7 +99,10 @@ def test_multiplier_of_the_upper_limit_is_what_a_larger_one_saves() -> None:
     leg = moved().phase()
     density = leg.control_multiplier(leg.point_times)[leg.controls.slice("a_magnitude")][0]
     weights = np.concatenate(
-        [rule.weights * width / 2 for rule, width in zip(leg.rules, np.diff(leg.breaks), strict=True)]
+        [
+            rule.weights * width / 2
+            for rule, width in zip(leg.collocation_rules, np.diff(leg.breaks), strict=True)
+        ]
     )
 
     def fuel(limit: float) -> float:

@@ -347,8 +347,8 @@ def test_controls_at_the_end_of_a_segment() -> None:
     collocation = PhaseCollocation("LG", Mesh((0.0, 0.4, 1.0), (3, 4), ()), 1, 2, 0, 0, 0)
     for tangent, segment, end in ((-1, 0, 1.0), (1, 1, -1.0)):
         beside = controls_at_junction(collocation, Junction(0, 1, UP, 1, tangent))
-        tau = collocation.rules[segment].points
+        tau = collocation.collocation_rules[segment].points
         assert (tau**2 - tau) @ beside.weights == pytest.approx(end**2 - end, abs=1e-13)
-        first = collocation.mesh.offsets[segment]
+        first = collocation.mesh.point_offsets[segment]
         assert np.array_equal(beside.points, collocation.point_controls[:, first : first + tau.size])
     assert controls_at_junction(collocation, Junction(0, 1, UP, 1)).points.shape == (2, 0)

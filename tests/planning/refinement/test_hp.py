@@ -123,7 +123,7 @@ def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
     """
     solution = go.solve(pendulum(), mesh=mesh, options=go.SolverOptions(tolerance=1e-11), tol=None)
     error = estimate_errors(solution)["leg"]
-    leg, functions = solution.phase(), solution.functions("leg")
+    leg, functions = solution.phase(), solution.phase_functions("leg")
     scale = error.yardstick.state
     for k in range(leg.mesh.segments):
         left, right = leg.breaks[k], leg.breaks[k + 1]
@@ -454,7 +454,7 @@ def test_density_is_the_residual_of_the_costates() -> None:
     """With lam the polynomials of the solution, the density is |lam' + x|, worth max|x| over the cost's scale."""
     solution = go.solve(exact_states(4.0), mesh="3x3", tol=None)
     leg = solution.phase()
-    samples = PhaseSamples.from_phase(leg, solution.functions("leg"))
+    samples = PhaseSamples.from_phase(leg, solution.phase_functions("leg"))
     inner = samples.weights > 0
     times = samples.times[inner]
     residual = np.abs(leg.lam.derivative()(times)[0] + leg.x(times)[0])  # H_x = x

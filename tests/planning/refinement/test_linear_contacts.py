@@ -78,7 +78,7 @@ def test_touches_between_bangs() -> None:
     assert len(touches) == 2
     assert all(arc.start == arc.end and arc.kind is ArcKind.UPPER for arc in touches)
     leg = solution.phase()
-    functions, times = solution.functions("slew"), np.array([arc.start for arc in touches])
+    functions, times = solution.phase_functions("slew"), np.array([arc.start for arc in touches])
     x, u = leg.x(times), leg.u(times)
     np.testing.assert_allclose(functions.paths(times, x, u), np.cos(np.radians(70.0)), atol=1e-10)
     jumps = leg.lam(times, "left") - leg.lam(times, "right")

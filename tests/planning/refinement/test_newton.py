@@ -598,7 +598,7 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution(slowest: float, kept
     structure, flight = find_optimal_times(solution, detect_phase_structure(s)) or pytest.fail(
         "does not settle"
     )
-    least = float(np.min(flight.x[1]))
+    least = float(np.min(flight.states[1]))
     assert least == pytest.approx(-4.04, abs=1e-3)
     box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
     limited = replace(flight, s=replace(s, leg=replace(s.leg, state_bounds=box)))

@@ -83,7 +83,7 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
         own[part.dynamics_rows[k]] = lam_g[part.dynamics_rows[k]]
         slope = np.zeros(part.n_variables)
         np.add.at(slope, columns, own[rows] * values)
-        first, last = part.mesh.offsets[k], part.mesh.offsets[k + 1] - 1
+        first, last = part.mesh.point_offsets[k], part.mesh.point_offsets[k + 1] - 1
         at_start = gradients[:, first] if scheme in ("LGR", "LGL") else 0.0
         at_end = gradients[:, last] if scheme == "LGL" else 0.0
         assert starts[:, k] == pytest.approx(slope[part.boundary_states[:, k]] + at_start)
@@ -130,11 +130,11 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
         t = np.array([2.0, 3.0, 3.9])
         assert curve(t)[0] == pytest.approx(20 - 3 * (t - 2))
         through = pieces(scheme).build_polynomial(breaks)
-        points = 1.5 + 0.5 * found.collocation.rules[0].points
+        points = 1.5 + 0.5 * found.collocation.collocation_rules[0].points
         assert through(points, "left")[0] == pytest.approx([1, 2, 3])
     assert pieces("LGR").build_polynomial(breaks)(2.0, "left")[0] == pytest.approx(30.0)
     gauss = pieces("LG").build_polynomial(breaks)
-    points = 3.0 + pieces("LG").collocation.rules[1].points
+    points = 3.0 + pieces("LG").collocation.collocation_rules[1].points
     assert gauss(points)[0] == pytest.approx([4, 5, 6]) and gauss(4.0)[0] == pytest.approx(40.0)
 
 
@@ -258,8 +258,10 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     assert start.lam_x is not None and start.lam_g is not None
     for name, part in other.parts.items():
         leg, there = solution.phases[name], part.collocation
-        t = leg.initial_time + there.fractions * leg.duration
-        ends = there.fractions == 1.0  # only there a point ends a segment where the old solution has a break
+        t = leg.initial_time + there.point_fractions * leg.duration
+        ends = (
+            there.point_fractions == 1.0
+        )  # only there a point ends a segment where the old solution has a break
 
         def at(signal: Any, t: Array = t, ends: Any = ends) -> Array:
             return np.where(ends, signal(t, "left"), signal(t))
@@ -373,7 +375,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
 
 def arc_ends(part: Any) -> Array:
     """Shares of the phase at which its arcs begin and end."""
-    return np.asarray(part.collocation.mesh.breaks)[list(part.collocation.mesh.anchors)]
+    return np.asarray(part.collocation.mesh.breaks)[list(part.collocation.mesh.anchor_breaks)]
 
 
 def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
@@ -428,7 +430,7 @@ def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> 
     )
     transcription = attempt.transcription
     x, part = start_from_guess(transcription, problem), transcription.parts["leg"]
-    points = 1 + 4 * part.collocation.fractions
+    points = 1 + 4 * part.collocation.point_fractions
     assert x[part.collocation.boundary_states[:, 1]] == pytest.approx([2.0, 4.0])
     states = x[part.collocation.point_states]
     inner = ~np.isin(part.collocation.point_states[0], part.collocation.boundary_states[0])

@@ -295,7 +295,7 @@ def test_signals_are_numbers_or_vectors_by_what_is_asked() -> None:
     assert leg.control("a")(0.0) == pytest.approx(6.0) and leg.saturated_control("a")(0.0) <= 5.0
     assert leg.duration == 1.0 and leg.breaks.tolist() == [0.0, 0.5, 1.0]
     assert leg.point_times == pytest.approx(
-        np.concatenate([0.25 * (1 + leg.rules[0].points) + k / 2 for k in (0, 1)])
+        np.concatenate([0.25 * (1 + leg.collocation_rules[0].points) + k / 2 for k in (0, 1)])
     )
     assert leg.sample_times().size == 21 and leg.sample_times(3).tolist() == pytest.approx(
         np.linspace(0, 1, 7)

@@ -40,13 +40,13 @@ UNEVEN = Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (2,))
 
 
 def test_a_mesh_in_fractions_of_the_phase_and_of_its_arcs() -> None:
-    assert (UNEVEN.segments, UNEVEN.size, UNEVEN.offsets) == (4, 11, (0, 2, 5, 9, 11))
-    assert UNEVEN.widths == pytest.approx([0.1, 0.3, 0.1, 0.5]) and UNEVEN.anchors == (0, 2, 4)
+    assert (UNEVEN.segments, UNEVEN.size, UNEVEN.point_offsets) == (4, 11, (0, 2, 5, 9, 11))
+    assert UNEVEN.segment_widths == pytest.approx([0.1, 0.3, 0.1, 0.5]) and UNEVEN.anchor_breaks == (0, 2, 4)
     assert UNEVEN.segment_arcs.tolist() == [0, 0, 1, 1]
     assert UNEVEN.arc_starts == pytest.approx([0.0, 0.25, 0.0, 1 / 6])
     assert UNEVEN.arc_widths == pytest.approx([0.25, 0.75, 1 / 6, 5 / 6])
     fixed = Mesh(UNEVEN.breaks, UNEVEN.degrees)
-    assert fixed.anchors == (0, 4) and fixed.arc_widths == pytest.approx(fixed.widths)
+    assert fixed.anchor_breaks == (0, 4) and fixed.arc_widths == pytest.approx(fixed.segment_widths)
     assert fixed.arc_starts == pytest.approx([0, 0.1, 0.4, 0.5]) and fixed.segment_arcs.tolist() == [0] * 4
 
 
@@ -251,7 +251,7 @@ def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
     part = collocation("LG", Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (3,)), m=2)
     columns, rows = build_smoothness_rows(SmoothControl(1, 1, 3, degree), part)
     assert columns.tolist() == part.point_controls[1, 2:9].tolist() and rows.shape == (7 - degree - 1, 7)
-    t = part.fractions[2:9]
+    t = part.point_fractions[2:9]
     for power in range(degree + 1):
         assert rows @ t**power == pytest.approx(0.0, abs=1e-12)
     assert np.max(np.abs(rows @ t ** (degree + 1))) > 1e-4

@@ -101,15 +101,15 @@ def test_which_controls_are_separable() -> None:
         lambda u: 2 * u[0] + u[1] * u[2] + ca.fabs(u[3]) + u[4] ** 2 + 3 * u[5] + u[6],
         (lambda u: u[5], -0.5),
     )
-    apart = solution.functions("leg").separable_controls
+    apart = solution.phase_functions("leg").separable_controls
     np.testing.assert_array_equal(apart, [True, False, False, False, False, False, True])
-    groups = [group.tolist() for group in solution.functions("leg").coupled_controls]
+    groups = [group.tolist() for group in solution.phase_functions("leg").coupled_controls]
     assert groups == [[1, 2], [3], [4], [5]]
 
 
 def test_controls_in_one_path_constraint_are_one_group() -> None:
     solution = idle(4, lambda u: ca.dot(u, u), (lambda u: u[0] + u[3], -0.5), (lambda u: u[3] - u[2], -0.5))
-    assert [group.tolist() for group in solution.functions("leg").coupled_controls] == [[0, 2, 3], [1]]
+    assert [group.tolist() for group in solution.phase_functions("leg").coupled_controls] == [[0, 2, 3], [1]]
 
 
 def _well(center: float, width: float, depth: float) -> Callable[[Any], Any]:
@@ -201,7 +201,7 @@ def samples(solution: go.Solution, angle: float = 0.0) -> PhaseSamples:
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     values = tuple(np.vstack([u[:1], turn @ u[DIRECTION]]) for u in leg.u.values)
     turned = replace(leg, u=replace(leg.u, values=values))
-    return PhaseSamples.from_phase(turned, solution.functions("leg"))
+    return PhaseSamples.from_phase(turned, solution.phase_functions("leg"))
 
 
 @pytest.mark.parametrize("least", [0.0, 0.2])

@@ -724,7 +724,7 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     condition = check_complementarity(
         solution, [s], boundary_gradients(solution), given_scales([s], cost=4.0)
     )
-    lasts = leg.rules[1].weights[j - 4] / 2 * 1.5
+    lasts = leg.collocation_rules[1].weights[j - 4] / 2 * 1.5
     room = 0.1 if sign > 0 else 0.2
     assert condition.value == pytest.approx(5.0 * room * lasts / 4.0, rel=1e-9)
     assert condition.where == f"phase leg, t = {t:.6g} s, multiplier of {name}"

@@ -259,10 +259,12 @@ def test_order_of_a_state_constraint_is_found(order: int, by_path: bool) -> None
     leg = solution.phase()
     assert np.allclose(np.hstack(leg.x.values), 0.0, atol=1e-6)
     solution = scaled(scaled(solution, "x", 0.0), "u", 0.0)
-    s = PhaseSamples.from_phase(with_pushes(solution, by_path, 1.0).phase(), solution.functions("leg"))
+    s = PhaseSamples.from_phase(with_pushes(solution, by_path, 1.0).phase(), solution.phase_functions("leg"))
     inside = np.ones((1, s.times.size), dtype=bool)
     assert all(basis.shape == (1, 0) for basis in free_control_directions(s, inside, np.ones(1)))
-    idle = PhaseSamples.from_phase(with_pushes(solution, by_path, 0.0).phase(), solution.functions("leg"))
+    idle = PhaseSamples.from_phase(
+        with_pushes(solution, by_path, 0.0).phase(), solution.phase_functions("leg")
+    )
     assert all(basis.shape == (1, 1) for basis in free_control_directions(idle, inside, np.ones(1)))
 
 

@@ -97,7 +97,9 @@ def test_multipliers_that_explain_a_trajectory(unit: float, off: float, pushes_b
     # Where it does not push, nothing holds the end, and least squares leave what they cannot explain.
     assert nu == (pytest.approx(12 * way / unit, rel=1e-6) if pushes_back else 0.0)
     part = transcription.parts["leg"].collocation
-    np.testing.assert_allclose(found.x[part.point_controls[0]], way * (6 - 12 * part.fractions), atol=1e-9)
+    np.testing.assert_allclose(
+        found.x[part.point_controls[0]], way * (6 - 12 * part.point_fractions), atol=1e-9
+    )
     at_ends = found.lam_x[part.boundary_states[:, [0, -1]]]
     if pushes_back:
         # Given ends take what the costates leave: -lam(0) at the start and lam(1) at the end, here of v.

@@ -354,7 +354,7 @@ def test_control_that_is_worth_little_beside_another_is_checked() -> None:
 
 def spans(solution: go.Solution) -> PhaseSamples:
     leg = solution.phase()
-    return PhaseSamples.from_phase(leg, solution.functions(leg.name))
+    return PhaseSamples.from_phase(leg, solution.phase_functions(leg.name))
 
 
 def test_states_that_do_not_move_are_measured_by_what_could_move_them() -> None:

@@ -84,7 +84,7 @@ def test_induced_jacobian_is_that_of_the_flow_in_closed_form(refined: go.Solutio
     left = induced.gradient + induced.conditions.multipliers @ induced.conditions.jacobian
     np.testing.assert_allclose(left[1:], 0.0, atol=1e-6)
     # Final state of the oscillator in closed form: turning about (u, 0) at unit rate from switch to switch.
-    knots = leg.breaks[list(leg.mesh.anchors)]
+    knots = leg.breaks[list(leg.mesh.anchor_breaks)]
     controls = leg.applied(0.5 * (knots[1:] + knots[:-1]))[0]
 
     def final_state(times: np.ndarray) -> np.ndarray:
@@ -170,7 +170,7 @@ def switch_label(induced: InducedProblem) -> str:
 def test_a_slope_that_is_no_number_is_not_strict(
     refined: go.Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    samples = PhaseSamples.from_phase(refined.phase(), refined.functions("leg"))
+    samples = PhaseSamples.from_phase(refined.phase(), refined.phase_functions("leg"))
     assert check_strict_bang_bang_property([samples]).result is ConditionResult.PASS
     unknown = lambda self, t, x, u, lam, mu: np.full(np.shape(u), np.nan)  # noqa: E731
     monkeypatch.setattr(PhaseFunctions, "control_gradient", unknown)

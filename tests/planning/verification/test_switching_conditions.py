@@ -387,7 +387,7 @@ class Case:
 
     def __post_init__(self) -> None:
         leg = self.solution.phase()
-        self.leg, self.functions = leg, self.solution.functions(leg.name)
+        self.leg, self.functions = leg, self.solution.phase_functions(leg.name)
         self.samples = PhaseSamples.from_phase(leg, self.functions)
         self.times = leg.breaks
         self.controls = leg.applied(0.5 * (self.times[1:] + self.times[:-1]))

@@ -264,7 +264,7 @@ def test_nothing_is_claimed_about_a_phase_without_length(start: float) -> None:
 
 def samples_of(solution: go.Solution) -> PhaseSamples:
     leg = solution.phase()
-    return PhaseSamples.from_phase(leg, solution.functions(leg.name))
+    return PhaseSamples.from_phase(leg, solution.phase_functions(leg.name))
 
 
 def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
@@ -493,7 +493,7 @@ def test_propagation_flies_what_respects_the_bounds() -> None:
         q, v = q + v * h + a * h**2 / 2, v + a * h
     miss = max(abs(q), abs(v))
     assert "dynamics" in failed(solution)
-    functions = solution.functions("leg")
+    functions = solution.phase_functions("leg")
     for control, error in (("flown", [q, v]), ("polynomial", [0.0, 0.0])):
         run = integrate_dynamics(leg, functions, control=control)  # type: ignore[arg-type]
         assert run.error == pytest.approx(error, abs=0.02 * miss)

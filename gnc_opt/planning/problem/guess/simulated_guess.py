@@ -218,5 +218,5 @@ def _compile_expression(
     if leg.model.controls.size and ca.depends_on(expression, u):
         raise ProblemError(f"{what} uses controls of {leg.label}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
-    function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind(leg, expression))])
+    function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind_parameters(leg, expression))])
     return make_buffered_call(function, leg.model.parameter_values, problem.guessed_parameters())

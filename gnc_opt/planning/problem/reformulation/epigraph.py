@@ -89,7 +89,9 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
 def find_integral_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = Domain.from_boundary(problem)
-    ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
+    ends = problem.bind_parameters(
+        leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
+    )
     box = problem.constraint_interval()
     lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
     senses = {}
@@ -260,7 +262,7 @@ def has_endpoint_kinks(problem: ProblemData) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class EndForm:
+class EndpointEpigraph:
     """Cost and boundary constraints with kinks replaced by free parameters with a lower bound."""
 
     cost: Any
@@ -269,7 +271,7 @@ class EndForm:
     texts: tuple[str, ...]
 
     @classmethod
-    def from_problem(cls, problem: ProblemData, domain: Domain) -> EndForm:
+    def from_problem(cls, problem: ProblemData, domain: Domain) -> EndpointEpigraph:
         limits = {name: split_kinked_constraint(c, domain) for name, c in problem.constraints.items()}
         changed = {name: c for name, c in limits.items() if c is not None}
         constraints, instead = {**problem.constraints, **changed}, {}

@@ -26,7 +26,7 @@ from gnc_opt.planning.problem.reformulation.control_splitting import (
 )
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
-    EndForm,
+    EndpointEpigraph,
     EpigraphForm,
     KinkedTerms,
     has_endpoint_kinks,
@@ -57,7 +57,7 @@ def _without_redundant_phase_bounds(problem: ProblemData, leg: Phase) -> PhaseNu
         return leg.numbers
     old, box = leg.numbers.controls, find_bounds_beyond_length(problem, leg)
     turns = _find_unrestricted_angles(problem, leg, box)
-    free = turns.free_controls
+    free = turns.unbounded_controls
     lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
     if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
         return leg.numbers
@@ -135,7 +135,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
 def _reformulate_boundary(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
     domain = Domain.from_boundary(problem)
-    form = problem.cache(("ends", domain.cache_key), lambda: EndForm.from_problem(problem, domain))
+    form = problem.cache(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))
     if form.texts:
         form.apply_to_problem(twin)
     return form.cache_key if form.texts else ()

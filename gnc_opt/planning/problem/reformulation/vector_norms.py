@@ -105,7 +105,7 @@ def _split_path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
     lengths = {v.length_path for v in leg.vector_controls}
     for name, c in leg.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
-            yield label, c.expression[i], c.interval.component(i)
+            yield label, c.expression[i], c.interval.component_interval(i)
 
 
 _SIZES = (0.7, 1.3, 2.1)
@@ -131,7 +131,8 @@ def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
     changed = {}
     for name, c in leg.paths.items():
         rows = [
-            _remove_root(row, c.interval.component(i)) for i, row in enumerate(ca.vertsplit(c.expression))
+            _remove_root(row, c.interval.component_interval(i))
+            for i, row in enumerate(ca.vertsplit(c.expression))
         ]
         if any(row is not None for row in rows):
             kept = ca.vertsplit(c.expression)

@@ -154,14 +154,14 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
 def _do_times_cover_segment(times: Array, samples: PhaseSamples) -> bool:
     leg = samples.leg
     inside = np.isin(leg.point_times, times)
-    return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.offsets))
+    return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.point_offsets))
 
 
 def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     """Return times of points and inner boundaries, values of the rows and their multipliers, (n_rows, n_nodes)."""
     leg = constraints.samples.leg
     inner, points = leg.breaks[1:-1], leg.point_times
-    weights = np.concatenate([r.weights for r in leg.rules]) * np.repeat(
+    weights = np.concatenate([r.weights for r in leg.collocation_rules]) * np.repeat(
         0.5 * np.diff(leg.breaks), leg.mesh.degrees
     )
     times = np.concatenate([points, inner])
@@ -170,7 +170,7 @@ def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Arr
     densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
     # Path constraints are not imposed at boundaries: the multiplier there is the mean of both sides.
     paths = densities[: len(leg.path_labels)]
-    first = np.array(leg.mesh.offsets[1:-1], dtype=int)
+    first = np.array(leg.mesh.point_offsets[1:-1], dtype=int)
     left, right = paths[:, first - 1], paths[:, first]
     atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
     order = np.argsort(times, kind="stable")

@@ -29,7 +29,7 @@ from gnc_opt.planning.refinement.arcs.structure_update import (
     correct_plans,
 )
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iteration_records import IterationLimits, record_iteration, show_progress
+from gnc_opt.planning.refinement.iteration_records import IterationLimits, print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_times
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
@@ -82,7 +82,7 @@ def optimise_switching_times(
     found = structures or detect_structures(solution)
     plans = {name: _build_initial_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
     iterates: list[_Iterate] = []
-    with show_progress(solution.problem_name, tol, progress) as show:
+    with print_iterations(solution.problem_name, tol, progress) as show:
         try:
             loop = _StructureLoop(problem, tol, limits or IterationLimits(), chosen, show, iterates)
             guess, settled, integrated = (

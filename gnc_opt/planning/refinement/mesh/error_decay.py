@@ -32,9 +32,10 @@ def legendre_decay_rates(error: PhaseError) -> Array:
             u / yardstick.control[:, None] / leg.duration,
         ]
     )
-    offsets = leg.mesh.offsets
+    offsets = leg.mesh.point_offsets
     rates = [
-        _decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points) for k, rule in enumerate(leg.rules)
+        _decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points)
+        for k, rule in enumerate(leg.collocation_rules)
     ]
     return np.array(rates)
 
@@ -64,7 +65,9 @@ def error_density(error: PhaseError) -> Array:
     leg, points = error.samples.leg, error.samples.leg.point_times
     if leg.integral_labels:
         known = functions.integrands(points, get_states_at_points(leg), np.hstack(leg.u.values))
-        interpolant = error.samples.sample_signal(interpolate_points(leg.breaks, leg.rules, known))
+        interpolant = error.samples.sample_signal(
+            interpolate_points(leg.breaks, leg.collocation_rules, known)
+        )
         gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
         density = density + np.max(gap, axis=0)
     costates = np.max(error.errors.costates, axis=0) >= error.largest_errors

@@ -21,8 +21,8 @@ from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_er
 from gnc_opt.planning.refinement.iteration_records import (
     IterationLimits,
     is_stagnating,
+    print_iterations,
     record_iteration,
-    show_progress,
 )
 from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate, Past, index_segments
 from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
@@ -112,7 +112,7 @@ def refine_mesh(
         )
     limits = limits or IterationLimits(DEFAULT_ITERATIONS)
     refinement = _Refinement(solution, tol, limits, options)
-    with show_progress(solution.problem_name, tol, progress) as show:
+    with print_iterations(solution.problem_name, tol, progress) as show:
         try:
             status = refinement.refine_until_converged(show)
         except KeyboardInterrupt:

@@ -87,7 +87,7 @@ def _zero_crossings(values: Array, times: Array) -> list[float]:
 def _find_junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
     leg = error.samples.leg
-    points, offsets = leg.point_times, leg.mesh.offsets
+    points, offsets = leg.point_times, leg.mesh.point_offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     kinks = []

@@ -62,7 +62,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     times = np.concatenate([*within, breaks[-1:]])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
-    parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.times))))  # as fine as known
+    parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
     flow = integrate_bang_bang(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
     worth = final_cost_gradient(problem, s, flow, flight.step.multipliers)
     x, lam = flow.states[:n, ::parts], flow.integrate_adjoint(worth)[:n, ::parts]
@@ -134,7 +134,7 @@ def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
 def complete_multipliers(flown: Solution) -> Solution:
     """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
     (leg,) = flown.phases.values()
-    ends, functions = boundary_gradients(flown), flown.functions(leg.name)
+    ends, functions = boundary_gradients(flown), flown.phase_functions(leg.name)
     at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
     x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
     u = np.stack([leg.applied(at[0]), leg.applied(at[1], "left")], axis=1)

@@ -126,12 +126,12 @@ def find_optimal_flow(
         return None
     switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
     flight = None if known is None else _apply_known_step(problem, s, switches, known, accuracy, steps)
-    if flight is None or flight.missing_arc is not None:
+    if flight is None or flight.find_missing_arc is not None:
         flight = _iterate_to_optimum(problem, s, switches, accuracy, steps)
     while flight is not None and flight.integration_error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
         flight = _apply_known_step(problem, s, flight.switches, flight.step, accuracy, steps)
-    if flight is None or flight.integration_error >= accuracy or flight.missing_arc is not None:
+    if flight is None or flight.integration_error >= accuracy or flight.find_missing_arc is not None:
         return None
     return _build_structure(structure, s, flight.switches), flight
 
@@ -157,9 +157,9 @@ def _iterate_to_optimum(
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
             if flight is None or (rested is not None and _equal_switches(flight.switches, rested.switches)):
                 break
-            if flight.missing_arc is None:
+            if flight.find_missing_arc is None:
                 return flight
-            rested, switches = flight, _insert_arc(flight.switches, *flight.missing_arc)
+            rested, switches = flight, _insert_arc(flight.switches, *flight.find_missing_arc)
     return rested
 
 

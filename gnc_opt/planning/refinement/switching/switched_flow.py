@@ -60,31 +60,38 @@ class SwitchedFlow:
         return self.step.gain
 
     @property
-    def times(self) -> Array:
+    def grid_times(self) -> Array:
         """Times of the grid (n_steps + 1,)."""
         leg = self.s.leg
         return np.asarray(self.fine_flow.states[leg.states.size + leg.integrals.size])
 
     @property
-    def x(self) -> Array:
+    def states(self) -> Array:
         """States (n_states, n_steps + 1)."""
         return self.fine_flow.states[: self.s.leg.states.size]
 
     @cached_property
-    def lam(self) -> Array:
+    def costates(self) -> Array:
         """Costates (n_states, n_steps + 1)."""
         return self.fine_flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
         """Return the trajectory as a solution, with costates and multipliers, and with the objective of ``known``."""
         s, leg, n = self.s, self.s.leg, self.s.leg.states.size
-        first = STEP_PARTS * np.flatnonzero(np.diff(self.times[::STEP_PARTS]) > 0)
+        first = STEP_PARTS * np.flatnonzero(np.diff(self.grid_times[::STEP_PARTS]) > 0)
         at = first[:, None] + np.arange(STEP_PARTS + 1)
-        breaks, controls = np.append(self.times[first], self.times[-1]), self.fine_flow.controls[:, first]
+        breaks, controls = (
+            np.append(self.grid_times[first], self.grid_times[-1]),
+            self.fine_flow.controls[:, first],
+        )
         held, flat = np.repeat(controls, STEP_PARTS + 1, axis=1), at.ravel()
-        x, lam, nothing = self.x[:, flat], self.lam[:, flat], np.zeros((len(leg.path_labels), flat.size))
-        rates = s.functions.rates(self.times[flat], x, held)
-        forces = -s.functions.state_gradient(self.times[flat], x, held, lam, nothing)
+        x, lam, nothing = (
+            self.states[:, flat],
+            self.costates[:, flat],
+            np.zeros((len(leg.path_labels), flat.size)),
+        )
+        rates = s.functions.rates(self.grid_times[flat], x, held)
+        forces = -s.functions.state_gradient(self.grid_times[flat], x, held, lam, nothing)
         of_x, of_lam = (_interpolate_hermite(breaks, v, r) for v, r in ((x, rates), (lam, forces)))
         middles = 0.5 * (breaks[1:] + breaks[:-1])
         grown = replace(
@@ -95,8 +102,8 @@ class SwitchedFlow:
             x=of_x,
             u=PiecewisePolynomial(breaks, (np.zeros(1),) * first.size, tuple(controls.T[:, :, None])),
             lam=of_lam,
-            lam_start=self.lam[:, at[:, 0]],
-            lam_end=self.lam[:, at[:, -1]],
+            lam_start=self.costates[:, at[:, 0]],
+            lam_end=self.costates[:, at[:, -1]],
             point_costates=of_lam(middles),
             path_multipliers=np.zeros((len(leg.path_labels), first.size)),
             state_multipliers=np.zeros((n, first.size)),
@@ -108,11 +115,11 @@ class SwitchedFlow:
         return replace(known, phases={leg.name: grown}, constraint_multipliers=nu)
 
     @cached_property
-    def missing_arc(self) -> tuple[int, float, float] | None:
+    def find_missing_arc(self) -> tuple[int, float, float] | None:
         """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
-        s, times = self.s, self.times
+        s, times = self.s, self.grid_times
         controls = np.column_stack([self.fine_flow.controls, self.fine_flow.controls[:, -1]])
-        values = s.functions.switching(times, self.x, controls, self.lam)
+        values = s.functions.switching_functions(times, self.states, controls, self.costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
         for i in range(wrong.shape[0]):
