@@ -66,7 +66,7 @@ class DataclassPacking:
             return self._pack_sequence(value, place, arrays)
         if isinstance(value, (float, np.floating)):
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
-        return _to_plain_value(value.item() if isinstance(value, np.generic) else value, place)
+        return _to_json_value(value.item() if isinstance(value, np.generic) else value, place)
 
     def unpack(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
         if isinstance(tree, list):
@@ -128,7 +128,7 @@ def _store_array(array: Array, place: str, arrays: Arrays) -> str:
     return name
 
 
-def _to_plain_value(value: Any, place: str) -> Any:
+def _to_json_value(value: Any, place: str) -> Any:
     if value is None or isinstance(value, (str, bool, int)):
         return value
     raise _unpackable_type_error(value, place)

@@ -29,7 +29,12 @@ from gnc_opt.control.decoupling import (
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_option, output_errors
+from gnc_opt.control.input_output_linearization import (
+    OutputErrors,
+    Outputs,
+    output_errors,
+    read_component_option,
+)
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.errors import DesignError
@@ -171,7 +176,7 @@ def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Se
 def _pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        poles = component_option(label, poles, errors, "the linearisation")
+        poles = read_component_option(label, poles, errors, "the linearisation")
         if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
     row = np.atleast_1d(np.asarray(poles, dtype=complex))

@@ -316,7 +316,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 
 
-def component_option(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+def read_component_option(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
     known = [*errors.labels, *map(_output_of_component, errors.labels)]
     for key in given:

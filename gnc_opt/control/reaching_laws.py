@@ -225,7 +225,7 @@ class SuperTwisting:
         return boundary.layer_width(bound / self.k2)
 
 
-def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
+def read_disturbance_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
     """Return the disturbance bounds (n_labels,); raise `DesignError` if the gain does not exceed them."""
     if not isinstance(law, (ConstantRate, SuperTwisting)):
         raise DesignError(
@@ -235,11 +235,11 @@ def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
     if not np.all(np.isfinite(bounds) & (bounds >= 0)):
         raise DesignError(f"the bound of the disturbance is {bounds}: give finite numbers >= 0.")
     for label, bound in zip(labels, bounds, strict=True):
-        check_bound(law, float(bound), f"the surface of '{label}'")
+        check_disturbance_bound(law, float(bound), f"the surface of '{label}'")
     return bounds
 
 
-def check_bound(law: Law, bound: float, what: str) -> None:
+def check_disturbance_bound(law: Law, bound: float, what: str) -> None:
     """Raise `DesignError` if a disturbance up to ``bound`` is not less than the gain of the law."""
     if isinstance(law, SuperTwisting):
         check_super_twisting_gains(law.k1, law.k2, bound, what)

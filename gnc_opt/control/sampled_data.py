@@ -38,7 +38,7 @@ def count_whole_steps(duration: float, step: float, what: str) -> int:
     return count
 
 
-def count_periods_begun(duration: float, step: float) -> int:
+def count_started_periods(duration: float, step: float) -> int:
     """Return the number of steps that begin within a duration (s)."""
     return math.ceil(duration / step - SAME_TIME)
 

@@ -35,7 +35,12 @@ from gnc_opt.control.decoupling import (
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_option, output_errors
+from gnc_opt.control.input_output_linearization import (
+    OutputErrors,
+    Outputs,
+    output_errors,
+    read_component_option,
+)
 from gnc_opt.control.reaching_laws import (
     Boundary,
     ExponentialRate,
@@ -43,7 +48,7 @@ from gnc_opt.control.reaching_laws import (
     SaturationLayer,
     Sign,
     SuperTwisting,
-    read_bounds,
+    read_disturbance_bounds,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
@@ -190,7 +195,7 @@ def build_switching_control(
 ) -> SwitchingControl:
     """Return the switching part of the named surfaces of a model; a law with ``memory`` requires dt."""
     model, labels = names
-    bounds = read_bounds(reaching, bound, labels)
+    bounds = read_disturbance_bounds(reaching, bound, labels)
     return SwitchingControl(
         reaching,
         boundary,
@@ -377,7 +382,7 @@ def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
 
 def _read_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
-        slope = component_option(label, slopes, errors, "the surface")
+        slope = read_component_option(label, slopes, errors, "the surface")
         if slope is None:
             raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
         return slope

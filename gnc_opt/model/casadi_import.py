@@ -29,7 +29,7 @@ def read_variables(given: Any, what: str) -> list[DeclaredVariable]:
     if isinstance(given, Mapping):
         return [_describe_input(name, value, what) for name, value in given.items()]
     columns = given if isinstance(given, (list, tuple)) else [given]
-    return [entry for column in columns for entry in _named_variables(_stack_input(column, what))]
+    return [entry for column in columns for entry in _named_variables(_stack_sequence(column, what))]
 
 
 def read_parameter_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
@@ -95,11 +95,11 @@ def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> Non
 def _describe_input(name: str, value: Any, what: str) -> DeclaredVariable:
     if isinstance(value, Integral):
         return DeclaredVariable(name, int(value))
-    column = _stack_input(value, what)
+    column = _stack_sequence(value, what)
     return DeclaredVariable(name, column.shape[0], column)
 
 
-def _stack_input(value: Any, what: str) -> Any:
+def _stack_sequence(value: Any, what: str) -> Any:
     if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
         raise ModelError(f"{what} are given as {quote(value)}: give columns of SX or MX symbols.")
     return value

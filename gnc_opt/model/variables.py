@@ -219,7 +219,7 @@ class VectorSymbols(tuple[Any, Any]):
     """
 
     @property
-    def remedy(self) -> str:
+    def unpacking_remedy(self) -> str:
         """Description of the pair, with the statement that unpacks it."""
         name = self[1].variable.name.removesuffix("_magnitude")
         return (
@@ -228,7 +228,7 @@ class VectorSymbols(tuple[Any, Any]):
         )
 
     def _refuse_symbols(self, *_: Any) -> Any:
-        raise ModelError(f"an operand is {self.remedy}")
+        raise ModelError(f"an operand is {self.unpacking_remedy}")
 
     __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _refuse_symbols
     __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _refuse_symbols
@@ -237,7 +237,7 @@ class VectorSymbols(tuple[Any, Any]):
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column with ``size`` rows; raise ``failure`` otherwise."""
     if isinstance(value, VectorSymbols):
-        raise failure(f"{what} is {value.remedy}")
+        raise failure(f"{what} is {value.unpacking_remedy}")
     try:
         parts = value if isinstance(value, (list, tuple)) else [value]
         expression = ca.vertcat(*[ca.SX(v) for v in parts])

@@ -14,7 +14,13 @@ from gnc_opt.simulation.event_location import EventWatch, event_note_layout, eve
 from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import LoopWiring
 from gnc_opt.simulation.recorded_quantities import Extremes
-from gnc_opt.simulation.signals import BlockLink, ColumnLayout, replace_signals, replace_waves, stack_signals
+from gnc_opt.simulation.signals import (
+    BlockLink,
+    ColumnLayout,
+    replace_signal_waves,
+    replace_signals,
+    stack_signals,
+)
 from gnc_opt.tolerances import SAME_TIME
 
 
@@ -142,7 +148,7 @@ class ControlStep:
             )
             memory[key] = step.state
             _detect_saturation(saturated, step, link, origin)
-            waves = replace_waves(waves, link, wave)
+            waves = replace_signal_waves(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
         nothing = {n: ActuatorWave(ca.SX.zeros(controls[n].size)) for n in controls.names}

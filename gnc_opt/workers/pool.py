@@ -197,7 +197,7 @@ class WorkerPool(Generic[Object]):
                 future = _worker_died_result() if deserted else self._submit_task(task, item)
                 ledger.futures[number] = future
                 if future.done():
-                    record_result(number, _get_error(future))
+                    record_result(number, _get_task_error(future))
                 else:
                     pending[future] = number
             ended, _ = wait(pending, timeout=NO_WORKERS_MAX_WAIT_S, return_when=FIRST_COMPLETED)
@@ -208,7 +208,9 @@ class WorkerPool(Generic[Object]):
                 number = pending.pop(future)
                 if deserted:
                     future.cancel()
-                record_result(number, _worker_died_result().exception() if deserted else _get_error(future))
+                record_result(
+                    number, _worker_died_result().exception() if deserted else _get_task_error(future)
+                )
         return sorted(left, key=lambda numbered: numbered[0])
 
     def _rerun_items(
@@ -228,7 +230,7 @@ class WorkerPool(Generic[Object]):
                 continue
             self._own.restart_processes(1)
             future = self._submit_task(task, item)
-            done = _make_result(item, future, _get_error(future))
+            done = _make_result(item, future, _get_task_error(future))
             died = isinstance(done.error, WorkerDiedError)
             parts = split(item) if died else ()
             if parts:
@@ -270,7 +272,7 @@ class _TaskLedger(Generic[Item, Answer]):
     def collect_finished_results(self) -> None:
         """Store answers that have not been read."""
         for number, future in self.futures.items():
-            if (number,) not in self.done and future.done() and _get_error(future) is None:
+            if (number,) not in self.done and future.done() and _get_task_error(future) is None:
                 self.done[number,] = TaskResult(self.items[number], future.result())
 
     def sorted_results(self) -> list[TaskResult[Item, Answer]]:
@@ -296,7 +298,7 @@ def _make_result(item: Item, future: Future[Answer], error: BaseException | None
     return TaskResult(item, error=WorkerDiedError("its process died") if died else error)
 
 
-def _get_error(future: Future[Any]) -> BaseException | None:
+def _get_task_error(future: Future[Any]) -> BaseException | None:
     try:
         return future.exception()
     except CancelledError as error:

@@ -8,7 +8,7 @@ from gnc_opt.control.horizon_qp import QuadraticProgram, StepLimits
 from gnc_opt.control.input_output_linearization import PlantPair, error_expressions
 from gnc_opt.control.loop_margins import stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_cost, read_weight
-from gnc_opt.control.reaching_laws import read_bounds
+from gnc_opt.control.reaching_laws import read_disturbance_bounds
 from gnc_opt.control.riccati import (
     require_stabilizable,
     riccati_residual,
@@ -17,7 +17,7 @@ from gnc_opt.control.riccati import (
 )
 from gnc_opt.control.sampled_data import (
     advance_step_counter,
-    count_periods_begun,
+    count_started_periods,
     count_whole_steps,
     discretize,
     discretize_time_varying,
@@ -52,7 +52,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.optimality.trajectory_fit import Samples, fit_trajectory
+from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
 from gnc_opt.planning.problem.bounds import Interval, unbounded
 from gnc_opt.planning.problem.fixed_arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.guess import simulated_guess as guess_simulation

@@ -9,7 +9,7 @@ import gnc_opt as go
 from testing.internals import (
     CONDITION_TOLERANCE,
     LargestChanges,
-    Samples,
+    SampledPhase,
     _build_solution,
     boundary_gradients,
     recompute_from_problem,
@@ -30,4 +30,4 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
 
 def of_samples(problem: go.Problem, t: Array, x: Array, u: Array) -> go.Solution:
     """The solution of a problem with one phase whose costates explain samples (n_times,), (n, n_times) best."""
-    return _build_solution(problem, {next(iter(problem.phases)): Samples(t, x, u)}, np.zeros(0))
+    return _build_solution(problem, {next(iter(problem.phases)): SampledPhase(t, x, u)}, np.zeros(0))

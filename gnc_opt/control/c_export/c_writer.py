@@ -144,7 +144,7 @@ def write_c_statements(
 ) -> list[str]:
     """Return the body of a C function that evaluates an SXFunction; the first input is scalar, others are pointers."""
     dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
-    read = _input_expressions(function, inputs)
+    read = _list_c_inputs(function, inputs)
     body, used_inputs, written = [], set(), set()
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
@@ -181,7 +181,7 @@ def write_c_statements(
     return [*work, *unused, *body, *zeros]
 
 
-def _input_expressions(function: Any, inputs: list[str]) -> list[list[str]]:
+def _list_c_inputs(function: Any, inputs: list[str]) -> list[list[str]]:
     names = []
     for k, name in enumerate(inputs):
         rows = function.sparsity_in(k).row()

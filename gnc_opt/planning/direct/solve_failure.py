@@ -64,14 +64,14 @@ def suggest_better_guess(problem: Problem) -> str:
         "with_guess(phase, times, ...) (around a centre an arc instead of a straight line; or use polar "
         "coordinates), or a simpler problem's solution in go.guess_from_solution()."
     )
-    names = _find_unsized_states(problem)
+    names = _find_states_without_scale(problem)
     if not names:
         return hint
     listed = ", ".join(f"'{name}'" for name in names)
     return f"{hint} Start with {listed}, whose magnitude is unknown: use with_guess(phase, {names[0]}=...)."
 
 
-def _find_unsized_states(problem: Problem) -> list[str]:
+def _find_states_without_scale(problem: Problem) -> list[str]:
     """Return the states without bound, end value and guess in all phases."""
     told: dict[str, bool] = {}
     for leg in problem.phases.values():

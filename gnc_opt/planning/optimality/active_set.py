@@ -118,7 +118,7 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
 
 
 def _is_at_limit(values: Array, box: Any, scale: Array) -> Mask:
-    at_lower, at_upper = box.near(values, ACTIVE * scale)
+    at_lower, at_upper = box.is_near_limits(values, ACTIVE * scale)
     return np.asarray(at_lower | at_upper)
 
 
@@ -202,7 +202,7 @@ def _constrain_touches_and_arcs(
         return problem
     rows = StateConstraints(problem, s)
     kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
-    along = np.any(rows.near(rows.evaluate_rows(s.times, s.x, s.u)), axis=0)
+    along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u)), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
             if not np.all(along[junction.constraint, s.segments == k]):  # no arc begins or ends there
@@ -227,7 +227,7 @@ def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) 
     s = rows.samples
     times = s.leg.breaks[list(boundaries)]
     point = times, s.leg.x(times), s.leg.applied(times)
-    near, pushes = rows.near(rows.evaluate_rows(*point)), rows.costate_jumps(*point)
+    near, pushes = rows.is_near_limits(rows.evaluate_rows(*point)), rows.costate_jumps(*point)
     pushing = [
         here & (sign * pushes > ACTIVE * s.cost_scale) for here, sign in zip(near, (-1, 1), strict=True)
     ]
@@ -277,7 +277,7 @@ def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junct
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
     if not paths or not leg.mesh.movable:
         return ()
-    at_path = rows.near(rows.evaluate_rows(s.times, s.x, s.u))
+    at_path = rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))
     at_bound = np.any(s.at_control_bounds, axis=0)
     found: dict[int, Junction] = {}
     for row in paths:
@@ -303,7 +303,7 @@ def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], b
 def _find_constraint_exit_side(rows: StateConstraints, row: int, boundary: int) -> int:
     """Return the side, -1 or 1, on which a constraint leaves its limit without a slope; 0 if it does not."""
     s, breaks = rows.samples, rows.samples.leg.breaks
-    along = np.any(rows.near(rows.evaluate_rows(s.times, s.x, s.u))[:, row], axis=0)
+    along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))[:, row], axis=0)
     held = [bool(np.all(along[s.segments == k])) for k in (boundary - 1, boundary)]
     if held[0] == held[1]:
         return 0

@@ -89,7 +89,7 @@ class LargestChanges:
             leg = s.leg
             boxes.update({len(values) + k: s.state_range for k in range(2)})
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
-            values += [np.atleast_1d(v) for v in leg.end_arguments]
+            values += [np.atleast_1d(v) for v in leg.endpoint_arguments]
             spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
             spans += [compute_integral_spans(s), np.zeros(leg.parameters.size)]
         values.append(solution.parameter_values)

@@ -163,7 +163,7 @@ def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndR
     rows, signs, sides = rows[active], np.repeat([1.0, -1.0], pure.size)[active], sides[active]
     if not sides.size or not np.all(np.isfinite(gap)):
         return nothing
-    at_lower, at_upper = limits.near(s.x[:, at], AT_LIMIT * s.state_scale)
+    at_lower, at_upper = limits.is_near_limits(s.x[:, at], AT_LIMIT * s.state_scale)
     own = np.eye(n)
     every = np.hstack([pushers.directions[:, sides, 0], own[:, at_upper], -own[:, at_lower]])
     sizes = scipy.optimize.nnls(every * s.state_scale[:, None], gap * s.state_scale)[0][: sides.size]

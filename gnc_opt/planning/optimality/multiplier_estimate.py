@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.program_start import set_integral_variables
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
 
@@ -107,7 +107,10 @@ class CostateJumpCandidates:
 
 
 def path_gradients_at_boundaries(
-    transcription: Transcription, part: PhasePart, functions: PhaseFunctions, at: tuple[Array, Array, Array]
+    transcription: Transcription,
+    part: PhaseIndices,
+    functions: PhaseFunctions,
+    at: tuple[Array, Array, Array],
 ) -> tuple[Indices, Array]:
     """Return the gradients of path constraints at segment boundaries of a phase in the variables of the program.
 

@@ -268,7 +268,7 @@ def link_initial_states(
 def boundary_constraint_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return the boundary Jacobians in initial and final states (n_constraints, n), by phase."""
     function = problem.cache("end jacobians", lambda: _boundary_jacobian_function(problem))
-    arguments = [value for leg in solution.phases.values() for value in leg.end_arguments]
+    arguments = [value for leg in solution.phases.values() for value in leg.endpoint_arguments]
     found = function(*arguments, solution.parameter_values)
     found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
     return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}

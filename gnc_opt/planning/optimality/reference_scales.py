@@ -292,7 +292,7 @@ def _parameter_gradient(problem: Problem, solution: Solution, samples: list[Phas
     slope = np.zeros(q.size)
     for s in samples:
         functions = phase_functions_at(problem, s.leg.name, q, s.functions.weights)
-        ends[s.leg.name] = [*s.leg.end_arguments[:5], functions.p]
+        ends[s.leg.name] = [*s.leg.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
     return slope + endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
 
@@ -339,7 +339,7 @@ class EndPoints:
     @classmethod
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> EndPoints:
         problem = solution.need_problem("verify")
-        ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
+        ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
         values = [np.atleast_1d(v) for arguments in ends.values() for v in arguments]
         nothing = np.zeros(solution.constraint_multipliers.size)
         gradients = endpoint_gradients(problem, ends, solution.parameter_values, nothing)

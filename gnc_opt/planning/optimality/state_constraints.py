@@ -95,9 +95,9 @@ class StateConstraints:
         """Return the values of all rows, (n_rows, n_times)."""
         return np.vstack([self.samples.functions.paths(times, x, u), x])
 
-    def near(self, values: Array) -> Mask:
+    def is_near_limits(self, values: Array) -> Mask:
         """Return whether rows are at their lower and at their upper limit (2, n_rows, n_times)."""
-        near = np.stack(self.row_bounds.near(values, AT_LIMIT * self.row_scales))
+        near = np.stack(self.row_bounds.is_near_limits(values, AT_LIMIT * self.row_scales))
         return np.asarray(near & ~self.row_bounds.is_fixed[:, None])
 
     def costate_jumps(self, times: Array, x: Array, u: Array) -> Array:

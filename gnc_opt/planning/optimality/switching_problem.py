@@ -137,7 +137,7 @@ class EndConditions:
     @property
     def active_limits(self) -> tuple[Mask, Mask]:
         """Return which conditions are at their lower, and at their upper limit."""
-        return self.limits.near(self.values, AT_LIMIT * np.sum(np.abs(self.jacobian), axis=1))
+        return self.limits.is_near_limits(self.values, AT_LIMIT * np.sum(np.abs(self.jacobian), axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ Rates = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True)
-class Samples:
+class SampledPhase:
     """Sampled trajectory of a phase.
 
     Attributes
@@ -96,7 +96,7 @@ def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int
     return PiecewisePolynomial(breaks, nodes, values)
 
 
-def fit_trajectory(samples: Samples, rates: Rates) -> FittedPhase:
+def fit_trajectory(samples: SampledPhase, rates: Rates) -> FittedPhase:
     """Return polynomials through the samples.
 
     Parameters
@@ -133,13 +133,13 @@ class _Jump:
     of_slope: bool = False
 
 
-def _is_control_jump(samples: Samples, i: int) -> bool:
+def _is_control_jump(samples: SampledPhase, i: int) -> bool:
     """Return whether a control, and not only its slope, jumps at a repeated time."""
     size = np.abs(samples.u[:, i + 1] - samples.u[:, i])
     return bool(np.any(size > SMALL * np.ptp(samples.u, axis=1)))
 
 
-def _find_unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
+def _find_unmarked_jumps(samples: SampledPhase, twice: Indices) -> list[_Jump]:
     t, u = samples.t, samples.u
     size = np.abs(np.diff(u, axis=1))
     size[:, twice] = 0.0
@@ -152,7 +152,7 @@ def _find_unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
     return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
 
 
-def _find_kinks(samples: Samples, jumps: list[_Jump]) -> list[_Jump]:
+def _find_kinks(samples: SampledPhase, jumps: list[_Jump]) -> list[_Jump]:
     found = []
     for c in range(samples.u.shape[0]):
         edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
@@ -203,7 +203,7 @@ def _intersection_time(left: Any, right: Any, first: float, last: float, slack: 
 class _ControlFit:
     """Controls at any time, between their jumps; ``kinked``: sampling intervals with Akima splines."""
 
-    def __init__(self, samples: Samples, jumps: list[_Jump]) -> None:
+    def __init__(self, samples: SampledPhase, jumps: list[_Jump]) -> None:
         self._jumps = [[j for j in jumps if c in j.channels] for c in range(samples.u.shape[0])]
         self._times, self._kinked = samples.t, np.zeros(samples.t.size - 1, dtype=bool)
         self._pieces = []
@@ -225,7 +225,7 @@ class _ControlFit:
                     values[c, here] = interpolant(times[here])
         return values
 
-    def choose_interpolation(self, samples: Samples, rates: Rates) -> None:
+    def choose_interpolation(self, samples: SampledPhase, rates: Rates) -> None:
         """Select Akima splines where the states agree better with them."""
         long = np.flatnonzero(np.diff(samples.t) > 0)
         size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]
@@ -246,7 +246,9 @@ def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
     return scipy.interpolate.CubicSpline(t, u), akima
 
 
-def _locate_jump_times(samples: Samples, controls: _ControlFit, jumps: list[_Jump], rates: Rates) -> None:
+def _locate_jump_times(
+    samples: SampledPhase, controls: _ControlFit, jumps: list[_Jump], rates: Rates
+) -> None:
     """Move jumps between two samples to the time at which the dynamics connect the states."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])
@@ -299,7 +301,7 @@ def runge_kutta_step(rates: Rates, a: Array, b: Array, x: Array, controls: list[
 
 
 def _fit_polynomials(
-    samples: Samples, controls: _ControlFit, jumps: list[_Jump], rates: Rates
+    samples: SampledPhase, controls: _ControlFit, jumps: list[_Jump], rates: Rates
 ) -> FittedPhase:
     t, x = samples.t, samples.x
     inner = [j for j in jumps if not np.any(t == j.time)]

@@ -29,7 +29,7 @@ def with_ranges(old: Interval, layout: Layout, values: Mapping[str, Any], what: 
     return Interval(lower, upper)
 
 
-def ranges_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
+def split_ranges_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
     places = ((name, layout.slice(name)) for name in layout.names)
     return {name: Interval(box.lower[place], box.upper[place]) for name, place in places}
 
@@ -132,7 +132,7 @@ class Interval:
         """Return the interval of one component, shape (1,)."""
         return Interval(self.lower[i : i + 1], self.upper[i : i + 1])
 
-    def near(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
+    def is_near_limits(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
         """Return which values (n, ...) are at or beyond the lower and the upper limit, with a margin () or (n,)."""
         shape = (-1, *(1,) * (values.ndim - 1))
         slack = np.broadcast_to(margin, self.lower.shape).reshape(shape)

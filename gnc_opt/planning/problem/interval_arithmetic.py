@@ -127,14 +127,14 @@ _RANGE_DRAWS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Domain:
+class SymbolRanges:
     """Symbols (columns) and their ranges."""
 
     symbols: tuple[Any, ...]
     boxes: tuple[Interval, ...]
 
     @classmethod
-    def from_phase(cls, problem: ProblemData, leg: Phase) -> Domain:
+    def from_phase(cls, problem: ProblemData, leg: Phase) -> SymbolRanges:
         """Return the domain of the functions along a phase."""
         initial, final = leg.time_ranges()
         p = leg.model.parameter_values
@@ -154,7 +154,7 @@ class Domain:
         return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
-    def from_boundary(cls, problem: ProblemData) -> Domain:
+    def from_boundary(cls, problem: ProblemData) -> SymbolRanges:
         """Return the domain of end points, times, integrals and free parameters."""
         symbols, boxes = [problem.parameter_symbols()], [problem.parameter_interval()]
         constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
@@ -184,7 +184,7 @@ class Domain:
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
         of_z = replace_nodes(expression, place)
         boxes = (*self.boxes, self.evaluate_ranges(ca.vertcat(*nodes)))
-        within = Domain((*self.symbols, z), boxes)
+        within = SymbolRanges((*self.symbols, z), boxes)
         slopes = within.evaluate_ranges(ca.jacobian(of_z, z).T)
         return [
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)

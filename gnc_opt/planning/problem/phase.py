@@ -22,9 +22,9 @@ from gnc_opt.planning.problem.bounds import (
     default_control_bounds,
     intersect,
     magnitude_ranges,
-    ranges_by_name,
     read_interval,
     split_control_ranges,
+    split_ranges_by_name,
     stack_intervals,
     stack_ranges,
     unbounded,
@@ -344,12 +344,15 @@ class Phase(StrictAttributes):
         old, box = self.model, self.numbers
         self._owner.require_mutable()
         model = old.with_states(rates, controls)
-        bounds = {**ranges_by_name(box.states, old.states), **ranges_by_name(box.controls, old.controls)}
+        bounds = {
+            **split_ranges_by_name(box.states, old.states),
+            **split_ranges_by_name(box.controls, old.controls),
+        }
         self._replace_numbers(
             states=stack_ranges(bounds, model.states),
             controls=stack_ranges(bounds, model.controls),
-            initial=stack_ranges(ranges_by_name(box.initial, old.states), model.states),
-            final=stack_ranges(ranges_by_name(box.final, old.states), model.states),
+            initial=stack_ranges(split_ranges_by_name(box.initial, old.states), model.states),
+            final=stack_ranges(split_ranges_by_name(box.final, old.states), model.states),
         )
         self.model = model
         for end, symbols in self._ends.items():

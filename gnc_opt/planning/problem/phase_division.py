@@ -35,7 +35,7 @@ class DivisibleProblem(PhaseOwner, Protocol):
 def divide_phase(
     problem: DivisibleProblem, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
-    _refuse_after_statements(problem, leg)
+    _require_divisible_phase(problem, leg)
     begin, end, total = leg.numbers.initial_time, leg.numbers.final_time, leg.numbers.duration
     if begin is None or end is None:
         raise ProblemError(f"{leg.label} has no times: call time(initial=..., final=...) before divide().")
@@ -93,7 +93,7 @@ def _division_times(
             yield Interval(*limits)
 
 
-def _refuse_after_statements(problem: DivisibleProblem, leg: Phase) -> None:
+def _require_divisible_phase(problem: DivisibleProblem, leg: Phase) -> None:
     """Raise `ProblemError` if a statement of the phase cannot be divided."""
     problem.require_mutable()
     stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))

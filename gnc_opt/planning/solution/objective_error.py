@@ -55,7 +55,7 @@ class PhaseObjectiveError:
     suboptimal: Array
 
     @property
-    def errors(self) -> Array:
+    def segment_errors(self) -> Array:
         """|d| + o + |g| of each segment (K,)."""
         return np.abs(self.defects) + self.exceeded + self.suboptimal
 
@@ -70,7 +70,9 @@ class ObjectiveError:
     @property
     def absolute_error(self) -> float:
         """A, in units of the objective; infinite if a function of the problem is not finite."""
-        return _replace_nan_by_infinity(float(sum(np.sum(phase.errors) for phase in self.phases.values())))
+        return _replace_nan_by_infinity(
+            float(sum(np.sum(phase.segment_errors) for phase in self.phases.values()))
+        )
 
     @property
     def relative_error(self) -> float:

@@ -170,7 +170,7 @@ class PhaseSamples:
     @cached_property
     def at_control_bounds(self) -> Mask:
         """Whether controls are at their lower and at their upper bound (2, m, n_samples)."""
-        return np.stack(self.leg.control_bounds.near(self.u, AT_LIMIT * self.control_scale))
+        return np.stack(self.leg.control_bounds.is_near_limits(self.u, AT_LIMIT * self.control_scale))
 
     @cached_property
     def lam(self) -> Array:

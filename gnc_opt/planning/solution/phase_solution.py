@@ -184,7 +184,7 @@ class PhaseSolution:
         return self.x.breaks
 
     @property
-    def end_arguments(self) -> list[Array | float]:
+    def endpoint_arguments(self) -> list[Array | float]:
         """Initial and final state, initial and final time, integrals, parameters: arguments of end-point functions."""
         first, last = self.x(self.breaks[0]), self.x(self.breaks[-1], "left")
         return [first, last, self.initial_time, self.final_time, self.integrals, self.parameters]

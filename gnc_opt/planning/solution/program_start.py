@@ -21,7 +21,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import GONE, SHORTEST
 
@@ -150,7 +150,7 @@ def _find_matching_phase(guess: Solution, leg: Phase) -> PhaseSolution:
 
 
 def _fill_phase_variables(
-    transcription: Transcription, part: PhasePart, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
+    transcription: Transcription, part: PhaseIndices, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
     points = _stretch_times(old, collocation.point_fractions)

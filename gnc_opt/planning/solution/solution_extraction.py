@@ -28,7 +28,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING, SHORTEST
 
@@ -147,7 +147,7 @@ def _fix_mesh_times(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
 def _extract_phase(
     transcription: Transcription,
     problem: Problem,
-    part: PhasePart,
+    part: PhaseIndices,
     iterate: NlpIterate,
     integrals: Array,
     gradients: EndGradients,
@@ -182,7 +182,9 @@ def _extract_phase(
         final_time=float(anchors[-1]),
         x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=interpolate_points(
-            breaks, collocation.collocation_rules, _point_idle_directions(leg, functions, times, x, u, lam)
+            breaks,
+            collocation.collocation_rules,
+            _align_inactive_directions(leg, functions, times, x, u, lam),
         ),
         lam=costates.polynomial,
         lam_start=costates.start,
@@ -203,7 +205,7 @@ def _extract_phase(
     return correct_path_arc_costates(found, leg.numbers.arcs, functions)
 
 
-def _point_idle_directions(
+def _align_inactive_directions(
     leg: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
     """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""

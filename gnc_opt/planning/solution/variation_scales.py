@@ -43,7 +43,7 @@ def find_inactive_controls(
     """
     idle = np.zeros(u.shape, dtype=bool)
     coupled = np.flatnonzero(~functions.separable_controls)
-    lower, upper = bounds.near(u, AT_LIMIT * scale)
+    lower, upper = bounds.is_near_limits(u, AT_LIMIT * scale)
     bound = lower | upper
     if coupled.size < 2 or not np.any(bound[coupled]):
         return idle

@@ -112,7 +112,7 @@ def _predict_change(problem: Problem, last: Solution) -> Array | None:
         return None
 
 
-def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> Change:
+def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> DataChange:
     """Return the difference between the data of two problems; infinite limits do not change."""
 
     def moved(before: Array, after: Array) -> Array:
@@ -123,7 +123,7 @@ def _subtract_problem_data(transcription: Transcription, old: Problem, new: Prob
     rows, new_rows = transcription.row_interval(old), transcription.row_interval(new)
     lower, upper = moved(here.lower, there.lower), moved(here.upper, there.upper)
     row_lower, row_upper = moved(rows.lower, new_rows.lower), moved(rows.upper, new_rows.upper)
-    return Change(
+    return DataChange(
         transcription.problem_data(new) - transcription.problem_data(old),
         np.where(lower != 0, lower, upper),
         np.where(row_lower != 0, row_lower, row_upper),
@@ -138,7 +138,7 @@ _KKT_ROUNDING_RESIDUAL = 1e-13
 
 
 @dataclass(frozen=True)
-class Change:
+class DataChange:
     """Direction in the data of a program, physical.
 
     Attributes
@@ -251,7 +251,7 @@ class KktPoint:
 
     # --- derivatives ------------------------------------------------------------------------------
 
-    def differentiate_solution(self, change: Change) -> Response:
+    def differentiate_solution(self, change: DataChange) -> Response:
         """Return the derivative of the minimum in a direction of the data."""
         point, scales, rows = self.program, self.program.scaling.variables, self.program.scaling.rows
         n_rest = point.parameter_values.size - change.numbers.size

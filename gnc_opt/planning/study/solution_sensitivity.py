@@ -27,8 +27,8 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, inte
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import model_parameters, state_polynomial
-from gnc_opt.planning.study.kkt_sensitivity import Change, KktPoint, Response
-from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
+from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.runtime_environment import one_thread
 
@@ -211,7 +211,7 @@ def sensitivity(
     _check_solution(solution)
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
-    quantity, changes = _find_quantity_changes(point.program, solution, kind, name, phase)
+    quantity, changes = _list_data_directions(point.program, solution, kind, name, phase)
     responses = [point.differentiate_solution(change) for change in changes]
     return _collect_derivatives(point.program, solution, quantity, changes, responses)
 
@@ -267,9 +267,9 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
 # --- the quantity ---------------------------------------------------------------------------------
 
 
-def _find_quantity_changes(
+def _list_data_directions(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
-) -> tuple[str, list[Change]]:
+) -> tuple[str, list[DataChange]]:
     """Return the name of the quantity and one direction per component."""
     if kind == "parameter":
         return f"parameter '{name}'", _parameter_data_changes(program, name, phase)
@@ -285,16 +285,16 @@ def _find_quantity_changes(
     return f"{kind} value of '{name}' in phase '{leg.name}'", _state_data_changes(program, leg, kind, name)
 
 
-def _unchanged_data(program: ProgramPoint) -> Change:
+def _unchanged_data(program: ProgramPoint) -> DataChange:
     transcription = program.transcription
-    return Change(
+    return DataChange(
         np.zeros(transcription.problem_data(program.problem).size),
         np.zeros(transcription.n_variables),
         np.zeros(transcription.n_constraints),
     )
 
 
-def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None) -> list[Change]:
+def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None) -> list[DataChange]:
     """Return the directions of a model parameter, in every phase that has it (or in one)."""
     problem = program.problem
     if name in problem.parameters:
@@ -319,7 +319,7 @@ def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None)
     return changes
 
 
-def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[Change]:
+def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[DataChange]:
     rows = leg.states.slice(name)
     collocation = program.transcription.parts[leg.name].collocation
     places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
@@ -336,7 +336,7 @@ def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, nam
     return changes
 
 
-def _time_data_change(program: ProgramPoint, phase: str, end: str) -> Change:
+def _time_data_change(program: ProgramPoint, phase: str, end: str) -> DataChange:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
     change = _unchanged_data(program)
@@ -353,7 +353,7 @@ def _time_data_change(program: ProgramPoint, phase: str, end: str) -> Change:
     return change
 
 
-def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: str) -> list[Change]:
+def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: str) -> list[DataChange]:
     solution.multiplier(name)  # raises an error for unknown names
     rows = program.transcription.constraint_rows
     changes = []
@@ -374,7 +374,11 @@ def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: st
 
 
 def _collect_derivatives(
-    program: ProgramPoint, solution: Solution, quantity: str, changes: list[Change], responses: list[Response]
+    program: ProgramPoint,
+    solution: Solution,
+    quantity: str,
+    changes: list[DataChange],
+    responses: list[Response],
 ) -> Sensitivity:
     problem, transcription = program.problem, program.transcription
     layout = problem.parameters
@@ -398,9 +402,9 @@ def _stack_components(components: list[Array]) -> Array | float:
 
 def _phase_sensitivity(
     program: ProgramPoint,
-    part: PhasePart,
+    part: PhaseIndices,
     leg: PhaseSolution,
-    changes: list[Change],
+    changes: list[DataChange],
     responses: list[Response],
 ) -> PhaseSensitivity:
     pieces = [_differentiate_phase(program, part, leg, c, r) for c, r in zip(changes, responses, strict=True)]
@@ -429,7 +433,7 @@ def _phase_sensitivity(
 
 
 def _differentiate_phase(
-    program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, response: Response
+    program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, response: Response
 ) -> tuple[Array, PiecewisePolynomial, PiecewisePolynomial]:
     """Return the derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
     transcription, collocation = program.transcription, part.collocation
@@ -445,7 +449,7 @@ def _differentiate_phase(
     return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
 
 
-def _boundary_time_derivatives(transcription: Transcription, part: PhasePart, anchors: Array) -> Array:
+def _boundary_time_derivatives(transcription: Transcription, part: PhaseIndices, anchors: Array) -> Array:
     mesh = part.collocation.mesh
     starts = anchors[mesh.segment_arcs] + mesh.arc_starts * np.diff(anchors)[mesh.segment_arcs]
     return np.append(starts, anchors[-1])
@@ -466,7 +470,7 @@ def _remove_node_motion(
 
 
 def _scaled_rate_derivatives(
-    program: ProgramPoint, part: PhasePart, leg: PhaseSolution, change: Change, moved: Array
+    program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, moved: Array
 ) -> Array:
     """Return the derivatives of dx/dt times the arc duration at the points, (n_states, N)."""
     collocation, problem = part.collocation, program.problem

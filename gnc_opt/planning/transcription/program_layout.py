@@ -25,7 +25,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 
 
 @dataclass(frozen=True)
-class PhasePart:
+class PhaseIndices:
     """Location of a phase in the program.
 
     Attributes
@@ -61,7 +61,7 @@ class ProgramNumbering:
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
         self.problem = problem
         self.scheme = scheme
-        self.parts: dict[str, PhasePart] = {}
+        self.parts: dict[str, PhaseIndices] = {}
         self._movable = {name: mesh.movable for name, mesh in meshes.items()}
         self._direct, self._defined = problem.cache("integrals of the end rows", self._classify_integrals)
         self._number_phases(meshes)
@@ -130,7 +130,7 @@ class ProgramNumbering:
                 time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
                 for anchor in collocation.mesh.anchor_breaks
             ]
-            self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
+            self.parts[name] = PhaseIndices(name, collocation, np.asarray(places, dtype=np.int64))
 
     def _number_junction_rows(self, row: int) -> list[tuple[str, Junction, Indices]]:
         """Return phase, junction and rows of each junction of a state constraint."""

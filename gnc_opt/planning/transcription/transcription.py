@@ -39,7 +39,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
 from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhasePart, ProgramNumbering, is_time_fixed
+from gnc_opt.planning.transcription.program_layout import PhaseIndices, ProgramNumbering, is_time_fixed
 from gnc_opt.tolerances import SHORTEST
 
 
@@ -342,7 +342,7 @@ class Transcription(ProgramNumbering):
         box.lower[self.parameter_places], box.upper[self.parameter_places] = q.lower, q.upper
         return box
 
-    def _set_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhasePart) -> None:
+    def _set_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhaseIndices) -> None:
         collocation, numbers = part.collocation, leg.numbers
         controls = (
             numbers.controls if numbers.turns is None else numbers.turns.solver_bounds(numbers.controls)

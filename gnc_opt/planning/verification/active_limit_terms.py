@@ -52,7 +52,7 @@ def touch_terms(
         np.repeat(s.leg.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
     )
     values = shifted.evaluate_rows(t, x, after)
-    near = np.any(rows.near(values)[..., -1], axis=0)
+    near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
     active = [int(i) for i in np.flatnonzero(near) if rows.row_order(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
     gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]

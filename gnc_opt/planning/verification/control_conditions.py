@@ -104,7 +104,7 @@ def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None)
     """
     bounds, gradient = s.leg.control_bounds, s.control_gradient
     size = np.max(scale, axis=1, initial=0.0) if size is None else size
-    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * size)
+    at_lower, at_upper = bounds.is_near_limits(s.u, AT_LIMIT * size)
     room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale))
     room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale))
     loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up)
@@ -287,5 +287,5 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:
     """Return where each active control is interior, and not only during a switch, (m, n_samples)."""
-    at_lower, at_upper = s.leg.control_bounds.near(s.u, NOTABLE * s.control_scale)
+    at_lower, at_upper = s.leg.control_bounds.is_near_limits(s.u, NOTABLE * s.control_scale)
     return mask_interior_controls(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

@@ -90,7 +90,7 @@ def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     end, point = s.times[[at]], leg.point_times[[at]]
     values = np.hstack([s.functions.paths(t, leg.x(t), leg.applied(t)) for t in (end, point)])
     near = (
-        np.any(leg.path_bounds.near(values, AT_LIMIT * s.path_scale), axis=0)
+        np.any(leg.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
         & ~leg.path_bounds.is_fixed[:, None]
     )
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
@@ -206,7 +206,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
 
 def _multipliers_of_wrong_sign(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Return the size of inadmissible bound multipliers: > 0 requires the upper, < 0 the lower bound to be active."""
-    at_lower, at_upper = box.near(values, AT_LIMIT * scale)
+    at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scale)
     # A fixed value allows any multiplier; the boundary conditions check the value.
     allowed = np.where(multipliers > 0, at_upper, at_lower) | box.is_fixed
     return np.where(allowed, 0.0, np.abs(multipliers))

@@ -24,7 +24,7 @@ from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, TINY
 
 
@@ -111,7 +111,7 @@ def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSa
     return replace(cone, further=scipy.sparse.vstack(found, format="csc")) if found else cone
 
 
-def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
+def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhaseIndices) -> Mask:
     """Return the arc entries (n_paths, K): active at all points of the segment, but not of the previous one."""
     collocation = part.collocation
     held = cone.strong[cone.point.x.size :][collocation.path_rows]
@@ -191,7 +191,7 @@ class CriticalCone:
             (s.x, dx, s.leg.state_bounds, s.state_scale),
             (paths, dc, s.leg.path_bounds, s.path_scale),
         ):
-            at_lower, at_upper = box.near(values, AT_LIMIT * scale)
+            at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scale)
             free = ~box.is_fixed[:, None]
             beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
             # A direction along a limit hardly changes it and does not violate it.

@@ -22,7 +22,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
-from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit_trajectory
+from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, SampledPhase, fit_trajectory
 from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -43,13 +43,13 @@ from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
 
 
 def reformulate_samples(
-    problem: Problem, twin: Problem, samples: Mapping[str, Samples], q: Array
-) -> dict[str, Samples]:
+    problem: Problem, twin: Problem, samples: Mapping[str, SampledPhase], q: Array
+) -> dict[str, SampledPhase]:
     """Return the samples in the variables of ``reformulate(problem)``; q are its first parameters."""
     return {name: _reformulate_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
 
 
-def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
+def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array) -> SampledPhase:
     stated = leg.model if leg.restatement is None else leg.restatement.model
     own = _reorder_samples(own, problem.phases[leg.name].model, stated)
     if leg.restatement is None:
@@ -67,7 +67,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> 
     return replace(own, u=u)
 
 
-def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
+def _reorder_samples(own: SampledPhase, given: Model, model: Model) -> SampledPhase:
     """Return samples of a model with the same variables, some of which are states instead of controls."""
     if given.states.names == model.states.names:
         return own
@@ -77,7 +77,7 @@ def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
         np.vstack([np.zeros((0, own.t.size)), *(known[n] for n in k.names)])
         for k in (model.states, model.controls)
     )
-    return Samples(own.t, x, u)
+    return SampledPhase(own.t, x, u)
 
 
 def _fill_undefined_directions(size: Array, direction: Array) -> Array:
@@ -176,7 +176,7 @@ def verify_trajectory(
 
 
 def _check_sampled_trajectory(
-    problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
+    problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float
 ) -> Verdict:
     verdict = verify(_build_solution(problem, samples, q), tol=tol)
     for near in NEARER if verdict["active set"].result is ConditionResult.FAIL else ():
@@ -191,7 +191,7 @@ def _check_sampled_trajectory(
 
 
 def _mark_interpolation_errors_inconclusive(
-    verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
+    verdict: Verdict, problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float
 ) -> Verdict:
     """Return the verdict with failures as inconclusive that denser samples would remove.
 
@@ -224,18 +224,18 @@ def _vanishes_with_denser_samples(failed: Condition, growth: float) -> bool:
     return grows and failed.value <= failed.tolerance * growth**HALVED_STEPS
 
 
-def _halve_samples(samples: Samples) -> Samples:
+def _halve_samples(samples: SampledPhase) -> SampledPhase:
     """Return every second sample, the ends, and both sides of jumps."""
     t = samples.t
     twice = np.append(np.diff(t) == 0, False)
     kept = np.arange(t.size) % 2 == 0
     kept |= twice | np.roll(twice, 1)
     kept[[0, -1]] = True
-    return Samples(t[kept], samples.x[:, kept], samples.u[:, kept])
+    return SampledPhase(t[kept], samples.x[:, kept], samples.u[:, kept])
 
 
 def _check_reformulated(
-    problem: Problem, twin: Problem, stated: Mapping[str, Samples], q: Array, tol: float
+    problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase], q: Array, tol: float
 ) -> Verdict:
     """Return the verdict in the reformulated controls, without norms and kinks
     (`gnc_opt.planning.problem.reformulation`)."""
@@ -244,7 +244,7 @@ def _check_reformulated(
     return _check_sampled_trajectory(twin, _unwrap_angles(twin, samples, q), q, tol)
 
 
-def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
+def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]) -> bool:
     """Return whether angles exceed bounds of a full turn, which the reformulated problem does not have."""
     for name, leg in twin.phases.items():
         if leg.numbers.turns is not None:
@@ -255,7 +255,7 @@ def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[s
     return False
 
 
-def _add_kink_parameters(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:
+def _add_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], q: Array) -> Array:
     """Return the parameters, followed by those that replace kinks at the ends, as small as their constraints allow."""
     added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
     if not added:
@@ -274,7 +274,7 @@ def _add_kink_parameters(twin: Problem, samples: Mapping[str, Samples], q: Array
 
 
 def _build_solution(
-    problem: Problem, samples: Mapping[str, Samples], q: Array, parts: int = 1, near: float = ACTIVE
+    problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, near: float = ACTIVE
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name in problem.phases:
@@ -319,7 +319,9 @@ def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution
     )
 
 
-def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
+def _unwrap_angles(
+    problem: Problem, samples: Mapping[str, SampledPhase], q: Array
+) -> dict[str, SampledPhase]:
     """Return the samples with angles unwrapped that other tools keep within a turn."""
     found = {}
     for name, leg in samples.items():
@@ -335,7 +337,7 @@ def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
     breaks = leg.breaks[list(leg.mesh.anchor_breaks)]
     slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
     for i, label in enumerate(leg.controls.labels):
-        lower, upper = leg.control_bounds.near(leg.u(leg.point_times), slack)
+        lower, upper = leg.control_bounds.is_near_limits(leg.u(leg.point_times), slack)
         for start, end in itertools.pairwise(breaks):
             within = (leg.point_times > start) & (leg.point_times < end)
             kinds = {ArcKind.LOWER: lower[i, within], ArcKind.UPPER: upper[i, within]}
@@ -352,7 +354,7 @@ def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
 # --- reading arguments ------------------------------------------------------------------------------------
 
 
-def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str, Samples]:
+def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str, SampledPhase]:
     names = list(problem.phases)
     if len(names) == 1 and not isinstance(t, Mapping):
         t, x, u = ({names[0]: value} for value in (t, x, u))
@@ -371,7 +373,7 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
     return {name: _read_phase(leg, t[name], x[name], u[name]) for name, leg in problem.phases.items()}
 
 
-def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
+def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
     times = _require_finite(
         read_numbers(t, f"the times of {leg.label}", ProblemError), f"the times of {leg.label}"
     )
@@ -391,7 +393,7 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
             "control jumps."
         )
     return _remove_duplicate_samples(
-        Samples(
+        SampledPhase(
             times,
             _read_component_rows(leg, leg.model.states, x, times.size, "state"),
             _read_component_rows(
@@ -401,7 +403,7 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
     )
 
 
-def _remove_duplicate_samples(samples: Samples) -> Samples:
+def _remove_duplicate_samples(samples: SampledPhase) -> SampledPhase:
     """Return the samples without duplicates, whose times differ by rounding."""
     t, u = samples.t, samples.u
     near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
@@ -409,7 +411,7 @@ def _remove_duplicate_samples(samples: Samples) -> Samples:
     kept = np.append(True, ~(near & ~jumps))
     times = t.copy()
     times[1:][near & jumps] = t[:-1][near & jumps]
-    return Samples(times[kept], samples.x[:, kept], u[:, kept])
+    return SampledPhase(times[kept], samples.x[:, kept], u[:, kept])
 
 
 def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:

@@ -35,7 +35,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.planning.transcription.quadrature import (
     collocation_points,
     differentiation_matrix,
@@ -151,7 +151,7 @@ def _index_containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
     return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
 
 
-def _segments_without_active_limits(cone: CriticalCone, part: PhasePart) -> Mask:
+def _segments_without_active_limits(cone: CriticalCone, part: PhaseIndices) -> Mask:
     """Return the segments (n_controls, K) without a fixed control, state or path constraint."""
     collocation, n = part.collocation, cone.point.x.size
     inner = ~np.isin(collocation.point_states, collocation.boundary_states)
@@ -161,7 +161,7 @@ def _segments_without_active_limits(cone: CriticalCone, part: PhasePart) -> Mask
     return ~np.logical_or.reduceat(held, collocation.mesh.point_offsets[:-1], axis=1)
 
 
-def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
+def _junction_time_variables(s: PhaseSamples, part: PhaseIndices, singular: Mask) -> Indices:
     """Return the time variables at which singular arcs begin or end without a bound-to-bound jump of a control."""
     movable, switches = s.leg.mesh.movable, find_inner_switches(s)[0]
     beside = np.any(singular, axis=0)
@@ -238,7 +238,9 @@ def _driven_states(s: PhaseSamples, control: int) -> Indices:
     return np.unique(np.array(moves.row(), dtype=int)[np.array(moves.get_col(), dtype=int) == control])
 
 
-def _build_integral_variations(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
+def _build_integral_variations(
+    n: int, part: PhaseIndices, control: int, singular: Mask
+) -> tuple[Any, Indices]:
     """Return variations y of a control of a phase (n, n_variations), and the variables that they replace."""
     collocation, count = part.collocation, 0
     mesh, entries, squares = collocation.mesh, [], []

@@ -147,7 +147,7 @@ class _MinimumSearch:
             ]
         )
 
-    def _expand_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+    def _insert_group_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
         columns, (lower, span) = self.chosen[at], self._control_box
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
@@ -155,7 +155,7 @@ class _MinimumSearch:
 
     def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
         """Return H (n,), infinite for inadmissible controls."""
-        s, (times, x, u) = self.s, self._expand_controls(shares, at)
+        s, (times, x, u) = self.s, self._insert_group_controls(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_paths):
@@ -172,7 +172,7 @@ class _MinimumSearch:
             return shares
         shares, off = shares.copy(), np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            times, x, u = self._expand_controls(shares[:, off], at[off])
+            times, x, u = self._insert_group_controls(shares[:, off], at[off])
             paths = functions.paths(times, x, u)
             beyond = np.where(
                 functions.mixed_paths[:, None], np.clip(paths, *self._path_limits[:, :, at[off]]) - paths, 0
@@ -188,7 +188,7 @@ class _MinimumSearch:
 
     def _path_gradients(self, shares: Array, at: Indices) -> Array:
         jacobian = (
-            self.s.functions.path_control_jacobian(*self._expand_controls(shares, at))[:, self.group]
+            self.s.functions.path_control_jacobian(*self._insert_group_controls(shares, at))[:, self.group]
             * self._control_box[1]
         )
         return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
@@ -197,7 +197,7 @@ class _MinimumSearch:
         self, shares: Array, at: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
-        s, group, (times, x, u) = self.s, self.group, self._expand_controls(shares, at)
+        s, group, (times, x, u) = self.s, self.group, self._insert_group_controls(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._control_box[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
@@ -216,7 +216,7 @@ class _MinimumSearch:
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
         move = draw_low_discrepancy_points(every.size, self.group.size) - self._applied_shares
-        _, _, u = self._expand_controls(self._applied_shares + move, every)
+        _, _, u = self._insert_group_controls(self._applied_shares + move, every)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
         first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
@@ -232,7 +232,7 @@ class _MinimumSearch:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
-        times, x, u = self._expand_controls(self._applied_shares, np.arange(self.chosen.size))
+        times, x, u = self._insert_group_controls(self._applied_shares, np.arange(self.chosen.size))
         flown = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
         slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
@@ -382,7 +382,7 @@ class _MinimumSearch:
     def _active_paths(self, shares: Array, at: Indices, gradient: Array, free: Array) -> tuple[Array, Array]:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
-        paths = functions.paths(*self._expand_controls(shares, at))
+        paths = functions.paths(*self._insert_group_controls(shares, at))
         least, most = self._path_limits[:, :, at]
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near

@@ -71,7 +71,7 @@ def recompute_from_problem(solution: Solution) -> Solution:
 def boundary_gradients(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
     problem = solution.need_problem("verify")
-    ends = {name: leg.end_arguments for name, leg in solution.phases.items()}
+    ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
     return endpoint_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
@@ -104,7 +104,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
         worst = worst.select_worse(Worst(np.inf, "whether the objective is maximised"))
     for name, leg in checked.phases.items():
         for what in _EXACT:
-            for a, b in zip(_data_vectors(stored.phases[name], what), _data_vectors(leg, what), strict=True):
+            for a, b in zip(
+                _list_problem_data(stored.phases[name], what), _list_problem_data(leg, what), strict=True
+            ):
                 off = float(np.max(_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
@@ -217,7 +219,7 @@ def _find_first_nonfinite(owner: Solution | PhaseSolution, place: str, with_cost
     return NOTHING
 
 
-def _data_vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
+def _list_problem_data(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
     value = getattr(leg, name)
     return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
 

@@ -166,7 +166,7 @@ class ShiftedTrajectory:
             lagrangian += gap @ moved
             box = leg.final_bounds
             radius = self.scales.phases[name].end.radius
-            at_limit = box.near(leg.x(leg.breaks[-1], "left"), AT_LIMIT * radius)
+            at_limit = box.is_near_limits(leg.x(leg.breaks[-1], "left"), AT_LIMIT * radius)
             held = box.is_fixed | at_limit[0] | at_limit[1]
             rows.append(moved[held] / np.where(radius[held] > 0, radius[held], 1.0)[:, None])
         arguments = [value for name in self.solution.phases for value in found[name]]
@@ -179,7 +179,7 @@ class ShiftedTrajectory:
         unreached = np.max(np.abs(moved), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
         size = np.where(reach > 0, reach, unreached)  # without range: links of times
         box = problem.constraint_interval()
-        at = box.near(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
+        at = box.is_near_limits(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
         active = (at[0] | at[1] | box.is_fixed) & (size > 0)
         rows.append(moved[active] / size[active, None])
         misses = np.vstack(rows)
@@ -230,7 +230,7 @@ class _ShiftedPhase:
     times: Array
 
     @cached_property
-    def edges(self) -> Array:
+    def cell_edges(self) -> Array:
         """Mesh cell edges outside the windows around jumps, in which columns have different times."""
         cells = compute_cell_edges(self.samples.leg.breaks)
         windows = [(np.min(own), np.max(own)) for own in self.times]
@@ -241,29 +241,29 @@ class _ShiftedPhase:
         return np.unique([*cells[~inside], *np.clip(windows, cells[0], cells[-1]).ravel()])
 
     @cached_property
-    def nodes(self) -> Array:
+    def step_ends(self) -> Array:
         """Ends of the integration steps (n_nodes, n_columns)."""
-        fixed = [*self.edges, *(jump.time for jump, _ in self.jumps), *find_costate_jumps(self.samples)]
+        fixed = [*self.cell_edges, *(jump.time for jump, _ in self.jumps), *find_costate_jumps(self.samples)]
         own = [np.full(self.times.shape[1], time) for time in fixed] + [shifted for _, shifted in self.jumps]
         return np.sort(np.clip([*own, *self.times], *self.times), axis=0)
 
     @cached_property
     def common_steps(self) -> Array:
         """Return which steps are equal in all columns (n_steps,)."""
-        same = np.all(self.nodes == self.nodes[:, :1], axis=1)
+        same = np.all(self.step_ends == self.step_ends[:, :1], axis=1)
         return np.asarray(same[:-1] & same[1:])
 
     @cached_property
     def applied_controls(self) -> Array:
         """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
-        first, last = self.nodes[:-1, 0][self.common_steps], self.nodes[1:, 0][self.common_steps]
+        first, last = self.step_ends[:-1, 0][self.common_steps], self.step_ends[1:, 0][self.common_steps]
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
     def shifted_controls(self, step: int) -> list[Array]:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
-        a, b = self.nodes[step], self.nodes[step + 1]
+        a, b = self.step_ends[step], self.step_ends[step + 1]
         middle = 0.5 * (a + b)
         place = int(np.count_nonzero(self.common_steps[:step]))
         found = []
@@ -310,9 +310,12 @@ class _ShiftedPhase:
         """
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
-        limits, jumps = active_limit_gradients(self.samples, self.edges), find_costate_jumps(self.samples)
+        limits, jumps = (
+            active_limit_gradients(self.samples, self.cell_edges),
+            find_costate_jumps(self.samples),
+        )
         states = {time: np.repeat(x[:, -1:], x.shape[1], axis=1) for time in {*limits, *jumps}}
-        for k, (a, b) in enumerate(itertools.pairwise(self.nodes)):
+        for k, (a, b) in enumerate(itertools.pairwise(self.step_ends)):
             if np.array_equal(a, b):
                 continue
             y = runge_kutta_step(self.extended_rates, a, b, y, self.shifted_controls(k))
@@ -342,7 +345,7 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
     u = leg.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1, initial=0.0)
-    lower, upper = leg.control_bounds.near(u, NOTABLE * most)
+    lower, upper = leg.control_bounds.is_near_limits(u, NOTABLE * most)
     inside = ~(lower | upper)
     inside &= ~find_held_controls(problem, s, times)
     if not np.any(inside):
@@ -359,7 +362,7 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
 def _has_active_limits(s: PhaseSamples) -> bool:
     """Return whether path constraints or state bounds have multipliers along a phase or at its ends."""
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
-    at_ends = np.logical_or(*s.leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
+    at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
     return bool(np.any(find_costly_limits(s, s.times)) or np.any(at_ends))
 
 
@@ -376,7 +379,7 @@ def _parameter_variations(
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
         found += _steps_within_limits("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
-        if not np.any(leg.duration_bounds.near(lasts[:1], AT_LIMIT * lasts[:1])):
+        if not np.any(leg.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
             found += _steps_within_limits("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
@@ -386,7 +389,7 @@ def _steps_within_limits(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
-    held = box.is_fixed | np.logical_or(*box.near(values, AT_LIMIT * scale))
+    held = box.is_fixed | np.logical_or(*box.is_near_limits(values, AT_LIMIT * scale))
     chosen = [row for row in rows if np.any(row) and not np.any(row[held])]
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 

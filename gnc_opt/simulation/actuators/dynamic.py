@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_integer, read_positive
 from gnc_opt.control.sampled_data import (
     advance_step_counter,
-    count_periods_begun,
+    count_started_periods,
     count_whole_steps,
     is_period_start,
 )
@@ -163,7 +163,7 @@ class Delay(_InitializedActuator):
     def _delay_line_length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
-        return count_periods_begun(longest, h)
+        return count_started_periods(longest, h)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.repmat(super().initial_memory(signal, p, tick), self._delay_line_length(tick.h), 1)

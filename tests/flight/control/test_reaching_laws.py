@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from testing.internals import check_super_twisting_gains, read_bounds
+from testing.internals import check_super_twisting_gains, read_disturbance_bounds
 from testing.models import dynamics
 
 import gnc_opt as go
@@ -144,12 +144,12 @@ def test_bands_without_a_layer():
         (lambda: SuperTwisting(0.0, 1.0), "k1"),
         (lambda: SuperTwisting(1.0, 0.0), "k2"),
         (lambda: SaturationLayer(0.0), "phi"),
-        (lambda: read_bounds(3.0, 0.0, ("a",)), "the reaching law is 3.0"),
-        (lambda: read_bounds(ConstantRate(2.0), 2.0, ("a",)), "surface of 'a'"),
-        (lambda: read_bounds(ConstantRate(2.0), [1.0, 2.1], ("a", "b")), "surface of 'b'"),
-        (lambda: read_bounds(ConstantRate(2.0), -1.0, ("a",)), "give finite numbers >= 0"),
-        (lambda: read_bounds(ConstantRate(2.0), INF, ("a",)), "give finite numbers >= 0"),
-        (lambda: read_bounds(SuperTwisting(3.0, 2.0), 2.0, ("a",)), "raise k2"),
+        (lambda: read_disturbance_bounds(3.0, 0.0, ("a",)), "the reaching law is 3.0"),
+        (lambda: read_disturbance_bounds(ConstantRate(2.0), 2.0, ("a",)), "surface of 'a'"),
+        (lambda: read_disturbance_bounds(ConstantRate(2.0), [1.0, 2.1], ("a", "b")), "surface of 'b'"),
+        (lambda: read_disturbance_bounds(ConstantRate(2.0), -1.0, ("a",)), "give finite numbers >= 0"),
+        (lambda: read_disturbance_bounds(ConstantRate(2.0), INF, ("a",)), "give finite numbers >= 0"),
+        (lambda: read_disturbance_bounds(SuperTwisting(3.0, 2.0), 2.0, ("a",)), "raise k2"),
         (lambda: check_super_twisting_gains(2.0, 3.0, 1.0, "it"), "raise k1"),
         (lambda: SuperTwistingObserver(2.0, 3.0, 1.0), "raise k1"),
         (lambda: SuperTwistingObserver(1.0, 1.0, -1.0), "bound of an observer"),

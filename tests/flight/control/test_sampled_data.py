@@ -2,7 +2,7 @@
 
 import casadi as ca
 import pytest
-from testing.internals import advance_step_counter, count_periods_begun, count_whole_steps, is_period_start
+from testing.internals import advance_step_counter, count_started_periods, count_whole_steps, is_period_start
 
 from gnc_opt.errors import ArgumentError
 
@@ -20,7 +20,7 @@ from gnc_opt.errors import ArgumentError
     ],
 )
 def test_steps_that_begin_within_a_duration(duration, step, count):
-    assert count_periods_begun(duration, step) == count
+    assert count_started_periods(duration, step) == count
 
 
 def test_a_duration_must_be_whole_steps():

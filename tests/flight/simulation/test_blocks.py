@@ -57,8 +57,8 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
     """Signal, memory and saturation after one step; from the first memory if none is given."""
     tick = tick or moment()
     p, column = parameters(block, np.size(signal), **changes), ca.SX(ca.DM(signal))
-    before = block.start(column, p, tick) if state is None else ca.SX(ca.DM(state))
-    _, step = block.flow(tick, ActuatorWave(column), before, p, ca.SX(ca.DM(list(noise))))
+    before = block.initial_memory(column, p, tick) if state is None else ca.SX(ca.DM(state))
+    _, step = block.propagate_wave(tick, ActuatorWave(column), before, p, ca.SX(ca.DM(list(noise))))
     return (
         numbers(step.signal),
         numbers(step.state),
@@ -114,7 +114,7 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
 def test_parameters_have_values_units_and_permitted_ranges(block, expected, limits):
     found = block.parameters(2, "N")
     assert {name: (list(value), unit) for name, (value, unit) in found.items()} == expected
-    assert block.limits(H, DT) == limits
+    assert block.parameter_limits(H, DT) == limits
 
 
 # --- one step ---------------------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ def test_a_longest_delay_that_is_none_is_refused(longest):
 )  # fmt: skip
 def test_periods_that_are_not_steps_are_refused_beforehand(block, message):
     with pytest.raises(ArgumentError, match=message):
-        block.check(1, H, DT)
+        block.check_sizes(1, H, DT)
 
 
 @pytest.mark.parametrize(

@@ -476,7 +476,7 @@ class Planned:
     """A flight that is off by so many accuracies, at these switches."""
 
     integration_error: float
-    missing_arc: Any = None
+    find_missing_arc: Any = None
     switches: Any = None
     step: Any = None
 

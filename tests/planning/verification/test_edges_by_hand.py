@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.kkt_system import (
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
 from gnc_opt.planning.optimality.switching_problem import SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
-    Samples,
+    SampledPhase,
     _ControlFit,
     _find_control_kinks,
     _Jump,
@@ -272,14 +272,14 @@ def test_two_jumps_are_movable_in_their_order() -> None:
     t = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 4.5, 5.0, 5.5])
     u = np.select([np.arange(14) < 3, np.arange(14) < 11], [1.0, -2.0], 3.0)
     x = np.select([t <= 1.0, t <= 4.5], [t, 1.0 - 2 * (t - 1.0)], -6.0 + 3 * (t - 4.5))
-    fitted = fit_trajectory(Samples(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory(SampledPhase(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
     assert fitted.mesh.movable == (2, 9)
     np.testing.assert_allclose(fitted.u(np.array([0.9, 1.1, 4.4, 4.6]))[0], [1.0, -2.0, -2.0, 3.0])
     later = np.concatenate([t, [6.0, 6.0, 6.5, 7.0]])
     levels = np.concatenate([u, [3.0, -1.0, -1.0, -1.0]])
     ways = np.concatenate([x, [-1.5, -1.5, -2.0, -2.5]])
     assert fit_trajectory(
-        Samples(later, ways[None], levels[None]), lambda t, x, u: u + 0 * x
+        SampledPhase(later, ways[None], levels[None]), lambda t, x, u: u + 0 * x
     ).mesh.movable == (2, 9, 12)
 
 
@@ -296,7 +296,7 @@ def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
             return u * np.sqrt(np.where(x < 0.7, 1.0, np.nan))
 
     u = np.where(t < switch, first, second)
-    samples = Samples(t, way(t)[None], u[None])
+    samples = SampledPhase(t, way(t)[None], u[None])
     jump = _Jump(1, 0.3, (0,))
     _locate_jump_times(samples, _ControlFit(samples, [jump]), [jump], rates)
     assert jump.time == pytest.approx(switch, abs=1e-7)
@@ -453,7 +453,7 @@ def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: 
     (problem.maximize if maximised else problem.minimize)(leg.final_state("x"))
     t = np.linspace(0.0, 1.0, 5)
     sign = 1.0 if maximised else -1.0
-    samples = {"leg": Samples(t, sign * t[None], sign + 0 * t[None])}
+    samples = {"leg": SampledPhase(t, sign * t[None], sign + 0 * t[None])}
     found = _build_solution(problem, samples, np.zeros(0), parts=1)
     assert found.maximised is maximised and found.objective == pytest.approx(sign)
     assert go.verify(found).ok
@@ -502,7 +502,7 @@ def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> Non
     problem.minimize(-sign * leg.final_state("x"))
     t = np.linspace(0.0, 1.0, 5)
     fitted = {
-        "leg": fit_trajectory(Samples(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x)
+        "leg": fit_trajectory(SampledPhase(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x)
     }
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))

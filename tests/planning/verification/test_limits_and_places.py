@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Samples, reformulate
+from testing.internals import SampledPhase, reformulate
 from testing.models import dynamics, one_phase
 from testing.second_order import second_order_of
 from testing.wrong_solutions import bang_bang, double_integrator, energy, moved, scaled, with_leg
@@ -460,7 +460,7 @@ def test_samples_in_other_controls_are_those_that_were_stated(cost: str) -> None
     u[:, 4:6] = 0.0
     t = np.linspace(0.0, 1.0, 9)
     (own,) = reformulate_samples(
-        problem, twin, {"leg": Samples(t, np.zeros((4, 9)), u)}, np.zeros(0)
+        problem, twin, {"leg": SampledPhase(t, np.zeros((4, 9)), u)}, np.zeros(0)
     ).values()
     restatement = twin.phases["leg"].restatement
     assert restatement is not None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 from testing.internals import (
     Interval,
-    Samples,
+    SampledPhase,
     StateConstraintSides,
     estimate_multipliers,
     fit_trajectory,
@@ -89,7 +89,9 @@ def test_multipliers_that_explain_a_trajectory(unit: float, off: float, pushes_b
     """Costates -12 and 12 t - 6; the limit's is 12 per metre, if it is reached to a hundred-thousandth of the way."""
     problem, t = cart(unit), np.linspace(0.0, 1.0, 7)
     way = 1 + off
-    samples = Samples(t, way * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), way * (6 - 12 * t)[None])
+    samples = SampledPhase(
+        t, way * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), way * (6 - 12 * t)[None]
+    )
     fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
@@ -114,7 +116,9 @@ def test_the_side_of_a_limit_is_that_on_which_the_trajectory_is() -> None:
     assert box.is_fixed[0]
     problem, t = cart(1.0), np.linspace(0.0, 1.0, 7)
     # 1 % farther than asked for: nothing is active, and the end's costate of q has no explanation.
-    samples = Samples(t, 1.01 * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), 1.01 * (6 - 12 * t)[None])
+    samples = SampledPhase(
+        t, 1.01 * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), 1.01 * (6 - 12 * t)[None]
+    )
     fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
@@ -131,7 +135,7 @@ def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     other.minimize(0.5 * leg.integral(model.symbol("a") ** 2) + (k - 2) ** 2)
-    samples = Samples(t, np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), (6 - 12 * t)[None])
+    samples = SampledPhase(t, np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), (6 - 12 * t)[None])
     fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(other, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, other, fitted, np.array([2.5]))

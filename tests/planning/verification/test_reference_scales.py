@@ -24,7 +24,7 @@ from testing.wrong_solutions import added, double_integrator, failed, free_time,
 import gnc_opt as go
 from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.optimality.trajectory_fit import Samples
+from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -161,7 +161,7 @@ def measured(
     problem.minimize(
         frame.cost[0] * leg.integral(system.integrand(split, applied) / frame.time) + frame.cost[1]
     )
-    given = Samples(frame.time * TIMES, moved, frame.control[0] * u + frame.control[1])
+    given = SampledPhase(frame.time * TIMES, moved, frame.control[0] * u + frame.control[1])
     solution = recompute_from_problem(_build_solution(problem, {"leg": given}, np.zeros(0)))
     leg_solution = solution.phases["leg"]
     values = [

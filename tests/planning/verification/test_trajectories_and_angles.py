@@ -17,7 +17,7 @@ import gnc_opt as go
 from benchmarks.performance.scale import RADIUS, THRUST, spiral
 from gnc_opt.planning.optimality.trajectory_fit import (
     FittedPhase,
-    Samples,
+    SampledPhase,
     _build_interpolants,
     _ControlFit,
     _intersection_time,
@@ -88,7 +88,9 @@ def test_where_two_lines_meet() -> None:
 # --- the whole --------------------------------------------------------------------------------------------
 
 
-def flown(t: Array, switches: tuple[float, float] = (0.55, 1.13), levels: Array | None = None) -> Samples:
+def flown(
+    t: Array, switches: tuple[float, float] = (0.55, 1.13), levels: Array | None = None
+) -> SampledPhase:
     """u jumps from 1 to -2, w from 0.5 to 2.5; states from the integrals."""
     (s, r), (a, b, c, d) = switches, (1.0, -2.0, 0.5, 2.5) if levels is None else levels
     u = np.array([np.where(t <= s, a, b), np.where(t <= r, c, d)])
@@ -96,7 +98,7 @@ def flown(t: Array, switches: tuple[float, float] = (0.55, 1.13), levels: Array 
         [a * np.minimum(t, s) + b * np.maximum(t - s, 0), c * np.minimum(t, r) + d * np.maximum(t - r, 0)]
     )
     x[1] += t**3 / 3
-    return Samples(t, x, u)
+    return SampledPhase(t, x, u)
 
 
 def jumps_of(fitted: FittedPhase, t: Array) -> Array:
@@ -138,7 +140,7 @@ def test_jump_at_a_time_given_twice() -> None:
     early = np.array([True, True, True, False, False, False, False])
     samples = flown(t, (0.7, 0.7))
     u = np.where(early, [[1.0], [0.5]], [[-2.0], [2.5]])
-    fitted = fit_trajectory(Samples(t, samples.x, u), pushed)
+    fitted = fit_trajectory(SampledPhase(t, samples.x, u), pushed)
     np.testing.assert_allclose(jumps_of(fitted, t), [0.7])
     assert fitted.mesh.breaks == tuple(np.unique(t) / 2)
     check(fitted, (0.7, 0.7), 2.0)
@@ -148,7 +150,7 @@ def test_states_that_jump_keep_both_values() -> None:
     """At a time given twice the left polynomial ends with the first, the right one begins with the second."""
     t = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0])
     x = np.where(np.arange(6) < 3, 0.0, 7.0)[None]
-    fitted = fit_trajectory(Samples(t, x, np.zeros((1, 6))), lambda t, x, u: 0 * x)
+    fitted = fit_trajectory(SampledPhase(t, x, np.zeros((1, 6))), lambda t, x, u: 0 * x)
     assert fitted.x(1.0, "left")[0] == pytest.approx(0.0) and fitted.x(1.0)[0] == pytest.approx(7.0)
 
 
@@ -159,15 +161,15 @@ def test_few_samples_and_small_steps_have_no_jumps() -> None:
     t = np.linspace(0.0, 2.0, 11)
     small = np.where(t <= 0.5, 0.0, 1e-4) + np.where(t <= 1.5, 0.0, 1.0)
     x = np.array([1e-4 * np.maximum(t - 0.5, 0) + np.maximum(t - 1.5, 0)])
-    assert len(fit_trajectory(Samples(t, x, small[None]), lambda t, x, u: u).mesh.movable) == 1
+    assert len(fit_trajectory(SampledPhase(t, x, small[None]), lambda t, x, u: u).mesh.movable) == 1
     steep = 0.125 * np.array([9.0**k for k in range(11)])
-    assert fit_trajectory(Samples(t, x, steep[None]), lambda t, x, u: u).mesh.movable == ()
+    assert fit_trajectory(SampledPhase(t, x, steep[None]), lambda t, x, u: u).mesh.movable == ()
 
 
 def test_smooth_trajectory_to_third_order() -> None:
     """u = t^2, x = t^3 / 3: splines and Hermite cubics are exact."""
     t = np.array([0.0, 0.3, 0.7, 1.2, 1.6, 2.0, 2.3, 2.5, 2.9])
-    fitted = fit_trajectory(Samples(t, (t**3 / 3)[None], (t**2)[None]), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory(SampledPhase(t, (t**3 / 3)[None], (t**2)[None]), lambda t, x, u: u + 0 * x)
     at = np.linspace(0.0, 2.9, 51)[1:-1]
     np.testing.assert_allclose(fitted.x(at), [at**3 / 3], atol=1e-12)
     np.testing.assert_allclose(fitted.u(at), [at**2], atol=1e-12)
@@ -186,7 +188,7 @@ def test_kinks_lie_where_both_sides_meet(kinks: tuple[float, float]) -> None:
     """Between samples or at one; they are no jumps, whose times might be varied."""
     t = np.linspace(0.0, 3.0, 31)
     u, x = kinked(t, kinks)
-    fitted = fit_trajectory(Samples(t, x, u), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory(SampledPhase(t, x, u), lambda t, x, u: u + 0 * x)
     at = np.linspace(0.0, 3.0, 211)[1:-1]
     u, x = kinked(at, kinks)
     np.testing.assert_allclose(fitted.u(at), u, atol=1e-9)
@@ -202,7 +204,7 @@ def test_two_kinks_of_one_control() -> None:
         np.abs(t - 0.93) - 2 * np.abs(t - 2.04),
         (t - 0.93) * np.abs(t - 0.93) / 2 - (t - 2.04) * np.abs(t - 2.04),
     )
-    fitted = fit_trajectory(Samples(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory(SampledPhase(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(3 * np.array(fitted.mesh.breaks), np.union1d(t, [0.93, 2.04]), atol=1e-5)
 
 
@@ -212,7 +214,7 @@ def test_kink_after_a_jump_of_the_same_control() -> None:
     u = np.where(t <= 0.95, 5.0, np.abs(t - 2.04))
     after = 0.5 * (t - 2.04) * np.abs(t - 2.04) + 0.5 * 1.09**2
     x = np.where(t <= 0.95, 5 * t, 5 * 0.95 + after)
-    both = Samples(t, np.array([t**2 / 2, x]), np.array([t, u]))
+    both = SampledPhase(t, np.array([t**2 / 2, x]), np.array([t, u]))
     fitted = fit_trajectory(both, lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(jumps_of(fitted, t), [0.95], atol=1e-7)
     np.testing.assert_allclose(3 * np.array(fitted.mesh.breaks), np.union1d(t, [0.95, 2.04]), atol=1e-7)
@@ -225,13 +227,13 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
     t = np.array([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
     s = 1.2
     u, x = np.maximum(t - s, 0.0), np.maximum(t - s, 0.0) ** 2 / 2
-    samples = Samples(t, np.array([x, t]), u[None])  # time says nothing of either
+    samples = SampledPhase(t, np.array([x, t]), u[None])  # time says nothing of either
     controls = _ControlFit(samples, [])
     controls.choose_interpolation(samples, lambda t, x, u: np.array([u[0], 1 + 0 * t]))
     at = np.array([0.2, 0.6])
     assert np.max(np.abs(_build_interpolants(t, u)[0](at))) > 1e-3  # the ripples
     np.testing.assert_allclose(controls(at, at)[0], 0.0, atol=1e-12)
-    smooth = Samples(t, np.array([t**4 / 4]), (t**3)[None])
+    smooth = SampledPhase(t, np.array([t**4 / 4]), (t**3)[None])
     controls = _ControlFit(smooth, [])
     controls.choose_interpolation(smooth, lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(controls(at, at)[0], at**3, atol=1e-12)
@@ -240,7 +242,7 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
 def test_controls_are_those_of_the_piece_in_whose_middle_they_are_asked() -> None:
     t = np.linspace(0.0, 4.0, 9)
     u = np.array([np.where(t <= 1.5, 1.0, 2.0), t])
-    controls = _ControlFit(Samples(t, u, u), [_Jump(3, 1.7, (0,))])
+    controls = _ControlFit(SampledPhase(t, u, u), [_Jump(3, 1.7, (0,))])
     np.testing.assert_allclose(controls(1.6, 1.6), [[1.0], [1.6]])
     np.testing.assert_allclose(controls(1.6, 1.8), [[2.0], [1.6]])
     np.testing.assert_allclose(controls([1.0, 3.0], [1.6, 1.8]), [[1.0, 2.0], [1.0, 3.0]])

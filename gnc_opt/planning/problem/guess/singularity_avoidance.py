@@ -28,13 +28,13 @@ def with_curved_guess(problem: P) -> P:
         if find_nonfinite_at_guess(problem, leg) is None:
             continue
         twin = problem.clone()
-        twin.phases[name].guess(**_curve_states(leg))
+        twin.phases[name].guess(**_build_curved_guess(leg))
         if find_nonfinite_at_guess(twin, twin.phases[name]) is None:
             problem = twin
     return problem
 
 
-def _curve_states(leg: Phase) -> dict[str, Any]:
+def _build_curved_guess(leg: Phase) -> dict[str, Any]:
     start, layout, box = build_phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Different shares, since r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))

@@ -17,9 +17,9 @@ import numpy as np
 from gnc_opt.model.composed_controls import SplitControl
 from gnc_opt.model.expressions import replace_nodes
 from gnc_opt.model.variables import Symbol
-from gnc_opt.planning.problem.bounds import Interval, intersect, ranges_by_name, stack_ranges, unbounded
+from gnc_opt.planning.problem.bounds import Interval, intersect, split_ranges_by_name, stack_ranges, unbounded
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -45,7 +45,9 @@ class ControlKink:
     corner: float
 
     @classmethod
-    def from_kink(cls, kink: Extremum, controls: Mapping[int, Any], domain: Domain) -> ControlKink | None:
+    def from_kink(
+        cls, kink: Extremum, controls: Mapping[int, Any], domain: SymbolRanges
+    ) -> ControlKink | None:
         """Return the bend of a kink; None if it has more pieces, or no constant corner along one control."""
         if len(kink.pieces) != 2:
             return None
@@ -69,7 +71,7 @@ BoundsByHand: TypeAlias = dict[str, Interval]
 """Bounds of all controls, by the path constraint that states them."""
 
 
-def find_constraint_bounds(leg: Phase, domain: Domain) -> BoundsByHand:
+def find_constraint_bounds(leg: Phase, domain: SymbolRanges) -> BoundsByHand:
     """Return the control bounds that are equivalent to path constraints with kinks."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
     controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
@@ -115,7 +117,7 @@ class ControlKinks:
     corners: dict[int, float]
 
     @classmethod
-    def from_phase(cls, problem: ProblemData, leg: Phase, domain: Domain) -> ControlKinks:
+    def from_phase(cls, problem: ProblemData, leg: Phase, domain: SymbolRanges) -> ControlKinks:
         """Return the bends of controls with exactly one corner of a cost in every component."""
         layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
         controls = {i: symbols[i] for i in index_control_symbols(leg).values()}
@@ -162,7 +164,9 @@ class SplitForm(PhaseForm):
                 Symbol(replace(v, name=unused_variable_name(old, f"{v.name}_{what}")))
                 for what in ("plus", "minus")
             )
-            split = SplitControl(v, (plus.variable.name, minus.variable.name), _find_corners(bends, places))
+            split = SplitControl(
+                v, (plus.variable.name, minus.variable.name), _find_kink_corners(bends, places)
+            )
             splits.append(split)
             controls += [plus, minus]
             values += split.decompose_symbol(symbol)
@@ -204,7 +208,7 @@ class SplitForm(PhaseForm):
 
     def apply_to_phase(self, leg: Phase) -> None:
         old, scales = leg.numbers, dict(leg.numbers.scales)
-        boxes = ranges_by_name(old.controls, leg.model.controls)
+        boxes = split_ranges_by_name(old.controls, leg.model.controls)
         for control in self.controls:
             lower, upper = (
                 control.decompose(end[:, None])
@@ -218,7 +222,7 @@ class SplitForm(PhaseForm):
         self.apply_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
-def _find_corners(bends: ControlKinks, places: range) -> tuple[float, ...]:
+def _find_kink_corners(bends: ControlKinks, places: range) -> tuple[float, ...]:
     corners = tuple(bends.corners[i] for i in places)
     return corners if any(corners) else ()
 

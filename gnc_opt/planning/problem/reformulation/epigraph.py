@@ -19,7 +19,7 @@ from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import list_table_calls
-from gnc_opt.planning.problem.interval_arithmetic import Domain, draw_values, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, draw_values, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -40,7 +40,7 @@ class Extremum:
     pieces: Pieces
 
 
-def find_costed_kinks(problem: ProblemData, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
+def find_costed_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex in the sense of the cost, by the names of their integrals."""
     ignored, found = _table_node_hashes(problem, leg), {}
     wanted = find_integral_signs(problem, leg)
@@ -57,7 +57,9 @@ def find_limit_side(constraint: Constraint, row: int) -> int:
     return int(above) - int(below)
 
 
-def find_convex_kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
+def find_convex_kinks(
+    expression: Any, nodes: list[Any], sense: int, domain: SymbolRanges
+) -> Iterator[Extremum]:
     """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
     for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
         own = sense * direction
@@ -88,7 +90,7 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
 
 def find_integral_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
-    domain = Domain.from_boundary(problem)
+    domain = SymbolRanges.from_boundary(problem)
     ends = problem.bind_parameters(
         leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
     )
@@ -123,7 +125,7 @@ def is_smooth(expression: Any) -> bool:
     return not any(node.op() in KINKED for node in list_nodes(expression))
 
 
-def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
+def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: SymbolRanges) -> list[Any]:
     """Return the outermost kinks of a scalar expression, except nodes with these hashes."""
     found: dict[int, Any] = {}
     seen: set[int] = set()
@@ -141,13 +143,13 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Domai
     return list(found.values())
 
 
-def find_kink_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def find_kink_pieces(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a node; None if there are none."""
     found = _find_smooth_pieces(node, sense, domain)
     return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated_constants(found, sense)
 
 
-def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def _find_smooth_pieces(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     if is_smooth(node):
         return [node]
     extremum = _read_extremum(node, domain)
@@ -177,7 +179,7 @@ def _find_smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     return None
 
 
-def _find_product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def _find_product_pieces(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return the pieces of a product or quotient of a kink and a smooth factor of known sign."""
     kink, factor = node.dep(0), node.dep(1)
     if node.op() == ca.OP_MUL and not is_smooth(factor):
@@ -203,7 +205,7 @@ def _scale_smooth_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
-def _read_extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
+def _read_extremum(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
     """Return 1 for a maximum, -1 for a minimum, with its arguments; None for other nodes."""
     operation = node.op()
     if operation == ca.OP_FABS:
@@ -215,7 +217,7 @@ def _read_extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     return _find_choice_pieces(node, domain) if operation == ca.OP_ADD else None
 
 
-def _find_choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
+def _find_choice_pieces(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
     """Return the pieces of a continuous ``if_else(a < b, ...)`` with a kink at a = b."""
     first, second = node.dep(0), node.dep(1)
     if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
@@ -271,7 +273,7 @@ class EndpointEpigraph:
     texts: tuple[str, ...]
 
     @classmethod
-    def from_problem(cls, problem: ProblemData, domain: Domain) -> EndpointEpigraph:
+    def from_problem(cls, problem: ProblemData, domain: SymbolRanges) -> EndpointEpigraph:
         limits = {name: split_kinked_constraint(c, domain) for name, c in problem.constraints.items()}
         changed = {name: c for name, c in limits.items() if c is not None}
         constraints, instead = {**problem.constraints, **changed}, {}
@@ -319,7 +321,7 @@ class KinkedTerms:
     limits: dict[str, Constraint]
 
     @classmethod
-    def from_phase(cls, problem: ProblemData, leg: Phase, domain: Domain) -> KinkedTerms:
+    def from_phase(cls, problem: ProblemData, leg: Phase, domain: SymbolRanges) -> KinkedTerms:
         _, x, u, _ = leg.model.arguments()
         found = find_costed_kinks(problem, leg, domain)
         costs = {
@@ -338,7 +340,7 @@ class KinkedTerms:
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
 
 
-def split_kinked_constraint(constraint: Constraint, domain: Domain) -> Constraint | None:
+def split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
     """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False

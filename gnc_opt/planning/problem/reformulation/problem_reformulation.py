@@ -13,7 +13,7 @@ from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.angular_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.expressions import build_phase_function, stack_expressions
-from gnc_opt.planning.problem.interval_arithmetic import Domain
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseNumbers
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -134,7 +134,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
 
 def _reformulate_boundary(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
-    domain = Domain.from_boundary(problem)
+    domain = SymbolRanges.from_boundary(problem)
     form = problem.cache(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))
     if form.texts:
         form.apply_to_problem(twin)
@@ -164,21 +164,21 @@ def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -
     form_key = key
     if not _has_kinks(problem, leg, form_key):
         return ()
-    domain = Domain.from_phase(problem, leg)
+    domain = SymbolRanges.from_phase(problem, leg)
     bounds = problem.cache(
         ("bounds", *form_key, domain.cache_key), lambda: find_constraint_bounds(leg, domain)
     )
     if bounds:
         form_key = (*form_key, *bounds)
         apply_constraint_bounds(leg, bounds)
-        domain = Domain.from_phase(problem, leg)
+        domain = SymbolRanges.from_phase(problem, leg)
     bends = problem.cache(
         ("bends", *form_key, domain.cache_key), lambda: ControlKinks.from_phase(problem, leg, domain)
     )
     if bends.at:
         form_key = (*form_key, *bends.cache_key)
         problem.cache(("split", *form_key), lambda: SplitForm.split_controls(leg, bends)).apply_to_phase(leg)
-        domain = Domain.from_phase(problem, leg)
+        domain = SymbolRanges.from_phase(problem, leg)
     if not _has_kinks(problem, leg, form_key):
         return form_key[len(key) :]
     kinked = problem.cache(

@@ -18,7 +18,7 @@ from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, V
 from gnc_opt.model.expressions import ROOTS, NormNodes, list_nodes, rebuild_node
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
-from gnc_opt.planning.problem.bounds import Interval, ranges_by_name, stack_intervals, stack_ranges
+from gnc_opt.planning.problem.bounds import Interval, split_ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
@@ -74,7 +74,7 @@ def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
 
 def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
     """Yield vectors with the control >= 0 and the path constraint that limit their norm: ``T.T @ T <= d**2``."""
-    layout, box = leg.model.controls, ranges_by_name(leg.numbers.controls, leg.model.controls)
+    layout, box = leg.model.controls, split_ranges_by_name(leg.numbers.controls, leg.model.controls)
     stated = set(index_control_symbols(leg))
     for label, row, limits in _split_path_rows(leg):
         own = {s.element_hash() for s in ca.symvar(row)}
@@ -229,7 +229,7 @@ class NormForm(PhaseForm):
         """Apply the form to a phase, with the numbers of that phase; return the names of the added constraints."""
         stated, old, magnitude = leg.clone(), leg.numbers, self.control.magnitude
         rows = self._component_constraints(stated)
-        boxes = ranges_by_name(old.controls, stated.model.controls)
+        boxes = split_ranges_by_name(old.controls, stated.model.controls)
         boxes.setdefault(magnitude, Interval(np.array([self.limits[0]]), np.array([self.limits[1]])))
         scales = {name: value for name, value in old.scales.items() if name not in self.names}
         own = [np.max(old.scales[name]) for name in self.names if name in old.scales]
@@ -250,7 +250,10 @@ class NormForm(PhaseForm):
 
     def _component_constraints(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
-        boxes, layout = ranges_by_name(stated.numbers.controls, stated.model.controls), stated.model.controls
+        boxes, layout = (
+            split_ranges_by_name(stated.numbers.controls, stated.model.controls),
+            stated.model.controls,
+        )
         box, labels = (
             stack_intervals(boxes[n] for n in self.names),
             [k for n in self.names for k in layout[n].labels],

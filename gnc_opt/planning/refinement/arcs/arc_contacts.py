@@ -75,7 +75,9 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[Ar
         if held.size < CONTACT_MIN_NODES or np.sum(inside) < CONTACT_MIN_NODES:
             continue
         mean = np.mean(u[:, inside], axis=1)
-        at_lower, at_upper = leg.control_bounds.near(mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale)
+        at_lower, at_upper = leg.control_bounds.is_near_limits(
+            mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale
+        )
         found += [
             ArcControl(i, float(start), float(end), run.row, run.kind)
             for i in constraints.find_determining_controls(run.row)

@@ -205,7 +205,7 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
 
 def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
     """Return LOWER, UPPER or INTERIOR at each sample; changes of bounds within ``short`` segments are jumps."""
-    at_lower, at_upper = samples.leg.control_bounds.near(samples.u, SMALL * samples.control_scale)
+    at_lower, at_upper = samples.leg.control_bounds.is_near_limits(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
     labels = _label_limit_arcs(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
@@ -262,7 +262,9 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArra
     bends = hamiltonian_curvature(samples) > CONVEX
     idle = np.abs(samples.mu) <= NEGLIGIBLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
-    at_lower, at_upper = samples.leg.path_bounds.near(values, SMALL * np.max(np.abs(values), axis=1))
+    at_lower, at_upper = samples.leg.path_bounds.is_near_limits(
+        values, SMALL * np.max(np.abs(values), axis=1)
+    )
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
     return list(_label_limit_arcs(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 

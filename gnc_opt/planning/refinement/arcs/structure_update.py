@@ -184,7 +184,7 @@ def _add_saturated_arc(
     released = plan.structure.mask_near_exchanges()[: len(singular)]
     singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
-    at_lower, at_upper = bounds.near(samples.u_polynomial, SMALL * samples.control_scale)
+    at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
     left_open = zip(plan.resolutions, compute_singular_gradients(samples, plan), strict=True)
     stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[pieces]
     jumps = np.where(gain > 0, at_lower, at_upper)

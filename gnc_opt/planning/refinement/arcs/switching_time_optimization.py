@@ -22,12 +22,7 @@ from gnc_opt.planning.refinement.arcs.collocation_degree import choose_resolutio
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
-from gnc_opt.planning.refinement.arcs.structure_update import (
-    KINKS_MOVED,
-    RAISED,
-    SMOOTHED,
-    correct_plans,
-)
+from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_plans
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits, print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory

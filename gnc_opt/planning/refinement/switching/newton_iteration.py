@@ -214,11 +214,16 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
     loose = ~leg.final_bounds.is_fixed & (
         np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper)
     )
-    at_end = leg.final_bounds.near(s.x[:, -1], AT_LIMIT * s.state_scale) if np.any(loose) else (loose, loose)
+    at_end = (
+        leg.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale)
+        if np.any(loose)
+        else (loose, loose)
+    )
     boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
     sided = [np.logical_or(*at_end) & loose]
     sided += [
-        np.logical_or(*b.near(t, AT_LIMIT * s.span)) & ~b.is_fixed for b, t in zip(boxes, times, strict=True)
+        np.logical_or(*b.is_near_limits(t, AT_LIMIT * s.span)) & ~b.is_fixed
+        for b, t in zip(boxes, times, strict=True)
     ]
     return (
         len(problem.phases) == 1
