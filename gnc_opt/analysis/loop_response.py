@@ -43,8 +43,6 @@ _LOOKS = np.array([0.01, 0.1, 0.5])
 
 @dataclass(frozen=True)
 class _CommandPerturbation(Block):
-    """Block that adds d to the command."""
-
     def parameters(self, size: int, unit: str) -> Defaults:
         return {"d": (np.zeros(size), unit)}
 
@@ -161,7 +159,6 @@ class LoopResponse(StrictAttributes):
 
     @one_thread()
     def _closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
-        """Return the transfer function from d to u, (n_omega, m, m)."""
         w = read_numbers(omega, "the frequencies").reshape(-1)
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
             raise ArgumentError(
@@ -189,7 +186,6 @@ class LoopResponse(StrictAttributes):
 
 
 def _solve_linear_systems(matrices: Array, columns: Array) -> Array:
-    """Return the solutions of systems at some frequencies, (n_omega, n, m)."""
     try:
         return np.asarray(np.linalg.solve(matrices, columns))
     except np.linalg.LinAlgError:

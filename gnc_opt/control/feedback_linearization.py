@@ -158,7 +158,6 @@ def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
 
 
 def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
-    """Return K (n_outputs, sum of the relative degrees)."""
     a, b = _integrator_chains(errors)
     gain = np.zeros((errors.n_outputs, len(_list_chain_entries(errors))))
     for column, (i, k) in enumerate(_list_chain_entries(errors)):

@@ -174,8 +174,6 @@ class _IntegralStates:
 
 @dataclass(frozen=True, eq=False)
 class _StepSchedule:
-    """Schedule with the length of the control step as an additional signal."""
-
     schedule: ReferenceSchedule
 
     def __call__(self, times: Array, dt: float) -> Array:
@@ -241,7 +239,6 @@ def _solve_augmented_riccati(
     integrals: _IntegralStates,
     dt: float | None,
 ) -> tuple[LqrSolution, tuple[Array, Array]]:
-    """Return the regulator and the (sampled) plant, augmented by the integral states."""
     (a, b), (q, r, n) = plant, cost
     labels = deviation.errors.labels + integrals.memory.labels
     k, c = integrals.n_states, integrals.matrix

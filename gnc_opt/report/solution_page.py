@@ -15,13 +15,7 @@ from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import list_table_exits, mesh_text, objective_text, time_unit
-from gnc_opt.planning.solution.verdict import (
-    REMEDIES,
-    Condition,
-    Verdict,
-    violation_text,
-    worst_condition,
-)
+from gnc_opt.planning.solution.verdict import REMEDIES, Condition, Verdict, violation_text, worst_condition
 from gnc_opt.plot.axes import cost_unit, sample_densely
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import negligible_costates

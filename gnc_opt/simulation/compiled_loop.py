@@ -384,7 +384,6 @@ class CompiledLoop:
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
     def _list_end_times(self, parts: dict[str, Array]) -> Array:
-        """Return the end times of runs (n,), s."""
         if not self.events.size:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))

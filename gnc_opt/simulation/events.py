@@ -233,7 +233,6 @@ def _read_expression(event: Event, value: Any, what: str, plant: Model, size: in
 
 
 def _states_after_event(event: Event, plant: Model) -> Any:
-    """Return the states (n_states, 1) after an event."""
     new = {name: plant.symbol(name) for name in plant.states.names}
     for key, value in (event.reset or {}).items():
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", quote(key))

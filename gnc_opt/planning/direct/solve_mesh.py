@@ -214,8 +214,6 @@ class FeasibilityStart:
 
 @dataclass(eq=False)
 class _SolveAttempts:
-    """Attempts on one program until one succeeds: all results ``spent``, and those with cost, ``whole``."""
-
     attempt: MeshProblem
     allowance: _AttemptLimit
     deadline: float

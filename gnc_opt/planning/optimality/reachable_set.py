@@ -184,7 +184,6 @@ def compute_cell_edges(breaks: Array) -> Array:
 
 
 def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:
-    """Return the derivatives of an integrand in states and controls, (n_times, n) and (n_times, m)."""
     alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
     none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
     return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T

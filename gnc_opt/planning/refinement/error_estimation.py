@@ -106,7 +106,6 @@ def _compute_collocated_integrals(samples: PhaseSamples) -> Array:
 
 
 def _largest_per_segment(samples: PhaseSamples, values: Array) -> Array:
-    """Return the largest of values (n, n_samples) in each segment (n, K)."""
     return np.asarray(np.maximum.reduceat(values, samples.segment_starts, axis=1))
 
 

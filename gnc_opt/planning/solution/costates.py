@@ -102,7 +102,6 @@ def _compute_path_densities(
 
 
 def _fit_direction_coefficients(directions: Array, vector: Array) -> Array:
-    """Return the least-squares coefficients of a vector (n,) in directions (n, n_rows)."""
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
 
@@ -360,7 +359,6 @@ def _segment_points(collocation: PhaseCollocation, k: int) -> slice:
 
 
 def _segment_durations(collocation: PhaseCollocation, weights: Array) -> Array:
-    """Return the durations of the segments, (K,): the sums of their quadrature weights."""
     return np.add.reduceat(weights, collocation.mesh.point_offsets[:-1])
 
 
@@ -386,7 +384,6 @@ def _constant_segments(collocation: PhaseCollocation, x: Array) -> Mask:
 def _boundary_costates(
     collocation: PhaseCollocation, lam_g: Array, point_gradients: Array
 ) -> tuple[Array, Array]:
-    """Return the costates at the start and end of each segment, (n_states, K) each."""
     starts, ends = [], []
     for k in range(collocation.mesh.segments):
         derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)

@@ -27,7 +27,6 @@ def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> Ta
 
 
 def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
-    """Yield all variables with a time history and their values (size, n_times)."""
     x, lam = leg.x(t), leg.lam(t)
     for state in leg.states.variables:
         yield state, x[leg.states.slice(state.name)]

@@ -506,8 +506,6 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
 
 
 def _directional_rate_derivative(problem: Problem, leg: Phase) -> Any:
-    """Return (t, x, u, p, q and their changes) -> change of dx/dt."""
-
     def build() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]

@@ -237,5 +237,4 @@ def assemble_weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any
 
 
 def _index_variables(first: Indices, count: int) -> Indices:
-    """Return ``count`` consecutive indices from each first index, (count, n)."""
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

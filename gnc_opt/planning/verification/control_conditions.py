@@ -73,7 +73,6 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
 
 
 def _segment_means(s: PhaseSamples, values: Array) -> Array:
-    """Return the means of values (m, n_samples) over the segments, at the samples."""
     lengths = np.maximum(s.segment_integrals(np.ones(s.times.size)), TINY)
     return np.asarray((s.segment_integrals(values) / lengths)[:, s.segments])
 

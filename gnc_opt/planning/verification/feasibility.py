@@ -356,7 +356,6 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
 def _worst_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    """Return the largest violation of limits, relative to a scale (n,)."""
     if not len(labels):
         return NOTHING
     excess = np.maximum(interval.lower - values, values - interval.upper)

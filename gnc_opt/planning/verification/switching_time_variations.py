@@ -186,7 +186,6 @@ class ShiftedTrajectory:
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
     def _sum_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
-        """Return the sum of the further variations of a kind in a phase (size, n_columns)."""
         total = np.zeros((size, amounts.shape[1]))
         rows = amounts[len(self.jumps) + len(self.control_variations) :]
         for (*key, step), row in zip(self.parameter_variations, rows, strict=True):
@@ -332,7 +331,6 @@ class _ShiftedPhase:
 
 
 def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
-    """Return the applied controls (m, n_times) at times of steps with given middles."""
     edge = SAME_TIME * (leg.breaks[-1] - leg.breaks[0])
     inside = np.where(t < middle, t + edge, np.where(t > middle, t - edge, t))
     return np.array(leg.applied(np.clip(inside, leg.breaks[0], leg.breaks[-1])))

@@ -37,8 +37,6 @@ MIN_TIME_CONSTANT_S = 1e-12
 
 @dataclass(frozen=True)
 class _InitializedActuator(Block):
-    """Actuator whose initial output is ``initial``; see `Lag`."""
-
     initial: ArrayLike | None = field(default=None, kw_only=True)
 
     @property

@@ -312,7 +312,6 @@ def _singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
 
 
 def _driven_states(samples: PhaseSamples, channel: int) -> Mask:
-    """Return where the rate of a state depends on a control, (n_states, n_samples)."""
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
     rates = samples.functions.rates
