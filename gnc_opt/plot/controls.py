@@ -127,12 +127,17 @@ def find_declared_controls(legs: Sequence[PhaseSolution], names: Sequence[str] |
 
 
 def _list_rows(legs: Sequence[PhaseSolution], names: Sequence[str]) -> list[tuple[str, int | None]]:
-    """Return name and component of each row; None for all components."""
+    """Return name and component of each row; None for all components of a control without bounds or fixed."""
     rows: list[tuple[str, int | None]] = []
     for name in names:
         owners = [leg for leg in legs if name in leg.controls]
-        boxes = [(leg.control_bounds, leg.controls.slice(name)) for leg in owners]
-        bounded = any(np.any(np.isfinite([box.lower[at], box.upper[at]])) for box, at in boxes)
+        limits = [
+            (leg.control_bounds.lower[at], leg.control_bounds.upper[at])
+            for leg, at in ((leg, leg.controls.slice(name)) for leg in owners)
+        ]
+        bounded = any(
+            np.any((low < high) & np.isfinite(np.fmin(abs(low), abs(high)))) for low, high in limits
+        )
         rows += [(name, i) for i in range(owners[0].controls[name].size)] if bounded else [(name, None)]
     return rows
 
