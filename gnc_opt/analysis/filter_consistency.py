@@ -104,18 +104,16 @@ class Consistency(StrictAttributes, PrintableResult):
         return inside and all(test.ok for test in self.innovations.values())
 
     @property
-    def within(self) -> float:
+    def share_within(self) -> float:
         """Share of the values of ``nees`` within the interval of single values; expected: the confidence."""
         low, high = _compute_chi_square_interval(self.components, 1, self.confidence)
         known = self.nees[np.isfinite(self.nees)]
         return float(np.mean((known >= low) & (known <= high))) if known.size else float("nan")
 
     def __str__(self) -> str:
-        low, high = self.band
+        low, high, share = *self.band, 100 * self.share_within
         where = "mean over the runs" if self.independent else "mean over the run, band of single values"
-        lines = [
-            f"NEES {self.average:.4g}, {low:.4g} to {high:.4g} expected ({where}; {100 * self.within:.1f} % within)"
-        ]
+        lines = [f"NEES {self.average:.4g}, {low:.4g} to {high:.4g} expected ({where}; {share:.1f} % within)"]
         for name, test in self.innovations.items():
             if not test.taken:
                 lines.append(f"NIS of {name}: no sample taken ({test.refused} refused)")
@@ -150,7 +148,7 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
     >>> result = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf)
-    >>> print(result.nees.shape, f"{result.within:.0%} within {np.round(result.band, 2)}", result.innovations["q"].ok)
+    >>> print(result.nees.shape, f"{result.share_within:.0%} within {np.round(result.band, 2)}", result.innovations["q"].ok)
     (81,) 91% within [0.05 7.38] True
     """
     expect(estimator, Estimator, "the estimator of consistency()", "give the estimator of the loop")

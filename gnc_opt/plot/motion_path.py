@@ -86,7 +86,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
         for i, (name, place) in enumerate(bodies.items(), 1):
             drawn.append(_draw_box(ax, place, np.eye(3), size, COLORS[i % len(COLORS)], label=name))
         for name in view.keep_out:
-            surface = ellipsoid_points(*view.volume(name))
+            surface = ellipsoid_points(*view.keep_out_volume(name))
             ax.plot_wireframe(
                 *surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2, label=name
             )

@@ -64,11 +64,11 @@ class View:
         if self.position is None and self.attitude is None:
             raise ArgumentError("a view has neither position nor attitude: give at least one.")
         for name in self.keep_out:
-            self.volume(name)
+            self.keep_out_volume(name)
         for name, position in self.bodies.items():
             _read_position(position, f"the position of '{name}'")
 
-    def volume(self, name: str) -> tuple[Array, Array]:
+    def keep_out_volume(self, name: str) -> tuple[Array, Array]:
         """Return centre (3,) and semi-axes (3,) of a keep-out volume."""
         try:
             centre, radius = self.keep_out[name]

@@ -78,7 +78,7 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
         raise GncOptError("no motion has finite positions: there is nothing to show.")
     usual = [each.position for name, each in motions.items() if regular.get(name, True)]
     usual = usual or [each.position for each in motions.values()]
-    volumes = {name: ellipsoid_points(*view.volume(name)) for name in view.keep_out}
+    volumes = {name: ellipsoid_points(*view.keep_out_volume(name)) for name in view.keep_out}
     bodies = {name: [float(v) for v in np.ravel(place)] for name, place in view.bodies.items()}
     still = [*(v.reshape(3, -1) for v in volumes.values()), *(np.array(b)[:, None] for b in bodies.values())]
     low, high, size = _bounding_box([*usual, *still], view)

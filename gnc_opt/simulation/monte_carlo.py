@@ -221,7 +221,7 @@ def monte_carlo(
 def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
-    from gnc_opt.progress import campaign_meter
+    from gnc_opt.progress_display import campaign_meter
 
     return campaign_meter(total)
 

@@ -11,7 +11,7 @@ import rich.console
 from testing.models import one_phase
 
 import gnc_opt as go
-from gnc_opt.progress import campaign_meter
+from gnc_opt.progress_display import campaign_meter
 
 HOSTILE = "<script>alert('a')</script> & <b>"
 TAGS = {"div", "p", "strong", "table", "thead", "tbody", "tr", "th", "td", "pre"}

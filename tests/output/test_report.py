@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.verdict import REMEDIES
-from gnc_opt.progress import solve_meter
+from gnc_opt.progress_display import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 
 VERDICT = Verdict(

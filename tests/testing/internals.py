@@ -129,6 +129,7 @@ from gnc_opt.simulation.allocation import (
     read_effect_matrix,
 )
 from gnc_opt.simulation.block import StepContext
+from gnc_opt.simulation.block_signals import ColumnLayout, link_blocks
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.compiled_step import StepExecutor
 from gnc_opt.simulation.confidence_intervals import (
@@ -143,7 +144,6 @@ from gnc_opt.simulation.final_values import estimate_integration_errors
 from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
-from gnc_opt.simulation.signals import ColumnLayout, link_blocks
 from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import derivative_unit

@@ -110,7 +110,7 @@ class MeshProblem:
         if not self.progress:
             yield None
             return
-        from gnc_opt.progress import solve_meter
+        from gnc_opt.progress_display import solve_meter
 
         worth = (
             self.problem.sense * self.scaling.objective if with_cost else 1.0

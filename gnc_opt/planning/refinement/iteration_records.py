@@ -82,10 +82,10 @@ def record_iteration(
 def print_iterations(
     name: str, tol: float, shown: bool
 ) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
-    """Return a context manager whose value prints a pass, or does nothing; see `gnc_opt.progress`."""
+    """Return a context manager whose value prints a pass, or does nothing; see `gnc_opt.progress_display`."""
     if not shown:
         return nullcontext(lambda _: None)
-    from gnc_opt.progress import refinement_meter
+    from gnc_opt.progress_display import refinement_meter
 
     return refinement_meter(name, tol)
 

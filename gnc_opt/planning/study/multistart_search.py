@@ -380,7 +380,7 @@ def _count_worth_refining(minima: Sequence[Minimum], within: float | None) -> in
 def _progress_meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
     if not visible:
         return nullcontext(lambda objective: None)
-    from gnc_opt.progress import search_meter
+    from gnc_opt.progress_display import search_meter
 
     return search_meter(name, total, sense)
 

@@ -33,7 +33,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.planning.solution.trajectory_quality import Worst
-from gnc_opt.planning.verification.active_limit_terms import (
+from gnc_opt.planning.verification.lagrangian_limit_terms import (
     active_limit_gradients,
     find_costate_jumps,
     find_costly_limits,

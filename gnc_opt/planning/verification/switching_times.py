@@ -20,13 +20,13 @@ from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.trajectory_quality import Worst
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.active_limit_terms import (
+from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
+from gnc_opt.planning.verification.feasibility import combine_condition_results
+from gnc_opt.planning.verification.lagrangian_limit_terms import (
     find_costate_jumps,
     find_costly_limits,
     find_held_controls,
 )
-from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
-from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
 

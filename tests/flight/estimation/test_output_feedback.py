@@ -80,7 +80,7 @@ def test_a_right_filter_is_consistent(right, campaign):
     assert found.ok and found.independent and found.components == 2
     assert found.innovations["q"].taken + found.innovations["q"].refused == 150 * 60
     assert found.nees.shape == (150,) and found.band[0] < 2 < found.band[1]
-    assert 0.88 < found.within < 1.0
+    assert 0.88 < found.share_within < 1.0
     estimate = right.estimate(campaign.memory)
     e = campaign.states[:, 3] - estimate[:, 3]
     P = right.covariance(campaign.memory)[3]

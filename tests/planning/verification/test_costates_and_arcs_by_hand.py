@@ -22,7 +22,6 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular
-from gnc_opt.planning.verification.active_limit_terms import find_costate_jumps
 from gnc_opt.planning.verification.bang_bang_second_order import _switching_sign_violation
 from gnc_opt.planning.verification.costate_conditions import (
     _check_bound_impulses,
@@ -32,6 +31,7 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_parameter_stationarity,
     check_transversality,
 )
+from gnc_opt.planning.verification.lagrangian_limit_terms import find_costate_jumps
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT

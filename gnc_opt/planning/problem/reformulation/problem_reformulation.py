@@ -154,7 +154,7 @@ def _find_next_norm_form(
 
     def build() -> NormForm | UnitVectorForm | None:
         names = find_norm_vector(leg)
-        return UnitVectorForm.find(leg) if names is None else NormForm.from_phase(leg, names)
+        return UnitVectorForm.find_first(leg) if names is None else NormForm.from_phase(leg, names)
 
     return problem.cache(("form", *key), build)
 

@@ -77,7 +77,7 @@ class UnitVectorForm(PhaseForm):
     control: VectorControl
 
     @classmethod
-    def find(cls, leg: Phase) -> UnitVectorForm | None:
+    def find_first(cls, leg: Phase) -> UnitVectorForm | None:
         """Return the form for the first unit vector with a magnitude among the controls, or None."""
         return next((cls.from_unit_vector(leg, *found) for found in _find_unit_vectors(leg)), None)
 
