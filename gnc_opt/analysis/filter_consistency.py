@@ -148,7 +148,8 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
     >>> result = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf)
-    >>> print(result.nees.shape, f"{result.share_within:.0%} within {np.round(result.band, 2)}", result.innovations["q"].ok)
+    >>> share = f"{result.share_within:.0%} within {np.round(result.band, 2)}"
+    >>> print(result.nees.shape, share, result.innovations["q"].ok)
     (81,) 91% within [0.05 7.38] True
     """
     expect(estimator, Estimator, "the estimator of consistency()", "give the estimator of the loop")
