@@ -308,19 +308,6 @@ def test_from_rest_to_rest_at_top_speed(straight: go.Solution) -> None:
     np.testing.assert_allclose(straight.phase().saturated_control("a")(times), pushes, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_a_flight_turns_at_top_speed() -> None:
-    """It turns at top speed before it flies straight on.
-
-    With an acceleration that is constant on each of N steps, a restriction, it is 5.447761, 5.447362 and 5.447279 s for
-    N = 100, 200 and 400 (Opti of CasADi).
-    """
-    limits = go.RefinementLimits(max_work=7.0)
-    problem = flight_of_vector_limits([0.0, -0.4], [4.0, 1.5])
-    solution = go.solve(problem, mesh="30x3", tol=1e-7, structure="none", limits=limits)
-    assert solution.objective == pytest.approx(5.4472458, abs=2e-7)
-
-
 TURNING = PhaseStructure(
     (0.0, 1.0, 2.0, 3.0, 4.0),
     (
