@@ -195,10 +195,10 @@ class FilterDesign:
             sizes={c.name: c.space.errors for c in augmented.channels},
             gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
-            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._filter_facts())),
+            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._report_entries())),
         )
 
-    def _filter_facts(self) -> list[ReportEntry]:
+    def _report_entries(self) -> list[ReportEntry]:
         labels = self.augmented.errors.labels
         facts = [
             ReportEntry("estimated", ", ".join(labels)),

@@ -95,7 +95,7 @@ class SampleCount:
         self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
         return taken
 
-    def invalidate_after_hold(self, x: Any, hold: int) -> Any:
+    def states_or_nan_after_hold(self, x: Any, hold: int) -> Any:
         """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
         lost = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
         self.entries[LOST] = lost
@@ -199,7 +199,7 @@ class KalmanFilter:
                 else (after, found)
             )
         x = augmented.space.retraction(x, error)
-        told = tally.invalidate_after_hold(x[: augmented.model.states.size], self.hold)
+        told = tally.states_or_nan_after_hold(x[: augmented.model.states.size], self.hold)
         outputs = ca.cse([told, self._pack_memory(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 

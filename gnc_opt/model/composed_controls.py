@@ -69,7 +69,7 @@ class VectorControl(ComposedControl):
         return self.parts[1]
 
     @property
-    def length_path(self) -> str:
+    def length_limit(self) -> str:
         """Name of the path constraint on the length of the direction."""
         return f"{self.direction} squared"
 

@@ -151,7 +151,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
 
 def _list_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
     """Return label and row of each path constraint, without equations and lengths of directions."""
-    box, lengths = leg.path_bounds, [c.length_path for c in leg.vector_controls]
+    box, lengths = leg.path_bounds, [c.length_limit for c in leg.vector_controls]
     return [
         (label, i, leg)
         for i, label in enumerate(leg.path_labels)

@@ -149,8 +149,8 @@ def write_campaign_report(
         "Overview": _results_table(campaign)
         + figure_html(files, "distributions", CAMPAIGN_CAPTIONS["distributions"]),
         "Motion": motion,
-        "Dispersions": _prefixed_figures_html(files, "dispersion_", CAMPAIGN_CAPTIONS["dispersion"]),
-        "Envelopes": _prefixed_figures_html(
+        "Dispersions": _figures_html_by_prefix(files, "dispersion_", CAMPAIGN_CAPTIONS["dispersion"]),
+        "Envelopes": _figures_html_by_prefix(
             files,
             "envelope_",
             CAMPAIGN_CAPTIONS["envelope"],
@@ -192,7 +192,7 @@ def _drawn_parameters_table(campaign: Campaign) -> str:
     return html_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
 
 
-def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str) -> str:
+def _figures_html_by_prefix(files: Mapping[str, Path], prefix: str, caption: str) -> str:
     stems = [stem for stem in files if stem.startswith(prefix)]
     return "".join(figure_html(files, stem, f"{stem.removeprefix(prefix)}: {caption}") for stem in stems)
 

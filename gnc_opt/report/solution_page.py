@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import list_table_exits, mesh_text, objective_text, time_unit
+from gnc_opt.planning.solution.text_summary import list_outside_tables, mesh_text, objective_text, time_unit
 from gnc_opt.planning.solution.verdict import REMEDIES, Condition, Verdict, violation_text, worst_condition
 from gnc_opt.plot.axes import cost_unit, sample_densely
 from gnc_opt.plot.controls import find_declared_controls, has_control
@@ -179,7 +179,7 @@ def _solve_facts_table(solution: Solution) -> str:
     if solution.problem is not None and solution.status.solved:
         rows.append(("accuracy", solution.accuracy.summary_text))
     rows += _consumption_rows(solution)
-    rows += [("table left", str(found)) for found in list_table_exits(solution)]
+    rows += [("table left", str(found)) for found in list_outside_tables(solution)]
     return html_table(("", ""), rows)
 
 

@@ -89,7 +89,7 @@ class MeshProblem:
     ) -> NlpPoint:
         """Return the scaled solver input for an initial point, with ``held`` variables fixed; cost is optional."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
-        variables, rows = transcription.variable_interval(problem), transcription.row_interval(problem)
+        variables, rows = transcription.variable_interval(problem), transcription.constraint_bounds(problem)
         if held is not None:
             variables.lower[held] = variables.upper[held] = start.x[held]
         scales, worth = scaling.variables, scaling.objective if with_cost else 0.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values
+from gnc_opt.planning.problem.hamiltonian_functions import build_boundary_function
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
@@ -91,7 +91,7 @@ class LargestChanges:
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
             values += [np.atleast_1d(v) for v in leg.endpoint_arguments]
             spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
-            spans += [compute_integral_spans(s), np.zeros(leg.parameters.size)]
+            spans += [integral_variation_scales(s), np.zeros(leg.parameters.size)]
         values.append(solution.parameter_values)
         spans.append(compute_parameter_scales(solution))
         moves = [
@@ -104,7 +104,7 @@ class LargestChanges:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_batch(build_endpoint_values(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_batch(build_boundary_function(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])
@@ -113,7 +113,7 @@ class LargestChanges:
         return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1])
 
 
-def compute_integral_spans(s: PhaseSamples) -> Array:
+def integral_variation_scales(s: PhaseSamples) -> Array:
     """Return the variation scale of each integral of a phase (n_integrals,).
 
     An integrand contributes its variation along the phase; its magnitude if the duration is free; and the share

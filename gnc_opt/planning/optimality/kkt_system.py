@@ -295,7 +295,7 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
             image = image - space[: k + 1].T @ (space[: k + 1] @ image)
         length = float(np.linalg.norm(image))
         if length <= NEGLIGIBLE * max(map(abs, diagonal)) or (
-            k % 10 == 9 and is_spectrum_converged(diagonal, beside, length)
+            k % 10 == 9 and are_extreme_eigenvalues_converged(diagonal, beside, length)
         ):
             break
         beside.append(length)
@@ -305,7 +305,7 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
     return values, space[:n].T @ vectors
 
 
-def is_spectrum_converged(diagonal: list[float], beside: list[float], length: float) -> bool:
+def are_extreme_eigenvalues_converged(diagonal: list[float], beside: list[float], length: float) -> bool:
     """Return whether both ends of the spectrum have converged, from the last components of their eigenvectors."""
     values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
     return bool(

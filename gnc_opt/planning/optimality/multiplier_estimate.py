@@ -192,7 +192,7 @@ def estimate_multipliers(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
     limits = _LimitSet.from_values(transcription.variable_interval(problem), x, near * scales)
-    row_limits = _LimitSet.from_values(transcription.row_interval(problem), values, near / row_scales)
+    row_limits = _LimitSet.from_values(transcription.constraint_bounds(problem), values, near / row_scales)
     atoms = CostateJumpCandidates.from_trajectory(transcription, problem, fitted, q, scales, near)
     pushes = (
         scipy.sparse.diags_array(weights)

@@ -114,7 +114,7 @@ class ProgramPoint:
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective
         box = _scale_bounds(transcription.variable_interval(problem), scales)
-        row_box = _scale_bounds(transcription.row_interval(problem), 1 / row_scales)
+        row_box = _scale_bounds(transcription.constraint_bounds(problem), 1 / row_scales)
         weights, row_weights = compute_quadrature_weights(transcription)
         p = transcription.parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()

@@ -51,7 +51,7 @@ from gnc_opt.planning.optimality.reachable_set import (
     final_state_response,
     link_initial_states,
 )
-from gnc_opt.planning.problem.hamiltonian_functions import build_endpoint_values, endpoint_gradients
+from gnc_opt.planning.problem.hamiltonian_functions import build_boundary_function, endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -133,7 +133,7 @@ class Scales:
         gramians = compute_control_gramians(links, order, deviations, {})
         reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
         changed = sum(
-            np.max(np.abs(_hamiltonian_differences(s, reach[s.leg.name][1].semi_axes)), initial=0.0)
+            np.max(np.abs(_second_differences_of_h(s, reach[s.leg.name][1].semi_axes)), initial=0.0)
             for s in lasting
         )
         changed += sum(float(np.sum(_cost_of_each_control(s, deviations[s.leg.name]))) for s in samples)
@@ -157,7 +157,7 @@ class Scales:
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost only through the states.
             cost = changed + sum(
-                np.sum(np.abs(_hamiltonian_differences(s, np.diag(reach[s.leg.name][1].radius))))
+                np.sum(np.abs(_second_differences_of_h(s, np.diag(reach[s.leg.name][1].radius))))
                 for s in lasting
             )
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
@@ -222,7 +222,7 @@ def find_cost_curvature(s: PhaseSamples) -> Mask:
     return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
 
 
-def _hamiltonian_differences(s: PhaseSamples, moves: Array) -> Array:
+def _second_differences_of_h(s: PhaseSamples, moves: Array) -> Array:
     """Return half second differences of the integral of H along moves (n,), for two small steps.
 
     At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.
@@ -449,7 +449,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_batch(build_endpoint_values(problem), 1 + 2 * len(moves), *columns, nu)
+            found = evaluate_batch(build_boundary_function(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return replace_nonfinite(first), replace_nonfinite(second)

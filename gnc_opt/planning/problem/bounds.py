@@ -55,7 +55,7 @@ def default_control_bounds(model: Model) -> Interval:
     return box
 
 
-def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
+def ranges_of_control_parts(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return ranges in which split controls are replaced by their two parts: u = plus - minus."""
     parts: dict[str, Any] = {}
     for name, value in ranges.items():

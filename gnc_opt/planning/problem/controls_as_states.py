@@ -59,7 +59,7 @@ class StatedPhase(Protocol):
 
 def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
     """Convert controls to states of a phase, with rates in given ranges; see `Phase.rates`."""
-    _require_names(leg, ranges, "rates(u=(-1, 1))")
+    _require_control_names(leg, ranges, "rates(u=(-1, 1))")
     for name, limits in ranges.items():
         symbol = _get_control_symbol(leg, name, "rates")
         v = symbol.variable
@@ -70,7 +70,7 @@ def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
 
 def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
     """Convert controls to polynomials of time over a phase; see `Phase.polynomials`."""
-    _require_names(leg, degrees, "polynomials(u=3)")
+    _require_control_names(leg, degrees, "polynomials(u=3)")
     for name, given in degrees.items():
         symbol = _get_control_symbol(leg, name, "polynomials")
         degree = read_integer(given, f"the degree of control '{name}' in {leg.label}", 0, ProblemError)
@@ -104,7 +104,7 @@ def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _require_names(leg: StatedPhase, given: Mapping[str, Any], example: str) -> None:
+def _require_control_names(leg: StatedPhase, given: Mapping[str, Any], example: str) -> None:
     if not given:
         name = example.partition("(")[0]
         raise ProblemError(f"{name}() of {leg.label} names no control: write {example}.")
@@ -163,7 +163,7 @@ def split_time_bounds(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, 
             constant[name] = tuple(None if _is_time_function(end) else end for end in value)
             for end, limit in zip(("lower", "upper"), value, strict=True):
                 if _is_time_function(limit):
-                    _add_time_bound(leg, name, end, limit)
+                    _add_time_dependent_bound(leg, name, end, limit)
     return constant
 
 
@@ -171,7 +171,7 @@ def _is_time_function(end: Any) -> bool:
     return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
 
 
-def _add_time_bound(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
+def _add_time_dependent_bound(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
     """Add the path constraint of one end of a range: an expression, or a function of time that returns one."""
     model, what = leg.model, f"the {end} bound of '{name}' in {leg.label}"
     composed = model.composed_controls.get(name)

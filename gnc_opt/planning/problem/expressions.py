@@ -61,7 +61,7 @@ def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
     """Return the table calls in the expressions along a phase."""
 
     def find() -> tuple[TableCall, ...]:
-        known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
+        known = [*leg.model.table_uses(), *problem.table_calls_in_parameters()]
         if not known:
             return ()
         present = {node.element_hash() for node in list_nodes(stack_expressions(leg))}

@@ -22,8 +22,8 @@ from gnc_opt.planning.problem.bounds import (
     default_control_bounds,
     intersect,
     magnitude_ranges,
+    ranges_of_control_parts,
     read_interval,
-    split_control_ranges,
     split_ranges_by_name,
     stack_intervals,
     stack_ranges,
@@ -193,7 +193,7 @@ class Phase(StrictAttributes):
         """
         ranges = split_time_bounds(self, ranges)
         states, controls = self._split_states_and_controls(
-            split_control_ranges(self.model, ranges, self.label), "bounds"
+            ranges_of_control_parts(self.model, ranges, self.label), "bounds"
         )
         self._replace_numbers(
             states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.label),
@@ -448,7 +448,7 @@ class Phase(StrictAttributes):
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {
-            v.length_path: Interval(np.ones(1), np.ones(1))
+            v.length_limit: Interval(np.ones(1), np.ones(1))
             for v in self.vector_controls
             if self.has_unit_direction(v)
         }
@@ -471,7 +471,7 @@ class Phase(StrictAttributes):
 
     def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
         """Record that model, constraints, integrands use a vector control; see `has_unit_direction`, None decides."""
-        lengths = {v.length_path for v in self.vector_controls}
+        lengths = {v.length_limit for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vectors(expression)
@@ -482,7 +482,7 @@ class Phase(StrictAttributes):
     def _limit_direction_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"
-        self.paths[vector.length_path] = make_constraint(vector.length_path, square, None, 1.0, None, what)
+        self.paths[vector.length_limit] = make_constraint(vector.length_limit, square, None, 1.0, None, what)
 
     def _record_nonaffine_vectors(self, expression: Any) -> None:
         for vector in self.vector_controls:

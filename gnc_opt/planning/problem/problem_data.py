@@ -117,7 +117,7 @@ class ProblemData(StrictAttributes):
         """Return the guesses of the stacked free parameters."""
         return np.concatenate([np.zeros(0), *self.parameter_guess.values()])
 
-    def parameter_table_uses(self) -> list[TableCall]:
+    def table_calls_in_parameters(self) -> list[TableCall]:
         """Return the calls of tables with expressions in the free parameters."""
         return [use for symbol in self._parameters.values() for use in symbol.table_uses]
 

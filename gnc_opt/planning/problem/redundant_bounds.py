@@ -76,7 +76,7 @@ def find_implied_bounds(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of states (n_states,) are implied by the constant length of a vector."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
-    for places in _find_state_vectors(leg):
+    for places in _group_vector_states(leg):
         length = _find_boundary_length(leg, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
         below, above = -bounds.lower[places], bounds.upper[places]
@@ -86,7 +86,7 @@ def find_implied_bounds(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     return idle[0], idle[1]
 
 
-def _find_state_vectors(leg: Phase) -> list[Indices]:
+def _group_vector_states(leg: Phase) -> list[Indices]:
     """Return the indices of state vectors; scalar states with equal symmetric bounds form a vector."""
     states, bounds = leg.model.states, leg.numbers.states
     found, alike = [], dict[float, list[int]]()

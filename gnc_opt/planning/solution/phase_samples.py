@@ -153,9 +153,9 @@ class PhaseSamples:
         vectors = self.leg.vector_controls
         rows = {label: row for row, label in enumerate(self.leg.path_labels)}
         norms = {
-            i: rows[vector.length_path]
+            i: rows[vector.length_limit]
             for vector in vectors
-            if vector.length_path in rows
+            if vector.length_limit in rows
             for i in range(*layout.slice(vector.direction).indices(layout.size))
         }
         idle = find_inactive_controls(

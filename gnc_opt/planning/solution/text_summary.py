@@ -116,7 +116,7 @@ def summary(solution: SummarisedSolution) -> str:
     if not solution.converged and solution.verdict is None:
         lines += list(_node_violation_lines(quality))
     lines += list(_overshoot_lines(solution))
-    lines += [_labelled_line("table", str(found)) for found in list_table_exits(solution)]
+    lines += [_labelled_line("table", str(found)) for found in list_outside_tables(solution)]
     if quality is not None and solution.problem is None:
         lines.append(_labelled_line("note", "accuracy and defect were measured when the solution was saved"))
     return "\n".join(lines)
@@ -313,7 +313,7 @@ def _overshoot_lines(solution: SummarisedSolution) -> Iterator[str]:
         )
 
 
-def list_table_exits(solution: SummarisedSolution) -> list[OutsideTable]:
+def list_outside_tables(solution: SummarisedSolution) -> list[OutsideTable]:
     """Return where the trajectory is outside tables; empty without the problem."""
     return [] if solution.problem is None else solution.outside_tables()
 

@@ -69,7 +69,7 @@ def find_violations(
 def _find_violated_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
-    rows, box = transcription.row_interval(problem), transcription.variable_interval(problem)
+    rows, box = transcription.constraint_bounds(problem), transcription.variable_interval(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
     amounts = np.concatenate([_compute_excess(result.g, scaled_rows), _compute_excess(result.x, scaled_box)])

@@ -120,7 +120,7 @@ def _subtract_problem_data(transcription: Transcription, old: Problem, new: Prob
         return np.where(finite, np.where(finite, after, 0.0) - np.where(finite, before, 0.0), 0.0)
 
     here, there = transcription.variable_interval(old), transcription.variable_interval(new)
-    rows, new_rows = transcription.row_interval(old), transcription.row_interval(new)
+    rows, new_rows = transcription.constraint_bounds(old), transcription.constraint_bounds(new)
     lower, upper = moved(here.lower, there.lower), moved(here.upper, there.upper)
     row_lower, row_upper = moved(rows.lower, new_rows.lower), moved(rows.upper, new_rows.upper)
     return DataChange(

@@ -134,10 +134,10 @@ def find_sufficiency_theorem(solution: Solution, verdict: Verdict) -> str:
         return ""
     if is_convex(problem):
         return CONVEX
-    return LINEAR_TIME_OPTIMAL if _fulfils_time_optimal_theorem(problem, solution) else ""
+    return LINEAR_TIME_OPTIMAL if _is_linear_time_optimal_problem(problem, solution) else ""
 
 
-def _fulfils_time_optimal_theorem(problem: Problem, solution: Solution) -> bool:
+def _is_linear_time_optimal_problem(problem: Problem, solution: Solution) -> bool:
     if len(problem.phases) != 1 or problem.constraints or problem.parameters.size:
         return False
     leg = next(iter(problem.phases.values()))

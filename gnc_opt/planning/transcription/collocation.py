@@ -151,7 +151,7 @@ class PhaseCollocation:
         labels = []
         for k, count in enumerate(self._row_counts):
             for i in range(count):
-                where = self.family.row_location(i, self.mesh.degrees[k])
+                where = self.family.describe_row_location(i, self.mesh.degrees[k])
                 place = f"phase {phase}, segment {k + 1}, {where}"
                 labels += [f"{s} defect, {place}" for s in states]
         for k, j in self._list_segment_points():

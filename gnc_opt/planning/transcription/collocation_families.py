@@ -56,7 +56,7 @@ class PointFamily(ABC):
     # --- points -----------------------------------------------------------------------------------
 
     @abstractmethod
-    def approximate_points(self, n: int) -> Iterable[float]:
+    def estimate_points(self, n: int) -> Iterable[float]:
         """Return the points to about 14 digits."""
 
     @abstractmethod
@@ -92,7 +92,7 @@ class PointFamily(ABC):
     def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         """Return the variables (n_states, nodes) in the rows: states at start, points and end of a segment."""
 
-    def row_location(self, row: int, n: int) -> str:
+    def describe_row_location(self, row: int, n: int) -> str:
         """Return a description of the location of a row in a segment of n points."""
         return f"point {row + 1}"
 
@@ -102,7 +102,7 @@ class Gauss(PointFamily):
 
     extra_rows = 1
 
-    def approximate_points(self, n: int) -> Iterable[float]:
+    def estimate_points(self, n: int) -> Iterable[float]:
         return [float(x) for x in scipy.special.roots_legendre(n)[0]]
 
     def polynomial_coefficients(self, n: int) -> dict[int, int]:
@@ -126,8 +126,8 @@ class Gauss(PointFamily):
     def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([start, points, end])
 
-    def row_location(self, row: int, n: int) -> str:
-        return "end" if row == n else super().row_location(row, n)
+    def describe_row_location(self, row: int, n: int) -> str:
+        return "end" if row == n else super().describe_row_location(row, n)
 
 
 class Radau(PointFamily):
@@ -135,7 +135,7 @@ class Radau(PointFamily):
 
     starts_at_point = True
 
-    def approximate_points(self, n: int) -> Iterable[float]:
+    def estimate_points(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
 
     def polynomial_coefficients(self, n: int) -> dict[int, int]:
@@ -158,7 +158,7 @@ class Lobatto(PointFamily):
     starts_at_point = ends_at_point = True
     extra_rows = -1
 
-    def approximate_points(self, n: int) -> Iterable[float]:
+    def estimate_points(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
 
     def polynomial_coefficients(self, n: int) -> dict[int, int]:
@@ -183,7 +183,7 @@ class Lobatto(PointFamily):
     def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return points
 
-    def row_location(self, row: int, n: int) -> str:
+    def describe_row_location(self, row: int, n: int) -> str:
         return f"point {row + 2}"
 
 

@@ -146,7 +146,7 @@ def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _use_decimal_digits():
         symmetric = get_family(scheme).is_symmetric
-        x = _to_decimals(get_family(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
+        x = _to_decimals(get_family(scheme).estimate_points(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
             x = _polish_points(scheme, n, x)
         if symmetric:

@@ -83,7 +83,7 @@ def _derivative_magnitudes(
     size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)
     offset = NEARBY * size * np.cos(_GOLDEN_ANGLE * np.arange(start.size))
     gradient, nonzeros = np.zeros(start.size), np.zeros(transcription.constraints.jacobian_pattern[0].size)
-    limits, room = transcription.row_interval(problem), np.zeros(transcription.n_constraints)
+    limits, room = transcription.constraint_bounds(problem), np.zeros(transcription.n_constraints)
     for point in (start, start + offset):
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
         values, slope, jacobian = transcription.evaluate_derivatives(problem, inside)

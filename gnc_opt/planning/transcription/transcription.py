@@ -373,7 +373,7 @@ class Transcription(ProgramNumbering):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
 
-    def row_interval(self, problem: Problem) -> Interval:
+    def constraint_bounds(self, problem: Problem) -> Interval:
         """Return the bounds of all rows in physical units."""
         box = Interval(np.zeros(self.n_constraints), np.zeros(self.n_constraints))
         for name, part in self.parts.items():

@@ -142,7 +142,7 @@ def check_minimum_principle(
 def _find_largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, float, bool]:
     """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
     deviation = np.max(scales.phases[s.leg.name].deviation, axis=1, initial=0.0)
-    gain, own, searched = _hamiltonian_gains(s, deviation, scales.cost, tolerance)
+    gain, own, searched = _hamiltonian_decreases(s, deviation, scales.cost, tolerance)
     lasts = average_over_time(s.times, gain[None])[0]
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
@@ -150,7 +150,7 @@ def _find_largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tup
     return Worst(float(share[j]), s.describe_sample(j)), float(s.weights @ gain), searched
 
 
-def _hamiltonian_gains(
+def _hamiltonian_decreases(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[Array, Array, bool]:
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
@@ -169,7 +169,7 @@ def minimum_principle_loss(solution: Solution) -> float:
     """Return the integral of H minus its minimum, in the unit of the objective; NaN or inf if H is not finite."""
     samples = [s for s in solution.samples().values() if s.has_duration and s.leg.controls.size]
     return float(
-        sum(s.weights @ _hamiltonian_gains(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples)
+        sum(s.weights @ _hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples)
     )
 
 

@@ -42,7 +42,7 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
         rows = {
             s.leg.path_labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group
         }
-        if curved <= across | {(j, i) for i, j in across} and rows == {vector.length_path}:
+        if curved <= across | {(j, i) for i, j in across} and rows == {vector.length_limit}:
             return vector
     return None
 
@@ -65,7 +65,7 @@ def best_direction_gradient(
     return gradient
 
 
-def fix_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def fix_free_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with directions fixed where their magnitude is, and inactive angles fixed."""
     strong = cone.strong.copy()
     for s in samples:
@@ -84,7 +84,7 @@ def fix_inactive_directions(cone: CriticalCone, samples: Sequence[PhaseSamples])
             size = cone.point.x[magnitude[0]] * cone.point.scaling.variables[magnitude[0]]
             scale = s.control_scale[s.leg.controls.slice(vector.magnitude)][0]
             idle = strong[magnitude[0]] & (size <= AT_LIMIT * scale)
-            length = collocation.path_rows[s.leg.path_labels.index(vector.length_path)]
+            length = collocation.path_rows[s.leg.path_labels.index(vector.length_limit)]
             strong[direction[:, idle]] = True
             strong[cone.point.x.size + length[idle]] = False
     return replace(cone, strong=strong)

@@ -10,7 +10,7 @@ from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_set import with_free_touch_times
 from gnc_opt.planning.optimality.cost_scale import LargestChanges
 from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.optimality.sampling_grid import find_feature_edges
+from gnc_opt.planning.optimality.sampling_grid import find_edges_near_constants
 from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.kink_detection import find_kinks
@@ -139,7 +139,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     with_costates = has_costates(samples, ends, amounts.cost)
     missing = find_nonfinite_entry(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [s.with_cost_magnitude(amounts.cost, find_feature_edges(problem, s)) for s in samples]
+    samples = [s.with_cost_magnitude(amounts.cost, find_edges_near_constants(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_worse(costate_inconsistency(samples) if with_costates else NOTHING)

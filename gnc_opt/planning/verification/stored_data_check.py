@@ -159,11 +159,11 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
         return False
     weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
     return weighed or all(
-        _largest_end_cost_change(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
+        _largest_cost_change_at_ends(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
     )
 
 
-def _largest_end_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
+def _largest_cost_change_at_ends(s: PhaseSamples, ends: EndGradients) -> float:
     """Return the largest cost change when an end value or time of a phase changes by its magnitude."""
     name = s.leg.name
     states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))

@@ -26,7 +26,11 @@ from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, final_
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, build_endpoint_values
+from gnc_opt.planning.problem.hamiltonian_functions import (
+    EndGradients,
+    PhaseFunctions,
+    build_boundary_function,
+)
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -172,7 +176,7 @@ class ShiftedTrajectory:
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_batch(build_endpoint_values(problem), count, *arguments, q, nu)
+        values = evaluate_batch(build_boundary_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         moved, reach = psi - psi[:, -1:], self.scales.constraints[0]

@@ -292,7 +292,7 @@ def test_bounds_of_all_variables_and_rows() -> None:
     assert found.lower[program.parameter_places].tolist() == [0.5] and found.upper[
         program.parameter_places
     ].tolist() == [2.0]
-    rows = program.row_interval(problem)
+    rows = program.constraint_bounds(problem)
     dynamics = np.concatenate([r.ravel() for r in part.dynamics_rows])
     assert not rows.lower[dynamics].any() and not rows.upper[dynamics].any()
     assert set(rows.upper[part.path_rows[0]]) == {100.0} and set(rows.lower[part.path_rows[1]]) == {-50.0}

@@ -20,8 +20,8 @@ from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_scale import (
     LargestChanges,
     average_over_time,
-    compute_integral_spans,
     compute_parameter_scales,
+    integral_variation_scales,
 )
 from gnc_opt.planning.optimality.costate_jumps import (
     StateConstraintSides,
@@ -162,10 +162,10 @@ def test_spans_of_integrals() -> None:
         signals = (lambda t, k: np.array([t]), lambda t, k: np.array([1 + 0 * t]), lambda t, k: np.array([t]))
         return by_hand.samples(problem, *signals, weights=(1.0,) * 4, breaks=(0.0, 0.5, 2.0), **changes)
 
-    spans = dict(zip(problem.get_phase().integrands, compute_integral_spans(samples()), strict=True))
+    spans = dict(zip(problem.get_phase().integrands, integral_variation_scales(samples()), strict=True))
     assert list(spans.values()) == pytest.approx([2.0, 8 / 3, 0.0, 8 / 3], abs=1e-9)
     longer = samples(final_time_bounds=by_hand.interval(1.0, 3.0))
-    assert compute_integral_spans(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
+    assert integral_variation_scales(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
 
 
 def test_magnitudes_of_cost_constraints_and_parameters() -> None:

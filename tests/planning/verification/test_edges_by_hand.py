@@ -19,11 +19,15 @@ import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _controls_with_vanishing_switching
-from gnc_opt.planning.optimality.cost_scale import LargestChanges, average_over_time, compute_integral_spans
+from gnc_opt.planning.optimality.cost_scale import (
+    LargestChanges,
+    average_over_time,
+    integral_variation_scales,
+)
 from gnc_opt.planning.optimality.kkt_system import (
     LANCZOS_RESIDUAL_TOLERANCE,
     NullSpace,
-    is_spectrum_converged,
+    are_extreme_eigenvalues_converged,
     run_lanczos,
 )
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
@@ -432,7 +436,7 @@ def test_integrals_without_integrands_have_no_span() -> None:
     problem, leg = one_phase("one", model, 0.0, 1.0)
     problem.minimize(leg.final_state("x"))
     one = (lambda t, k: np.array([t]),) * 3
-    assert compute_integral_spans(by_hand.samples(problem, *one, weights=())).shape == (0,)
+    assert integral_variation_scales(by_hand.samples(problem, *one, weights=())).shape == (0,)
 
 
 def test_a_trajectory_without_controls_needs_none() -> None:
@@ -469,7 +473,9 @@ def test_both_ends_of_a_spectrum_must_have_settled() -> None:
     worst, largest = np.max(np.abs(vectors[-1])), np.max(np.abs(values))
     for factor, settled in ((0.99, True), (1.01, False)):
         assert (
-            is_spectrum_converged(diagonal, beside, factor * LANCZOS_RESIDUAL_TOLERANCE * largest / worst)
+            are_extreme_eigenvalues_converged(
+                diagonal, beside, factor * LANCZOS_RESIDUAL_TOLERANCE * largest / worst
+            )
             is settled
         )
 

@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_probe
+from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_invariance_test
 from gnc_opt.planning.problem.typical_magnitudes import typical_phase_magnitudes
 
 DURATION_MAX_RATIO = 10.0
@@ -77,7 +77,7 @@ def find_angular_states(problem: Problem, leg: Phase) -> Array:
     """Return the period of each state (n_states,): one turn for angles, 0 for others."""
 
     def build() -> Array:
-        probe = build_angle_probe(problem, leg, of_states=True)
+        probe = build_angle_invariance_test(problem, leg, of_states=True)
         return np.array([probe.find_period(i, PERIODS) for i in range(leg.model.states.size)])
 
     return problem.cache(("angular states", leg.name), build)

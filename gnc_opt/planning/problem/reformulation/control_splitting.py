@@ -184,7 +184,7 @@ class SplitForm(PhaseForm):
             return replace_nodes(replace_nodes(expression, known), instead)
 
         stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
-        lengths = {v.length_path for v in leg.vector_controls}
+        lengths = {v.length_limit for v in leg.vector_controls}
         return cls(
             old.in_controls(
                 controls,

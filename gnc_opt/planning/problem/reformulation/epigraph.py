@@ -43,7 +43,7 @@ class Extremum:
 def find_costed_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex in the sense of the cost, by the names of their integrals."""
     ignored, found = _table_node_hashes(problem, leg), {}
-    wanted = find_integral_signs(problem, leg)
+    wanted = find_integral_cost_signs(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
         if nodes:
@@ -88,7 +88,7 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
     return True
 
 
-def find_integral_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
+def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = SymbolRanges.from_boundary(problem)
     ends = problem.bind_parameters(

@@ -75,7 +75,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
         ("operations", leg.name), lambda: find_operations(stack_expressions(leg))
     ):
         return turns
-    probe = build_angle_probe(problem, leg)
+    probe = build_angle_invariance_test(problem, leg)
     if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
@@ -86,7 +86,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
     return turns
 
 
-def build_angle_probe(problem: ProblemData, leg: Phase, *, of_states: bool = False) -> AngleProbe:
+def build_angle_invariance_test(problem: ProblemData, leg: Phase, *, of_states: bool = False) -> AngleProbe:
     """Return a probe of all functions along a phase at random times, states, controls and free parameters."""
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)

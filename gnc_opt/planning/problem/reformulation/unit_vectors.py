@@ -107,7 +107,7 @@ class UnitVectorForm(PhaseForm):
             ),
             {
                 other: c
-                if other in {own.length_path for own in leg.vector_controls}
+                if other in {own.length_limit for own in leg.vector_controls}
                 else replace(c, expression=express(c.expression))
                 for other, c in leg.paths.items()
                 if other != label

@@ -102,7 +102,7 @@ def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Inter
 
 def _split_path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
-    lengths = {v.length_path for v in leg.vector_controls}
+    lengths = {v.length_limit for v in leg.vector_controls}
     for name, c in leg.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
             yield label, c.expression[i], c.interval.component_interval(i)
@@ -215,7 +215,7 @@ class NormForm(PhaseForm):
         text = f"{shown} is replaced by {' * '.join(parts)}{_removed_limits_text(found.labels)}"
         return cls(
             old.in_controls(controls, list(_build_composed_controls(old, names, control, product)), express),
-            {**paths, **{v.length_path: leg.paths[v.length_path] for v in leg.vector_controls}},
+            {**paths, **{v.length_limit: leg.paths[v.length_limit] for v in leg.vector_controls}},
             {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
             ControlForm(old, vector, product, ca.vertcat(*values), (text,)),
             names,
@@ -353,7 +353,7 @@ def _reformulate_path_constraints(
     for row in rows:
         expression = _drop_cone_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
-            on_sphere |= not _allows_shorter_vectors(expression, magnitude, row.interval)
+            on_sphere |= not _admits_shorter_vectors(expression, magnitude, row.interval)
             expression = _remove_squared_magnitude(expression, row.interval, magnitude)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
@@ -383,7 +383,7 @@ def _remove_squared_magnitude(expression: Any, limits: Interval, magnitude: Any)
     return 2 * most * magnitude * root - most**2
 
 
-def _allows_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
+def _admits_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
     """Return whether every shorter vector also satisfies the limits of a scalar expression, tested numerically."""
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
     function = ca.Function("row", [size, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])

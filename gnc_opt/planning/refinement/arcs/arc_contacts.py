@@ -147,7 +147,7 @@ def _leaves_first_order_limits(structure: PhaseStructure, piece: int, arc: int) 
     """Return whether a piece differs from an arc only in inactive limits whose single control is singular."""
     rows = structure.rows_changing_at(max(piece, arc))
     return bool(rows) and all(
-        structure.is_first_order(row)
+        structure.is_first_order_limit(row)
         and structure.kinds[arc][row].is_at_limit
         and [structure.kinds[piece][i] for i in structure.boundary_controls[row]] == [ArcKind.SINGULAR]
         for row in rows
@@ -162,7 +162,7 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
         )
         if np.any(scaled_multipliers > 0):
             found.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
-    return found
+    return [run for run in found if not run.is_end_touch(structure, constraints.samples)]
 
 
 # --- corrections ----------------------------------------------------------------------------------------------

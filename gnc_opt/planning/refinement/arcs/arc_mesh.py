@@ -261,7 +261,7 @@ class ArcMesh:
         controls = select_kind(
             structure.control_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_kinds
         )
-        kinds = np.vstack([controls, structure.path_kinds, structure.state_kinds])[:, segments]
+        kinds = np.vstack([controls, structure.path_kinds, structure.state_arc_kinds])[:, segments]
         free = kinds == ArcKind.INTERIOR
         kinds = select_kind(free & self._find_released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]

@@ -87,7 +87,7 @@ class PhaseStructure:
         return self.kind_matrix()[self._n_free : self._n_free + self.n_paths]
 
     @property
-    def state_kinds(self) -> KindArray:
+    def state_arc_kinds(self) -> KindArray:
         """Kinds of the states (n_states, A)."""
         return self.kind_matrix()[self._n_free + self.n_paths :]
 
@@ -203,7 +203,7 @@ class PhaseStructure:
         """
         rows, beside = self.rows_changing_at(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].is_at_limit] for kinds in beside]
-        states = [i for i in rows if self.is_first_order(i)]
+        states = [i for i in rows if self.is_first_order_limit(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
@@ -229,19 +229,12 @@ class PhaseStructure:
         own = 1 if row < self._n_free else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
         return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
 
-    def is_first_order(self, row: int) -> bool:
+    def is_first_order_limit(self, row: int) -> bool:
         """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
         held = (
             row >= self._n_free + self.n_paths and bool(self.boundary_controls[row]) and not self.orders[row]
         )
         return self.orders[row] == 1 or held
-
-    def find_path_limited_controls(self) -> Mask:
-        """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
-        held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
-        for row in np.flatnonzero(self.slopes):
-            held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
-        return held
 
     def mask_near_exchanges(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""

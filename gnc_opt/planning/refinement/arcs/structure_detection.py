@@ -225,7 +225,7 @@ def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
     The norm of a direction is excluded: it is always at its limit unless the direction has no effect.
     """
     leg = samples.leg
-    lengths = [v.length_path for v in leg.composed_controls if isinstance(v, VectorControl)]
+    lengths = [v.length_limit for v in leg.composed_controls if isinstance(v, VectorControl)]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     depends = np.any(slopes != 0, axis=2)
     inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)

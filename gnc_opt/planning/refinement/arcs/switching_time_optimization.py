@@ -183,7 +183,6 @@ class _StructureLoop:
 
         Every pass is added to ``iterates``.
         """
-        rejected: set[tuple[str, PhaseStructure]] = set()
         changed: set[Change] = set()
         for _ in range(self.limits.passes):
             begin = time.perf_counter()
@@ -208,7 +207,7 @@ class _StructureLoop:
                 return RefinementStatus.FAILED
             solution = found
             current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
-            plans, action = correct_plans(solution, current, rejected, self.target_error)
+            plans, action = correct_plans(solution, current, self.target_error)
             record = _record_iterate(solution, begin, action or "structure unchanged")
             self._append_iterate(_Iterate(solution, current, record))
             if len(self.iteration_records) == 1 and record.error > self.limits.worst:

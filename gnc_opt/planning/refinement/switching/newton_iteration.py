@@ -230,7 +230,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
         and s.functions.q.size == 0
         and all(kind.is_at_limit for row in structure.control_kinds for kind in row)
         and not any(
-            kind.is_at_limit for row in (*structure.path_kinds, *structure.state_kinds) for kind in row
+            kind.is_at_limit for row in (*structure.path_kinds, *structure.state_arc_kinds) for kind in row
         )
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.is_fixed))
