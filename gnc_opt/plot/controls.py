@@ -51,7 +51,7 @@ from gnc_opt.tolerances import AT_LIMIT
 _APPLIED: dict[str, Any] = {"label": "applied control", "color": COLORS[0], "linewidth": 2.0}
 _POINTS: dict[str, Any] = {"label": "at the collocation points", "color": COLORS[1], "markersize": 3}
 _SWITCHING: dict[str, Any] = {"label": "switching function", "color": COLORS[2], "linewidth": 1.4}
-_SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
+_ARC_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
 
 
 def plot_controls(
@@ -63,7 +63,7 @@ def plot_controls(
     """Return a figure of the controls, with the switching function beside each bounded component.
 
     Left: the applied signal with its bounds (dashed) and the values at the collocation points. Right: the switching
-    function dH/du; an optimal bounded control is at its upper bound where it is negative; dotted lines mark zeros.
+    function dH/du; an optimal bounded control is at its upper bound where it is negative; dotted: ends of its arcs.
     Controls without bounds, and vectors composed of other controls, have one row for all components.
 
     Parameters
@@ -176,7 +176,7 @@ def _is_declared_control(control: ComposedControl, others: Iterable[ComposedCont
 def _draw_switching_function(
     axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int
 ) -> None:
-    """Draw the switching function on the second axes, and mark its sign changes on both."""
+    """Draw the switching function on the second axes, and mark the ends of the control's arcs on both."""
 
     def evaluate_switching_function(t: Array, side: Any) -> Any:
         return solution.switching_function(name, t, leg.name, side)
@@ -190,12 +190,21 @@ def _draw_switching_function(
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     negligible = _compute_negligible_switching(solution, leg, name, i)
     set_minimum_y_range(axes[1], 100 * negligible)  # 1e-5 of H, as in the optimality check
-    on_bound = _is_control_at_bound(
-        leg, leg.controls.slice(name).start + i, t
-    )  # else it is zero up to rounding
-    for crossing in find_zero_crossings(t[on_bound], values[i][on_bound], negligible):
+    row = leg.controls.slice(name).start + i
+    switches = _find_arc_ends(solution, leg, row)
+    if not switches:
+        on_bound = _is_control_at_bound(leg, row, t)  # else it is zero up to rounding
+        switches = [*find_zero_crossings(t[on_bound], values[i][on_bound], negligible)]
+    for time in switches:
         for ax in axes:
-            ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
+            ax.axvline(time, zorder=1, **_ARC_END)
+
+
+def _find_arc_ends(solution: Solution, leg: PhaseSolution, row: int) -> list[float]:
+    """Return the times between the arcs of a control, s; empty if its arcs are unknown."""
+    channel, begin, end = leg.controls.labels[row], leg.initial_time, leg.final_time
+    arcs = [arc for arc in solution.structure if arc.phase == leg.name and arc.channel == channel]
+    return sorted({arc.start for arc in arcs if begin < arc.start < end})
 
 
 def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:

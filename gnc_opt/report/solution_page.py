@@ -31,16 +31,16 @@ CAPTIONS = {
     "states": "States over time. Dashed: limits, if they are in view; dotted: ends of phases.",
     "controls": (
         "Controls, each bounded one with its switching function ∂H/∂u. A control that enters H linearly is optimal at "
-        "its lower limit where this is positive and at its upper limit where it is negative; it switches at the "
-        "changes of sign (dotted)."
+        "its lower limit where this is positive and at its upper limit where it is negative. Dotted: the ends of "
+        "its arcs, where it switches."
     ),
     "constraints": (
         "Path constraints over time with their limits (dashed). Shaded: the constraint is active. Where it is not, its "
         "distance from the limit is the margin."
     ),
     "costates": (
-        "Costates: change of the minimised cost for a small change of each state at that time. They jump where a limit "
-        "of a state becomes active."
+        "Costates: change of the minimised cost for a small change of each state at that time. At a "
+        "limit of a state they may jump."
     ),
     "refinement": (
         "Segments of each refinement iteration over time, coloured by degree. They are short where the solution "
@@ -117,8 +117,11 @@ def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
     status = solution.status
     chips = "" if status.solved else status_label_html(f"not solved: {status.value.replace('_', ' ')}", "bad")
     if verdict is not None:
-        tone = "good" if verdict.ok else "bad" if verdict.failed else "open"
-        word = "strict local minimum" if verdict.minimum else verdict.outcome
+        tone = "good" if verdict.minimum else "bad" if verdict.failed else "open"
+        proven = (
+            "strict local minimum" if verdict.minimum else "necessary conditions hold, minimum not proven"
+        )
+        word = proven if verdict.ok else verdict.outcome
         chips += status_label_html(f"optimality check: {word}", tone)
     sense = "maximised" if solution.maximised else "minimised"
     return f"{chips} objective <strong>{escape(objective_text(solution))}</strong> ({sense})"

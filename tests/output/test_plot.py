@@ -102,6 +102,20 @@ def test_dotted_lines_mark_where_the_switching_function_changes_sign() -> None:
     problem.minimize(leg.final_time)
     for ax in plot_controls(go.solve(problem, mesh="4x3", tol=None)).axes:
         assert dotted_lines(ax) == pytest.approx([1.0], abs=0.057)
+    for ax in plot_controls(go.solve(problem)).axes:
+        assert dotted_lines(ax) == pytest.approx([1.0], abs=1e-9)
+
+
+def test_dotted_lines_mark_both_ends_of_a_singular_arc() -> None:
+    """Least int q^2 from q = 1 to q = 1 in 4 s with |u| <= 1 for dq/dt = u: -1 for 1 s, at rest at 0, +1 from 3 s."""
+    model, *_ = dynamics("integrator", "q", "u", lambda q, u: {q: u})
+    problem, leg = one_phase("out and back", model, initial=0.0, final=4.0)
+    leg.initial(q=1.0)
+    leg.final(q=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(model.symbol("q") ** 2))
+    for ax in plot_controls(go.solve(problem)).axes:
+        assert dotted_lines(ax) == pytest.approx([1.0, 3.0], abs=1e-7)
 
 
 def test_rounding_errors_of_an_interior_control_are_neither_marked_nor_magnified(cart: go.Solution) -> None:
