@@ -271,7 +271,6 @@ def _parse_literal(value: str, text: str) -> Any:
 
 @contextmanager
 def _name_failing_line(path: Path, what: str) -> Iterator[None]:
-    """Convert any error of user code to a one-sentence error with the line."""
     try:
         yield
     except ProblemFileError:

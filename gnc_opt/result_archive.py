@@ -118,7 +118,6 @@ def _are_stackable_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
 
 
 def _store_array(array: Array, place: str, arrays: Arrays) -> str:
-    """Store an array and return its name, a valid file name."""
     if array.dtype.hasobject:
         raise GncOptError(f"'{place}' cannot be saved: it is an array of Python objects.")
     name = "".join(c if c.isprintable() and c not in '/\\:*?"<>|' else "_" for c in place)

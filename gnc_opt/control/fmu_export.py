@@ -137,7 +137,6 @@ def _source_digest(sources: Path) -> str:
 
 
 def _write_law_header(controller: Controller, code: CCode, guid: str) -> str:
-    """Return the C definitions of a law that ``fmi2_cosimulation.c`` needs."""
     alarms = [controller.memory.slice(name).start for name in controller.alarms]
     return "\n".join(
         [

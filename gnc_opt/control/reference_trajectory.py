@@ -387,7 +387,6 @@ def _require_finite_reference(values: Array, times: Array, layout: Layout) -> Ar
 
 
 def _require_equal_layouts(phases: Sequence[TrajectoryPhase]) -> None:
-    """Raise `ArgumentError` if the states or controls of two phases differ."""
     first = phases[0]
     names = (first.model.states.labels, first.model.controls.labels)
     for phase in phases[1:]:

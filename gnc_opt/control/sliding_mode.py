@@ -353,7 +353,6 @@ def design_sliding_mode(
 
 
 def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
-    """Return the coefficients c_0, ..., c_{r-2}, 1 of each surface."""
     found = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.relative_degrees, strict=True)):
         given = _read_surface_slope(errors, slopes, label, i) if r > 1 else []

@@ -163,7 +163,6 @@ class Table(StrictAttributes):
 
     @cached_property
     def _axis_pieces(self) -> tuple[list[AxisPolynomials], Array]:
-        """Pieces of each axis, and the coefficients (c_1, c_2, ...)."""
         axes, coefficients = [], self.values
         for k, grid in enumerate(self.grids):
             pieces, first = METHODS[self.method](grid, np.moveaxis(coefficients, k, 0))

@@ -166,7 +166,6 @@ _WRITERS: dict[str, Callable[[TabularData, Path], None]] = {
 
 
 def _format_csv_value(value: Any) -> Any:
-    """Return a Python number or string; "" for a number that is not finite."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if isinstance(plain, float) and not np.isfinite(plain) else plain
 

@@ -344,7 +344,6 @@ def solve_by_known_arcs(
 
 
 def _is_refined(known: Solution) -> bool:
-    """Return whether a solution is within its tolerance, checked or not."""
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
     return known.history is not None and known.history.status in reached_by
 

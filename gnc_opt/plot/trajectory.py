@@ -215,7 +215,6 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
 def _draw_states_or_costates(
     solution: Solution, names: Sequence[str] | None, phase: str | None, *, costates: bool
 ) -> Figure:
-    """Return a figure with one axis per state over all its phases."""
     legs = select_phases(solution, phase)
     names = select_variable_names(legs, "states", names)
     negligible = negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)

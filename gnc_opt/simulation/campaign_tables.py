@@ -76,7 +76,6 @@ def _event_lines(campaign: CampaignStatistics) -> list[str]:
 
 
 def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
-    """Return one line per cause of failure, with the first runs concerned."""
     struck: dict[str, list[int]] = defaultdict(list)
     for index, outcome in campaign.failures.items():
         status = outcome.status.value

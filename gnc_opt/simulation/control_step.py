@@ -125,7 +125,6 @@ class ControlStep:
         return stack_signals(signals, self.measured.names), after
 
     def _output_expression(self, name: str, t: Any, x: Any) -> Any:
-        """Return an output of the plant that does not depend on controls."""
         plant = self.wiring.plant
         time, xs, _, ps = plant.arguments()
         expression = plant.output_expression(name)

@@ -153,7 +153,6 @@ class _EventPassage:
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
     def _advance_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
-        """Return the quantities at s, including those of the leg up to s."""
         seen = join_quantity_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 

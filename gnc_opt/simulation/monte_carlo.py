@@ -255,7 +255,6 @@ def _require_one_completed_run(flown: Sequence[RunBatch]) -> None:
 
 
 def _restore_parameters(flown: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
-    """Return the batches, with the parameters of lost batches drawn again."""
     found = []
     for part in flown:
         P = part.parameters

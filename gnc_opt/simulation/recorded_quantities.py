@@ -130,7 +130,6 @@ class Extremes:
 
 
 def _interpolate_maximum(y: Sequence[Any]) -> Any:
-    """Return the maxima of smooth curves through the values at the nodes."""
     highest = y[0]
     for each in y[1:]:
         highest = ca.fmax(highest, each)

@@ -173,7 +173,6 @@ class SensorOutage(Block):
 
 
 def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: int, what: str) -> None:
-    """Raise an error if the retraction does not accept errors of this size."""
     arguments = ca.SX.sym("x", size), ca.SX.sym("e", count)
     remedy = (
         f"take a state and an error, of {count} component{'s' * (count > 1)} as given, and return a state"

@@ -173,7 +173,6 @@ class WorkerPool(Generic[Object]):
         items: Sequence[tuple[int, Item]],
         ledger: _TaskLedger[Item, Answer],
     ) -> list[tuple[int, Item]]:
-        """Execute numbered items in parallel; return those whose process died."""
         left: list[tuple[int, Item]] = []
 
         def record_result(number: int, error: BaseException | None) -> None:

@@ -184,7 +184,6 @@ def _initialise_process(parcel: LocalParcel[Any] | Path) -> None:
 
 
 def _exit_with_parent() -> None:
-    """Exit immediately when the parent process is gone."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -72,7 +72,6 @@ def suggest_better_guess(problem: Problem) -> str:
 
 
 def _find_states_without_scale(problem: Problem) -> list[str]:
-    """Return the states without bound, end value and guess in all phases."""
     told: dict[str, bool] = {}
     for leg in problem.phases.values():
         numbers, states = leg.numbers, leg.model.states

@@ -163,7 +163,6 @@ class SeparableProgram:
 
     @cached_property
     def _coefficient_matrices(self) -> tuple[Any, list[Any]]:
-        """C and W of each block as CasADi matrices."""
         return _to_casadi_matrix(self.linear), [_to_casadi_matrix(block.weights) for block in self.blocks]
 
     @cached_property
@@ -254,7 +253,6 @@ def _gather_point_variables(extended: Any, block: PointBlock) -> Any:
 
 
 def _to_casadi_matrix(matrix: Any) -> Any:
-    """Convert a scipy sparse matrix to a CasADi DM of the same sparsity."""
     csc = scipy.sparse.csc_array(matrix)
     csc.sum_duplicates()
     csc.sort_indices()

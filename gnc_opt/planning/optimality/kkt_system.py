@@ -314,7 +314,6 @@ def are_extreme_eigenvalues_converged(diagonal: list[float], beside: list[float]
 
 
 def _normalise_rows(rows: Any) -> tuple[Any, Array]:
-    """Return rows scaled to unit length, and their original lengths."""
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
     norms = np.where(norms > 0, norms, 1.0)
     return scipy.sparse.diags_array(1 / norms) @ rows, norms

@@ -238,7 +238,6 @@ class _ControlFit:
 
 
 def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
-    """Return a smooth interpolant and one without overshoot."""
     if t.size < 4:
         polynomial = np.polynomial.Polynomial.fit(t, u, t.size - 1, domain=[t[0] - 0.5, t[0] + 0.5])
         return polynomial, polynomial

@@ -92,7 +92,6 @@ def _exponential_range(a: Range) -> Range:
 
 
 def _power_range(a: Range, b: Range) -> Range:
-    """Return the range of a power with a base >= 0 and a constant exponent."""
     if a[0] < 0 or b[0] != b[1]:
         return ANY
     with np.errstate(all="ignore"):

@@ -94,7 +94,6 @@ def _division_times(
 
 
 def _require_divisible_phase(problem: DivisibleProblem, leg: Phase) -> None:
-    """Raise `ProblemError` if a statement of the phase cannot be divided."""
     problem.require_mutable()
     stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
     if (

@@ -79,7 +79,6 @@ def _fixed_parameter_values(problem: ProblemData, leg: Phase) -> Array:
 
 
 def _list_bound_arrays(box: Any) -> Iterable[Array]:
-    """Yield all float vectors of a dataclass of intervals, depth first."""
     for value in vars(box).values():
         if isinstance(value, Interval):
             yield from (value.lower, value.upper)

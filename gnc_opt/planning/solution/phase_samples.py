@@ -459,5 +459,4 @@ def choose_sample_points(degree: int) -> tuple[Array, Array]:
 
 
 def _find_largest_finite(values: Array) -> Array:
-    """Return the largest finite number of each row, 0 if there is none."""
     return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))

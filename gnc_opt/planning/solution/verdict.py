@@ -317,7 +317,6 @@ def _condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> li
 
 
 def _condition_message(condition: Condition) -> list[str]:
-    """Return condition, location, loss of cost (if known) and remedy."""
     lines = [
         f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
         f"  at {condition.where}",

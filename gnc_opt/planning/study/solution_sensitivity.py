@@ -270,7 +270,6 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
 def _list_data_directions(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[DataChange]]:
-    """Return the name of the quantity and one direction per component."""
     if kind == "parameter":
         return f"parameter '{name}'", _parameter_data_changes(program, name, phase)
     if kind == "constraint":

@@ -120,7 +120,6 @@ class PhaseCollocation:
 
     @property
     def _row_counts(self) -> list[int]:
-        """Number of vector-valued dynamics rows of each segment."""
         return [n + self.family.extra_rows for n in self.mesh.degrees]
 
     @property

@@ -225,7 +225,6 @@ def _vanishes_with_denser_samples(failed: Condition, growth: float) -> bool:
 
 
 def _halve_samples(samples: SampledPhase) -> SampledPhase:
-    """Return every second sample, the ends, and both sides of jumps."""
     t = samples.t
     twice = np.append(np.diff(t) == 0, False)
     kept = np.arange(t.size) % 2 == 0

@@ -266,7 +266,6 @@ def _excess_over_lower_bounds(solution: Solution) -> Array:
 
 
 def _split_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
-    """Yield the terms of a sum, multiplied out by constant factors."""
     if expression.op() in (ca.OP_ADD, ca.OP_SUB):
         first, second = (expression.dep(k) for k in range(2))
         yield from _split_sum_terms(first, factor)

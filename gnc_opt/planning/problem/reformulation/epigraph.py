@@ -245,7 +245,6 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
 
 
 def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
-    """Remove constants that never exceed the maximum of e and -e."""
     values = draw_values(ca.vertcat(*found))
     opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
     keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]

@@ -65,7 +65,6 @@ def _without_redundant_phase_bounds(problem: ProblemData, leg: Phase) -> PhaseNu
 
 
 def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -> UnboundedAngles:
-    """Return the angles whose bounds exclude no direction."""
     width, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = UnboundedAngles(none - np.inf, none + np.inf, none)
     bounded = np.isfinite(width) & (width > 0)

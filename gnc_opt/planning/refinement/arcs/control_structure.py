@@ -236,6 +236,13 @@ class PhaseStructure:
         )
         return self.orders[row] == 1 or held
 
+    def find_path_limited_controls(self) -> Mask:
+        """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
+        held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
+        for row in np.flatnonzero(self.slopes):
+            held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
+        return held
+
     def mask_near_exchanges(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.n_pieces), dtype=bool)

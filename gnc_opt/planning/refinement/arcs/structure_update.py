@@ -17,6 +17,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
     SINGULAR_GAIN_MAX,
     compute_dynamics_defects,
+    compute_singular_gradients,
     refine_inaccurate_pieces,
 )
 from gnc_opt.planning.refinement.arcs.control_curvature import (
@@ -33,7 +34,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
-from gnc_opt.tolerances import GONE, NEGLIGIBLE
+from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL
 
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits next to touches released"
 SMOOTHED = "singular controls of higher degree"
@@ -54,7 +55,9 @@ def correct_plans(
         if structure is not None:
             return {**plans, name: plans[name].replace_structure(structure)}, action
     for name, s in samples.items():
-        structure, action = _replace_saturated_controls(s, plans[name])
+        structure, action = _add_saturated_arc(s, plans[name])
+        if structure is None:
+            structure, action = _replace_saturated_controls(s, plans[name])
         if structure is not None:
             return {**plans, name: plans[name].replace_structure(structure)}, action
     adjusted = {name: _move_kinks_and_refine(c, plans[name], tol) for name, c in constraints.items()}
@@ -164,10 +167,41 @@ def _compute_structure_violations(
     )
 
 
+def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
+
+    Where the optimal control jumps to a bound and back, a polynomial between the bounds leaves a switching function of
+    the sign of that bound, which no higher degree removes.
+    """
+    bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
+    singular = plan.structure.control_kinds == ArcKind.SINGULAR
+    released = plan.structure.mask_near_exchanges()[: len(singular)]
+    singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
+    gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
+    at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
+    left_open = zip(plan.resolutions, compute_singular_gradients(samples, plan), strict=True)
+    stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[pieces]
+    jumps = np.where(gain > 0, at_lower, at_upper)
+    reached = singular & stuck & affine_controls(samples)[:, None] & jumps
+    violation = np.zeros_like(gain)
+    for i in np.flatnonzero(np.any(reached, axis=1)):
+        j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
+        here = _find_run_around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
+        violation[i, here] = np.abs(gain[i, here])
+    asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    return _add_most_severe_arc(samples, plan.structure, violation, asked)
+
+
 def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     if np.max(compute_dynamics_defects(samples)) > SINGULAR_GAIN_MAX:
         return None, ""
     return replace_saturated_controls(samples, plan.structure, plan.segment_pieces[samples.segments])
+
+
+def _find_run_around(holds: Mask, j: int) -> slice:
+    fails = np.flatnonzero(~holds)
+    before, after = fails[fails < j], fails[fails > j]
+    return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
 def _mask_near_switches(violation: Array, kinds: KindArray) -> None:

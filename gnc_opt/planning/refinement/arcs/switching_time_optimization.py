@@ -243,7 +243,6 @@ def _list_arc_orders(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]
 
 
 def _keeps_arc_order(record: RefinementIteration) -> bool:
-    """Whether a pass changed only kinks and resolutions."""
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
 

@@ -162,7 +162,6 @@ class _Refinement:
 
     @property
     def _spent_work(self) -> float:
-        """Work of all passes except the first, which was given."""
         return sum(record.work for record in self._tabular_data[1:])
 
     def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
