@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.problem.hamiltonian_functions import build_boundary_function
+from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
@@ -104,7 +104,7 @@ class LargestChanges:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_batch(build_boundary_function(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_batch(boundary_function(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])

@@ -15,7 +15,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
-from gnc_opt.planning.problem.hamiltonian_functions import build_boundary_function
+from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -274,7 +274,7 @@ def boundary_constraint_jacobians(problem: Problem, solution: Solution) -> dict[
 
 
 def _boundary_jacobian_function(problem: Problem) -> Any:
-    ends = build_boundary_function(problem)
+    ends = boundary_function(problem)
     arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
     column = ends(*arguments)[:-1]
     states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]

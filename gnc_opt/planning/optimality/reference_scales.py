@@ -51,7 +51,7 @@ from gnc_opt.planning.optimality.reachable_set import (
     final_state_response,
     link_initial_states,
 )
-from gnc_opt.planning.problem.hamiltonian_functions import build_boundary_function, endpoint_gradients
+from gnc_opt.planning.problem.hamiltonian_functions import boundary_function, endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -449,7 +449,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_batch(build_boundary_function(problem), 1 + 2 * len(moves), *columns, nu)
+            found = evaluate_batch(boundary_function(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return replace_nonfinite(first), replace_nonfinite(second)

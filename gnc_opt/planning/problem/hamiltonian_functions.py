@@ -331,7 +331,7 @@ def _build_endpoint_function(problem: Problem) -> Any:
     )
 
 
-def build_boundary_function(problem: Problem) -> Any:
+def boundary_function(problem: Problem) -> Any:
     """Return the CasADi Function of boundary constraints and cost, in one column; inputs as in `endpoint_function`."""
 
     def build() -> Any:

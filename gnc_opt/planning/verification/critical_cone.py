@@ -241,7 +241,6 @@ def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
 
 
 def _interpolate_states(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
-    """Return the polynomials of varied states through start, points and end of each segment."""
     values = tuple(change[_state_node_variables(collocation, k)] for k in range(collocation.mesh.segments))
     nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.collocation_rules)
     return PiecewisePolynomial(breaks, nodes, values)

@@ -321,7 +321,6 @@ def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution
 def _unwrap_angles(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array
 ) -> dict[str, SampledPhase]:
-    """Return the samples with angles unwrapped that other tools keep within a turn."""
     found = {}
     for name, leg in samples.items():
         bounds = problem.phases[name].numbers.controls
@@ -403,7 +402,6 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
 
 
 def _remove_duplicate_samples(samples: SampledPhase) -> SampledPhase:
-    """Return the samples without duplicates, whose times differ by rounding."""
     t, u = samples.t, samples.u
     near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
     jumps = np.any(np.abs(np.diff(u, axis=1)) > SMALL * np.ptp(u, axis=1, keepdims=True), axis=0)

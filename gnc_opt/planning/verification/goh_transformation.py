@@ -221,7 +221,6 @@ def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, cha
 
 
 def _hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
-    """Return the mixed derivatives of H in controls and states, and those of the integrands."""
 
     def build_mixed_function() -> Any:
         slope = s.functions.functions["switching"]

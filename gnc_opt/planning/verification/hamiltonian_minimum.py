@@ -299,7 +299,6 @@ class _MinimumSearch:
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
     def _descend_from_best_of(self, kept: Array, best: Array) -> Array:
-        """Return, at every time, the minima of descents from the best of several controls."""
         every = np.arange(self.chosen.size)
         trials = np.stack([self._applied_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)

@@ -164,7 +164,6 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
 
 
 def _largest_cost_change_at_ends(s: PhaseSamples, ends: EndGradients) -> float:
-    """Return the largest cost change when an end value or time of a phase changes by its magnitude."""
     name = s.leg.name
     states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
     times = np.abs(np.array([ends.initial_time[name], ends.final_time[name]]))

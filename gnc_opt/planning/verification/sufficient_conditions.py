@@ -83,7 +83,6 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
 
 
 def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
-    """Return the indices of initial and final states of each phase among all end states."""
     found, at = {}, 0
     for leg in legs:
         n = leg.model.states.size
@@ -231,7 +230,6 @@ def attains_lower_bound(
 
 
 def _excess_over_lower_bounds(solution: Solution) -> Array:
-    """Return the excess of each cost term over its minimum, relative to its scale."""
     problem = solution.need_problem("verify").clone()
     terms = list(_split_sum_terms(problem.sense * problem.cost))
     for leg in problem.phases.values():

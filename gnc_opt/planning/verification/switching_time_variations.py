@@ -26,11 +26,7 @@ from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, final_
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
-from gnc_opt.planning.problem.hamiltonian_functions import (
-    EndGradients,
-    PhaseFunctions,
-    build_boundary_function,
-)
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, boundary_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -176,7 +172,7 @@ class ShiftedTrajectory:
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_batch(build_boundary_function(problem), count, *arguments, q, nu)
+        values = evaluate_batch(boundary_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         moved, reach = psi - psi[:, -1:], self.scales.constraints[0]
@@ -362,7 +358,6 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
 
 
 def _has_active_limits(s: PhaseSamples) -> bool:
-    """Return whether path constraints or state bounds have multipliers along a phase or at its ends."""
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
     return bool(np.any(find_costly_limits(s, s.times)) or np.any(at_ends))

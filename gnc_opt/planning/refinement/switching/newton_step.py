@@ -16,7 +16,7 @@ from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.switching_problem import boundary_function_derivatives
-from gnc_opt.planning.problem.hamiltonian_functions import build_boundary_function
+from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
@@ -228,5 +228,5 @@ def _evaluate_end_conditions(s: PhaseSamples, problem: Problem, flow: BangBangFl
     nothing = np.zeros(problem.constraint_interval().lower.size)
     times = (flow.initial[[clock]], flow.final_state[[clock]])
     arguments = (start, final, *times, flow.final_state[n:clock], s.functions.p, s.functions.q, nothing)
-    *constraints, cost = evaluate_batch(build_boundary_function(problem), 1, *arguments)[:, 0]
+    *constraints, cost = evaluate_batch(boundary_function(problem), 1, *arguments)[:, 0]
     return float(cost), np.array(constraints)
