@@ -1,4 +1,4 @@
-r"""Goddard's rocket: how high does a sounding rocket get that must beat drag and gravity?
+r"""Goddard's rocket: the greatest altitude of a sounding rocket against drag and gravity.
 
 Shows the singular arc. Full thrust to the end would waste fuel on drag, slow ascent on gravity; between them is an arc
 on which the switching function vanishes. Collocation alone chatters there and reports up to 16 m too much. Switching

@@ -2,8 +2,8 @@
 
 A chaser comes to rest 10 m above its target on a circular orbit and turns by 90 degrees about y, as fast as its torques
 and forces allow. `problems.rendezvous_tracking` tracks the plan in closed loop. The published times are reproduced by
-``python -m benchmarks.validation.published rendezvous``, the local minima that they are by
-``python -m benchmarks.validation.rendezvous_minima``. The page is docs/rendezvous.md.
+``python -m benchmarks.validation.published rendezvous``; they are local minima, listed by
+``python -m benchmarks.validation.rendezvous_minima``.
 
 To be read in this order:
 
