@@ -20,6 +20,7 @@ from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.verdict import REMEDIES
 from gnc_opt.progress_display import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report
+from gnc_opt.report.solution_page import control_effort
 
 VERDICT = Verdict(
     "cart",
@@ -420,6 +421,18 @@ def test_page_states_what_is_used_and_prints_no_rounding_errors(tmp_path: Path) 
     state, costate = words.index("state"), words.index("costate")
     assert words[words.index("v", state) :][:6] == ["v", "0", "0", "-1", "0", "m/s"]
     assert words[words.index("way", costate) :][:6] == ["way", "0", "0", "0", "0", "s/m"]
+
+
+def test_effort_of_a_control_that_changes_its_sign_within_a_segment() -> None:
+    """Least effort from rest to rest over 1 m in 1 s: a = 6 - 12 t, the integral of its magnitude is 3 m/s."""
+    model, _q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    problem.minimize(leg.integral(a**2))
+    assert control_effort(go.solve(problem, mesh="3x3", tol=None).phase(), "a") == pytest.approx(
+        3.0, abs=1e-7
+    )
 
 
 def test_what_is_maximised_is_shown_as_it_was_stated(capsys: pytest.CaptureFixture[str]) -> None:
