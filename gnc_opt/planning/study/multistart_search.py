@@ -34,12 +34,6 @@ from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.text_formatting import PrintableResult
 
-MOST_POINTS = 1000
-"""Largest number of points of a phase on a refined mesh."""
-
-MOST_PASSES = 20
-"""Work limit of one refinement."""
-
 MISS = 0.1
 """Relative propagation error and defect above which, together, a solution is spurious (rendezvous: 0.3 and 0.8)."""
 
@@ -50,6 +44,7 @@ class RefinementTask:
 
     structure: StructureChoice
     tol: float
+    limits: RefinementLimits
 
     def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
         known = set(problem.builds)
@@ -60,9 +55,8 @@ class RefinementTask:
                 del problem.builds[key]
 
     def _refine_minimum(self, problem: Problem, minimum: Minimum) -> Minimum:
-        limits = RefinementLimits(max_passes=MOST_PASSES, max_points=MOST_POINTS)
         coarse = minimum.solution.with_problem(problem)
-        solution = refine_solution(coarse, structure=self.structure, tol=self.tol, limits=limits)
+        solution = refine_solution(coarse, structure=self.structure, tol=self.tol, limits=self.limits)
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
         if not solution.status.solved or is_spurious(solution):
@@ -200,6 +194,7 @@ def multistart(
     refine: bool = True,
     max_refined: int = 6,
     within: float | None = None,
+    limits: RefinementLimits | None = None,
     executor: Executor | Literal["serial"] | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
@@ -225,6 +220,9 @@ def multistart(
         Number of distinct refined minima at which the refinement ends; at most twice as many are refined.
     within : float, optional
         Minima whose objective exceeds the best by more than this share stay on the coarse mesh.
+    limits : RefinementLimits, optional
+        Limits of the refinement of the best minimum; default: those of `refine`. All minima are refined first, each
+        with the work divided by ``max_refined``; the best one again with all of it if it does not pass the check.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. Threads of one process take turns, because the solver is not thread-safe.
     options : SolverOptions, optional
@@ -263,6 +261,8 @@ def multistart(
         raise ProblemError(
             f"multistart() has no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
+    if limits is not None:
+        expect(limits, RefinementLimits, "the limits of multistart()", "write RefinementLimits(max_work=20)")
     if options is not None:
         expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
     chosen = SolverOptions(max_iterations=COARSE_MAX_ITERATIONS) if options is None else options
@@ -276,8 +276,13 @@ def multistart(
         minima = merge_minima(_collect_coarse_minima(endings))
         if refine and not pool.interrupted:
             count = _count_worth_refining(minima, within)
-            refined = search.refine_minima(RefinementTask(structure, tol), minima[:count], max_refined)
+            whole = limits or RefinementLimits()
+            each = replace(whole, max_work=whole.max_work / max(max_refined, 1))
+            refined = search.refine_minima(RefinementTask(structure, tol, each), minima[:count], max_refined)
             minima = merge_minima([*refined, *minima[count:]])
+            if minima and minima[0].check_result == "NOT ok":
+                best = search.refine_minima(RefinementTask(structure, tol, whole), minima[:1], 1)
+                minima = merge_minima([*best, *minima[1:]])
     return Multistart(
         stated.name,
         tuple(replace(m, solution=m.solution.with_problem(stated)) for m in minima),

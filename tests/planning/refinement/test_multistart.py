@@ -284,7 +284,7 @@ def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_sam
     known = set(problem.builds)
     minimum = go.Minimum(coarse.solution, coarse.objective, 1, (coarse.index,), 1, (coarse.objective,))
     assert minimum.check_result == "coarse"
-    fine = RefinementTask("bang-bang", 1e-8)(problem, minimum)
+    fine = RefinementTask("bang-bang", 1e-8, go.RefinementLimits())(problem, minimum)
     assert fine.check_result == "ok"
     assert fine.objective == pytest.approx(26.22674, abs=1e-5)
     assert set(problem.builds) == known  # what was built for it is released
