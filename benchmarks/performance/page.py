@@ -1,12 +1,9 @@
 """The tables of docs/benchmarks.md and benchmarks/validation/README.md.
 
-``python -m benchmarks.performance.page [NAME ...]`` measures the named ones.
+    python -m benchmarks.performance.page [NAME [ARGUMENT ...]]
 
-Results are stored in ``numbers/NAME.json`` with command, date, machine and versions, and the page shows them
-all. Without a NAME nothing is measured anew. What a benchmark needs to know of this machine follows behind two dashes,
-and what it has just written with its own ``--json`` need not be measured twice:
-
-    python -m benchmarks.performance.page profile --results profile.json -- --environments DIR
+runs the benchmark with these arguments, stores its results in ``numbers/NAME.json`` with command, date, machine and
+versions, and writes the tables of all stored results.
 """
 
 from __future__ import annotations
@@ -19,7 +16,6 @@ import os
 import platform
 import re
 import shlex
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -46,18 +42,13 @@ class Benchmark:
 
     Attributes
     ----------
-    arguments : tuple of str
     heading : tuple of str
     rows : callable
         Of its results.
-    needs : str
-        What it must know of the machine; "" for nothing.
     """
 
-    arguments: tuple[str, ...]
     heading: tuple[str, ...]
     rows: Callable[[Any], Cells]
-    needs: str = ""
 
 
 def _closed_loop(results: Any) -> Cells:
@@ -108,25 +99,21 @@ _SCALE: Columns = {
 }
 
 
-def _by_columns(columns: Columns, *arguments: str) -> Benchmark:
+def _by_columns(columns: Columns) -> Benchmark:
     """Return a benchmark whose results have a row of the table each."""
     return Benchmark(
-        arguments,
         tuple(columns),
         lambda results: ([cell(row) for cell in columns.values()] for row in results),
     )
 
 
 BENCHMARKS = {
-    "certified": _by_columns(_CERTIFIED, "--runs", "7"),
-    "resolve": _by_columns(_RESOLVE, "--runs", "1000"),
+    "certified": _by_columns(_CERTIFIED),
+    "resolve": _by_columns(_RESOLVE),
     "scale": _by_columns(_SCALE),
-    "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous tracked by a TVLQR", ""), _closed_loop),
+    "closed_loop": Benchmark(("rendezvous tracked by a TVLQR", ""), _closed_loop),
     "profile": Benchmark(
-        (),
-        ("program", *(f"error below {accuracy:g}" for accuracy in profile.ACCURACIES)),
-        profile.table,
-        needs="--environments DIR",
+        ("program", *(f"error below {accuracy:g}" for accuracy in profile.ACCURACIES)), profile.table
     ),
 }
 """Those that the page shows, by the name of their module."""
@@ -137,30 +124,21 @@ def module_of(name: str) -> str:
     return f"benchmarks.performance.{name}"
 
 
-def measure(name: str, more: Sequence[str] = (), results: Path | None = None) -> None:
-    """Run a benchmark and keep its numbers, with what they depend on.
+def measure(name: str, arguments: Sequence[str] = ()) -> None:
+    """Run a benchmark with these arguments and store its results and what they depend on.
 
-    Parameters
-    ----------
-    name : str
-    more : sequence of str
-        Further arguments of the benchmark; of files and folders the page shows the last part.
-    results : Path, optional
-        What it has just written here, with these arguments: then it is not run again.
+    Of files and folders among the arguments the page shows the last part.
     """
     NUMBERS.mkdir(exist_ok=True)
     load = os.getloadavg()[0]
-    arguments = BENCHMARKS[name].arguments
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out.json" if results is None else results
-        if results is None:
-            main_of = importlib.import_module(module_of(name)).main
-            main_of([*arguments, *more, "--json", str(out)])
+        out = Path(folder) / "out.json"
+        importlib.import_module(module_of(name)).main([*arguments, "--json", str(out)])
         numbers = json.loads(out.read_text(encoding="utf-8"))
-    shown = [Path(each).name if Path(each).exists() else each for each in more]
+    shown = [Path(each).name if Path(each).exists() else each for each in arguments]
     about = {
         "load": round(load),
-        "command": shlex.join(["python", "-m", module_of(name), *arguments, *shown]),
+        "command": shlex.join(["python", "-m", module_of(name), *shown]),
         "date": datetime.date.today().isoformat(),
         "machine": machine(),
         "versions": {"python": platform.python_version()}
@@ -193,10 +171,7 @@ def markdown(name: str) -> str:
     """Return the table of a benchmark with its origin, or how to get it."""
     kept, benchmark = numbers(name), BENCHMARKS[name]
     if kept is None:
-        needs = f" -- {benchmark.needs}" if benchmark.needs else ""
-        return (
-            f"Not measured yet: `python -m benchmarks.performance.page {name}{needs}` puts the table here.\n"
-        )
+        return f"Not measured yet: `python -m benchmarks.performance.page {name}` puts the table here.\n"
     busy = f", {kept['load']} other programs at work" if kept["load"] else ""
     versions = ", ".join(f"{package} {number}" for package, number in kept["versions"].items())
     origin = f"Measured by `{kept['command']}` on {kept['date']}: {kept['machine']}{busy}; {versions}."
@@ -215,26 +190,14 @@ def written(text: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what is named and write the page."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    split = given.index("--") if "--" in given else len(given)
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.performance.page",
-        description="The tables of docs/benchmarks.md and benchmarks/validation/README.md.",
-        epilog="What stands behind -- goes to the benchmark that is named: "
-        + ", ".join(f"{name} -- {each.needs}" for name, each in BENCHMARKS.items() if each.needs),
+        prog="python -m benchmarks.performance.page", description=(__doc__ or "").partition("\n")[0]
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"measured anew: {', '.join(BENCHMARKS)}")
-    parser.add_argument("--results", type=Path, metavar="FILE", help="what it has just written by its --json")
-    options, more = parser.parse_args(given[:split]), given[split + 1 :]
-    for name in options.names:
-        if name not in BENCHMARKS:
-            parser.error(f"the page has no table of {name}: choose among {', '.join(BENCHMARKS)}")
-        if BENCHMARKS[name].needs and not more:
-            parser.error(f"{name} needs {BENCHMARKS[name].needs}: write it behind --")
-    if (more or options.results) and len(options.names) != 1:
-        parser.error("--results and what stands behind -- are for one benchmark: name one")
-    for name in options.names:
-        measure(name, more, options.results)
+    parser.add_argument("name", nargs="?", choices=BENCHMARKS, help="measured anew")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="of this benchmark")
+    given = parser.parse_args(arguments)
+    if given.name:
+        measure(given.name, given.arguments)
     for page in PAGES:
         page.write_text(written(page.read_text(encoding="utf-8")), encoding="utf-8")
     return 0

@@ -49,6 +49,8 @@ def test_expressions_mean_what_python_means(formula: str, x: float) -> None:
     names = {name: getattr(math, name) for name in dir(math)}
     wanted = eval(formula, {"abs": abs, "min": min, "max": max, **names, "x": x})
     assert evaluate(formula, {"x": x}, "it") == pytest.approx(wanted, rel=1e-15)
+    if " if " in formula:  # of numbers only
+        return
     symbol = ca.SX.sym("x")
     function = ca.Function("f", [symbol], [evaluate(formula, {"x": symbol}, "it")])
     assert float(function(x)) == pytest.approx(wanted, rel=1e-14)

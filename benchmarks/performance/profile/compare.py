@@ -6,11 +6,13 @@
 Problems: those of one phase with a known optimum in a JSON file (default ``../shared/ocp/problems.json``). Every
 program states them from the same file, from the same guess (`statement`), solves on one thread, and is stopped after
 `LIMIT_S` of CPU time. The time of a solve is processor time from stating the problem to the answer; imports and a first
-small solve are not counted. yapss runs with DIR/yapss/bin/python (default DIR: .peers), made by
+small solve are not counted. yapss, rockit and maptor run with DIR/NAME/bin/python (default DIR: .peers), made by
 
     python -m venv .peers/yapss && .peers/yapss/bin/pip install yapss
+    python -m venv .peers/rockit && .peers/rockit/bin/pip install rockit-meco
+    python -m venv .peers/maptor && .peers/maptor/bin/pip install maptor
 
-and is skipped if that is missing.
+and are skipped if these are missing.
 
 An answer counts for an accuracy if its objective is within that share of the reference; a failure, a local minimum and
 an answer that is not accurate enough count alike. For each accuracy the curve of a program is the share of the problems
@@ -34,7 +36,7 @@ from benchmarks.validation.problem_set.reader import read_documents
 
 HERE = Path(__file__).parent
 SET_FILE = Path("../shared/ocp/problems.json")
-PROGRAMS = ("gnc_opt", "casadi", "yapss")
+PROGRAMS = ("gnc_opt", "casadi", "yapss", "rockit", "maptor")
 OURS = ("gnc_opt", "casadi")
 """What runs in this environment."""
 ACCURACIES = (1e-3, 1e-4, 1e-6, 1e-8)

@@ -2,15 +2,7 @@
 
 import casadi as ca
 import numpy as np
-from statement import report
-
-OPTIONS = {
-    "ipopt.print_level": 0,
-    "print_time": False,
-    "ipopt.sb": "yes",
-    "ipopt.tol": 1e-8,
-    "ipopt.max_iter": 3000,
-}
+from statement import IPOPT_OPTIONS, report
 
 
 def solver_of(segments, degree):
@@ -67,7 +59,7 @@ def solver_of(segments, degree):
         program = ca.nlpsol(
             "bare", "ipopt",
             {"x": ca.vertcat(ca.vec(X), ca.vec(U), times, free), "f": stated.sense * objective, "g": ca.vertcat(*rows)},
-            {**OPTIONS, "expand": True},
+            {**IPOPT_OPTIONS, "expand": True},
         )  # fmt: skip
         found = program(
             x0=start, lbx=[a for a, _ in limits], ubx=[b for _, b in limits], lbg=lower, ubg=upper

@@ -12,9 +12,12 @@ import resource
 import sys
 import time
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 """CPU time of one solve, s."""
-INFINITY = math.inf
+IPOPT_OPTIONS = {
+    "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-8, "ipopt.max_iter": 3000
+}  # fmt: skip
+"""Options of IPOPT for programs on CasADi."""
 
 
 class Statement:
@@ -84,11 +87,11 @@ class Statement:
     def _range(self, value):
         """Return (lower, upper) of a number, a pair or null."""
         if not isinstance(value, list):
-            return (-INFINITY, INFINITY) if value is None else (self._number(value),) * 2
+            return (-math.inf, math.inf) if value is None else (self._number(value),) * 2
         low, high = value
         return (
-            -INFINITY if low is None else self._number(low),
-            INFINITY if high is None else self._number(high),
+            -math.inf if low is None else self._number(low),
+            math.inf if high is None else self._number(high),
         )
 
     def _box(self, entry):
@@ -102,11 +105,9 @@ class Statement:
         return values[0], values[-1]
 
     def _control(self, entry):
-        return (
-            self._pair(entry["guess"])
-            if entry.get("guess") is not None
-            else (_middle(*self._box(entry)),) * 2
-        )
+        if entry.get("guess") is not None:
+            return self._pair(entry["guess"])
+        return (_middle(*self._box(entry)),) * 2
 
     def _pair(self, guess):
         return tuple(map(self._number, guess)) if isinstance(guess, list) else (self._number(guess),) * 2
@@ -115,6 +116,18 @@ class Statement:
 def vars_of(functions):
     """Return the functions that expressions use."""
     return {name: getattr(functions, name) for name in ("sin", "cos", "exp", "log", "sqrt")}
+
+
+def limits_of(value, pair):
+    """Yield the conditions that keep a symbolic value within a pair."""
+    low, high = pair
+    if low == high:
+        yield value == low
+        return
+    if math.isfinite(low):
+        yield value >= low
+    if math.isfinite(high):
+        yield value <= high
 
 
 def _value(expression, names):
