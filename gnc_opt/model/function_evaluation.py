@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -105,6 +106,9 @@ class VectorizedFunction:
 BLOCK = 16
 """Largest number of evaluations per CasADi call."""
 
+CACHED_FUNCTIONS = 256
+"""Functions of which the layout is remembered: CasADi needs longer to report it than to evaluate them."""
+
 
 def evaluate_function(
     function: Any,
@@ -155,11 +159,10 @@ def make_buffered_call(function: Any, *constants: ArrayLike) -> Callable[..., Ar
 
 def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
     """Return the first output (rows, n) of a CasADi function; arguments are (rows,) or (rows, n)."""
-    pattern = function.sparsity_out(0)
-    if not pattern.nnz():
-        return np.zeros((pattern.numel(), n))
     block = max(min(n, BLOCK), 1)
-    mapped = function.map(block) if block > 1 else function
+    mapped, pattern, nonzeros = _map_function(function, block)
+    if not nonzeros:
+        return np.zeros((pattern.numel(), n))
     buffer, run = mapped.buffer()
     changing, kept = [], []
     for i, argument in enumerate(arguments):
@@ -172,7 +175,7 @@ def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
         if here.size:
             buffer.set_arg(i, here.reshape(-1).data)
         kept.append(here)
-    results = np.empty((block, pattern.nnz()))
+    results = np.empty((block, nonzeros))
     buffer.set_res(0, results.reshape(-1).data)
     found = np.empty((n, results.shape[1]))
     for first in range(0, n, block):
@@ -186,6 +189,13 @@ def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
     dense = np.zeros((pattern.numel(), n))
     dense[pattern.find()] = found.T
     return dense
+
+
+@lru_cache(maxsize=CACHED_FUNCTIONS)
+def _map_function(function: Any, block: int) -> tuple[Any, Any, int]:
+    """Return the function of ``block`` points, and the pattern and number of nonzeros of the first output."""
+    pattern = function.sparsity_out(0)
+    return function.map(block) if block > 1 else function, pattern, pattern.nnz()
 
 
 def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
@@ -206,17 +216,23 @@ def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
 
 def check_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for wrong shapes."""
-    arrays = [
-        read_numbers(a, f"{function.name_in(i)} of {function.name()}()") for i, a in enumerate(arguments)
-    ]
+    names, sizes = _argument_rows(function)
+    arrays = [read_numbers(argument, name) for argument, name in zip(arguments, names, strict=False)]
     n_times = arrays[0].size
-    for i, array in enumerate(arrays[1:], 1):
-        rows = function.size1_in(i)
+    for i, (array, rows) in enumerate(zip(arrays[1:], sizes[1:], strict=False), 1):
         if array.ndim == 0:
             arrays[i] = array = array.reshape(1)
         if array.shape[0] != rows or array.shape[1:] not in ((), (n_times,)):
             raise ArgumentError(
-                f"{function.name_in(i)} of {function.name()}() has the shape {array.shape}: "
+                f"{names[i]} has the shape {array.shape}: "
                 f"give ({rows},) or ({rows}, {n_times}) for {n_times} time{'s' * (n_times != 1)}."
             )
     return arrays
+
+
+@lru_cache(maxsize=CACHED_FUNCTIONS)
+def _argument_rows(function: Any) -> tuple[list[str], list[int]]:
+    """Return the names, for messages, and the numbers of rows of the arguments."""
+    places = range(function.n_in())
+    names = [f"{function.name_in(i)} of {function.name()}()" for i in places]
+    return names, [function.size1_in(i) for i in places]

@@ -228,13 +228,17 @@ def check_legendre_clebsch(
 def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.control_gain)
-    scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
+    scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)
     least = np.full(s.times.size, np.inf)
-    for j, basis in enumerate(free_control_directions(s, _mask_interior_controls(s) & among, unit)):
-        if basis.size:
-            reduced = basis.T @ scaled[:, :, j] @ basis
-            finite = np.all(np.isfinite(reduced))  # LAPACK fails for non-finite numbers
-            least[j] = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
+    bases = free_control_directions(s, _mask_interior_controls(s) & among, unit)
+    sizes = np.array([basis.shape[1] for basis in bases])
+    for size in np.unique(sizes[sizes > 0]):
+        here = np.flatnonzero(sizes == size)
+        basis = np.stack([bases[j] for j in here])
+        reduced = np.swapaxes(basis, 1, 2) @ scaled[here] @ basis
+        finite = np.all(np.isfinite(reduced), axis=(1, 2))  # LAPACK fails for non-finite numbers
+        symmetric = 0.5 * (reduced + np.swapaxes(reduced, 1, 2))[finite]
+        least[here[finite]], least[here[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
     j = index_of_lasting_minimum(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
