@@ -53,14 +53,13 @@ class ErrorDynamics:
 
     def __call__(self, x: ArrayLike, x_ref: ArrayLike) -> Array:
         """Return e, (n_errors,) or (n_errors, n_times), for states of shape (n_states,) or (n_states, n_times)."""
-        return evaluate_columns(self._error_function, x, x_ref)
+        value = np.asarray(self._error_function(np.asarray(x), np.asarray(x_ref)).full())
+        return value if max(np.ndim(x), np.ndim(x_ref)) == 2 else value[:, 0]
 
     def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
         """Return A (n_errors, n_errors) and B (n_errors, n_controls) at t (s), state x_ref and control u_ref."""
-        jacobian, x_jacobian, u_jacobian = (
-            np.asarray(m.full())
-            for m in self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)
-        )
+        found = self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)
+        jacobian, x_jacobian, u_jacobian = (np.asarray(m.full()) for m in found)
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
     def linearize_at_times(self, times: Array, x_ref: Array, u_ref: Array) -> tuple[Array, Array]:
@@ -105,10 +104,3 @@ class ErrorDynamics:
         outputs = [ca.jacobian(e, x), ca.jacobian(rate, x), ca.jacobian(rate, u)]
         here = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]
         return ca.Function("jacobians", [t, x_ref, u_ref, p], here)
-
-
-def evaluate_columns(function: Any, *columns: ArrayLike) -> Array:
-    """Evaluate a CasADi function of column vectors at one time, or at many (time as last axis)."""
-    arrays = [np.asarray(c, dtype=float) for c in columns]
-    value = np.asarray(function(*arrays).full())
-    return value if any(a.ndim == 2 for a in arrays) else value[:, 0]

@@ -271,11 +271,13 @@ class Reference(StrictAttributes):
             )
         within = np.clip(times, self.initial_time, self.final_time)
         part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
-        first = parts[int(part[0])](within[:1])
-        values = np.empty((first.shape[0], times.size))
+        found = []
         for k in np.unique(part):
             here = part == k
-            values[:, here] = parts[int(k)](np.clip(within[here], self._breaks[k], self._breaks[k + 1]))
+            found.append((here, parts[int(k)](np.clip(within[here], self._breaks[k], self._breaks[k + 1]))))
+        values = np.empty((found[0][1].shape[0], times.size))
+        for here, value in found:
+            values[:, here] = value
         if tail is not None:
             values[:, times > self.final_time + slack] = tail[:, None]
         return values if np.ndim(t) else values[:, 0]

@@ -45,13 +45,13 @@ class ContinuousGains:
             )
         starts = [piece[0] for piece in self.pieces]
         k = max(int(np.searchsorted(starts, t, "right")) - 1, 0)
-        return _unpack_upper_triangle(self.pieces[k][2](max(t, starts[0])), self.terminal.shape[0])
+        return self.pieces[k][2](max(t, starts[0])).reshape(self.terminal.shape)
 
     def K(self, t: float) -> Array:
         """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
         if t >= self.reference.final_time:
             return self.tail
-        b = _linearize_on_reference(self.deviation, self.reference, t)[1]
+        b = self.deviation.linearize(t, self.reference.x(t), self.reference.u(t))[1]
         return feedback_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
 
 
@@ -136,15 +136,10 @@ def _design_tail_regulator(
         return None
 
 
-def _linearize_on_reference(deviation: ErrorDynamics, reference: Reference, t: float) -> tuple[Array, Array]:
-    return deviation.linearize(t, reference.x(t), reference.u(t))
-
-
 def _integrate_riccati(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
     q, r, n = cost
-    size = last.shape[0]
     inverse = np.linalg.inv(r)
     start, end = reference.initial_time, reference.final_time
     if end <= start:
@@ -152,24 +147,23 @@ def _integrate_riccati(
     edges = np.unique(np.clip(np.concatenate([[start, end], reference.jumps]), start, end))
     edges = edges[np.append(True, np.diff(edges) > ROUNDING * (end - start))]
     edges[-1] = end
-    packed, pieces = _pack_upper_triangle(last), []
+    final, pieces = last.ravel(), []
     for left, right in reversed(list(itertools.pairwise(edges))):
         nudge = SAME_TIME * (right - left)
 
         def riccati_rate(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
-            a, b = _linearize_on_reference(
-                deviation, reference, min(max(t, low), high)
-            )  # one-sided limit at jumps
-            p = _unpack_upper_triangle(y, size)
+            inside = min(max(t, low), high)  # one-sided limit at jumps
+            a, b = deviation.linearize(inside, reference.x(inside), reference.u(inside))
+            p = y.reshape(last.shape)
             half = b.T @ p + n.T
             flow = a.T @ p
-            return -_pack_upper_triangle(flow + flow.T - half.T @ inverse @ half + q)
+            return -np.ravel(flow + flow.T - half.T @ inverse @ half + q)
 
-        scale = max(float(np.max(np.abs(packed))), TINY)
+        scale = max(float(np.max(np.abs(final))), TINY)
         found = scipy.integrate.solve_ivp(
             riccati_rate,
             (right, left),
-            packed,
+            final,
             method="DOP853",
             rtol=1e-11,
             atol=1e-13 * scale,
@@ -181,7 +175,7 @@ def _integrate_riccati(
                 "smaller weights of errors or larger weights of controls."
             )
         pieces.append((float(left), float(right), found.sol))
-        packed = found.y[:, -1]
+        final = found.y[:, -1]
     return tuple(reversed(pieces))
 
 
@@ -217,13 +211,3 @@ def _sampled_gains(
     )
     ordered = tuple(reversed(gains)), tuple(reversed(costs))
     return SampledGains(t_0, dt, (*steps, resting), *ordered, tail, regulator)
-
-
-def _pack_upper_triangle(p: Array) -> Array:
-    return np.asarray(p[np.triu_indices(p.shape[0])])
-
-
-def _unpack_upper_triangle(packed: Array, size: int) -> Array:
-    p = np.zeros((size, size))
-    p[np.triu_indices(size)] = packed
-    return p + np.triu(p, 1).T

@@ -440,8 +440,7 @@ def closed(
             "wheels", model.AXES, max_torque=limit, max_momentum=model.MAX_MOMENTUM, momenta="h", to="T"
         )
     else:
-        slew = plan(name)
-        controller, momenta = control.design_tracker(slew, limit), np.asarray(slew.state("h")(0.0))
+        controller, momenta = _tracker(name, limit), np.asarray(plan(name).state("h")(0.0))
         motors = Saturation("motors", -limit, limit)
     turn = np.radians(start_error) / 2
     start = np.concatenate([[np.sqrt(1 - turn @ turn)], turn, np.zeros(3), momenta])
@@ -457,6 +456,11 @@ def closed(
         dt=control.CONTROL_STEP,
     )
     return loop, start
+
+
+@cache
+def _tracker(name: optimal.Name, limit: float) -> go.Controller:
+    return control.design_tracker(plan(name), limit)
 
 
 @cache

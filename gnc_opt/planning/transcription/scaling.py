@@ -52,8 +52,8 @@ def choose_variable_scales(
         span = max(abs(build_phase_guess(problem.phases[name], SAMPLES).times[1]), 1e-3)
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
-    for places, interval in ((transcription.parameter_places, problem.parameter_interval()),):
-        scales[places] = choose_typical_magnitudes(interval, np.abs(start[places]))
+    places = transcription.parameter_places
+    scales[places] = choose_typical_magnitudes(problem.parameter_interval(), np.abs(start[places]))
     return scales
 
 
