@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum
-from typing import Literal
+from typing import Any, Literal
 
 from gnc_opt.arguments import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
@@ -17,7 +17,8 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, recover_initial_meshes
-from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine, refine_by_stages
+from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
+from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine_by_stages
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_solution
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
@@ -283,15 +284,15 @@ def solve(
         if in_a_loop and _is_refined(guess) and _is_variation(problem, guess):
             tol = solution_tolerance(guess)
         if tol is not None and _is_refined(guess):
-            return _solve_again(problem, guess, tol, progress, throw)
+            found = _solve_again(problem, guess, limits, tol=tol, check=check, progress=progress)
+            return _raise_if_unsolved(found, throw)
     within = SolveLimits() if tol is None else SolveLimits(cpu_deadline=budget.cpu_deadline)
     solution = solve_mesh(
         problem, mesh, scheme=scheme, guess=guess, options=options, limits=within, progress=progress
     )
     if guess is not None:
         solution = with_solve_method(solution, SolveMethod.WARM)
-    if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
-        raise SolveError(format_failure(solution), solution)
+    _raise_if_unsolved(solution, throw)
     if tol is None or not solution.status.solved:
         return solution
 
@@ -300,6 +301,12 @@ def solve(
     )
     final = refine_by_stages(solution, stages, structure)
     return final if guess is None else with_solve_method(final, SolveMethod.WARM)
+
+
+def _raise_if_unsolved(found: Solution, throw: bool) -> Solution:
+    if throw and not (found.status.solved or found.status is Status.INTERRUPTED):
+        raise SolveError(format_failure(found), found)
+    return found
 
 
 def with_solve_method(solution: Solution, way: SolveMethod) -> Solution:
@@ -321,11 +328,12 @@ def _solve_variation(
         found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
         if found is not None:
             return found
-        tol = solution_tolerance(known) if known.structure or _is_refined(known) else None
-    if tol is None or not (known.structure or known.history is not None):
+        tol = solution_tolerance(known)
+    if tol is None or not _is_refined(known):
         return None
+    reached = known.history is None or _is_settled(known)
     return solve_by_known_arcs(
-        problem, KnownArcs.from_solution(known), tol, "changed" if in_a_loop else "always"
+        problem, KnownArcs.from_solution(known), tol, "changed" if in_a_loop and reached else "always"
     )
 
 
@@ -344,8 +352,14 @@ def solve_by_known_arcs(
 
 
 def _is_refined(known: Solution) -> bool:
+    """Return whether a solution was refined, by meshes or by Newton's method on its switching times."""
+    return known.history is not None or bool(known.structure)
+
+
+def _is_settled(found: Solution) -> bool:
+    """Return whether a refinement reached what it was asked for."""
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
-    return known.history is not None and known.history.status in reached_by
+    return found.history is not None and found.history.status in reached_by
 
 
 def _is_variation(problem: Problem, known: Solution) -> bool:
@@ -353,41 +367,24 @@ def _is_variation(problem: Problem, known: Solution) -> bool:
     return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
 
 
-def _solve_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
-    """Return the refinement from the first mesh of the known solution, or else a cold solution."""
-    meshes, start = recover_initial_meshes(known), truncate_solution(known, problem)
-    warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
-    if warm.status is Status.INTERRUPTED:
-        return with_solve_method(warm, SolveMethod.WARM)
-    if warm.status.solved:
-        warm = refine(warm, tol=tol, progress=progress)
-        if warm.converged or _is_interrupted(warm):
-            return with_solve_method(warm, SolveMethod.WARM)
-    cold = solve(
-        problem,
-        mesh=meshes,
-        scheme=known.scheme,
-        tol=tol,
-        progress=progress,
-        throw=throw and not warm.status.solved,
-    )
-    return (
-        with_solve_method(warm, SolveMethod.WARM)
-        if _is_warm_better(warm, cold)
-        else with_solve_method(cold, SolveMethod.COLD)
-    )
-
-
-def _is_warm_better(warm: Solution, cold: Solution) -> bool:
-    """Return whether the warm solution that did not converge is better than the cold one."""
-    if cold.converged or warm.history is None:
-        return False
-    return cold.history is None or warm.history.final_iteration.error < cold.history.final_iteration.error
+def _solve_again(problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any) -> Solution:
+    """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
+    budget, start = WorkBudget.from_limits(limits), truncate_solution(known, problem)
+    settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
+    warm = solve(problem, guess=start, limits=limits, **settings)
+    budget.charge_work(warm, sum(p.work for p in warm.history.passes) if warm.history is not None else 0.0)
+    if _is_settled(warm) or _is_interrupted(warm) or budget.remaining_work <= 0:
+        return warm
+    cold = solve(problem, limits=replace(limits, max_work=budget.remaining_work), **settings)
+    cold = with_solve_method(cold, SolveMethod.COLD)
+    found = [Candidate(s, s.history, "") for s in (cold, warm) if s.history is not None]
+    return found[select_best_candidate(found, settings["tol"])].solution if found else cold
 
 
 def solution_tolerance(known: Solution) -> float:
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
 
 
-def _is_interrupted(refined: Solution) -> bool:
-    return refined.history is not None and refined.history.status is RefinementStatus.INTERRUPTED
+def _is_interrupted(found: Solution) -> bool:
+    ended = RefinementStatus.INTERRUPTED
+    return found.status is Status.INTERRUPTED or (found.history is not None and found.history.status is ended)

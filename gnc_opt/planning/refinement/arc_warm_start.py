@@ -24,6 +24,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
+from gnc_opt.planning.refinement.staged_refinement import FIRST
 from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_solution
 from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -132,10 +133,10 @@ class KnownArcs:
 
 
 def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:
-    """Return the meshes from which a solution was refined; the default meshes if unknown."""
-    meshes = {} if known.history is None else known.history.passes[0].meshes
-    given = bool(meshes) and not any(mesh.movable for mesh in meshes.values())
-    return read_meshes(meshes if given else None, known.phases, known.problem_name)
+    """Return the meshes of the first stage of a refinement; the default meshes if only its arcs or meshes are known."""
+    passes = () if known.history is None else known.history.passes
+    meshes = next((p.meshes for p in passes if p.stage == FIRST), None)
+    return read_meshes(meshes, known.phases, known.problem_name)
 
 
 def _remove_sliver_pieces(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:

@@ -91,7 +91,7 @@ class Candidate:
 
     @property
     def known_verdict(self) -> Verdict | None:
-        return vars(self).get("verdict")
+        return vars(self).get("verdict", self.solution.verdict)
 
     @property
     def passes_check(self) -> bool:

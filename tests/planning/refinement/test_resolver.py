@@ -24,7 +24,11 @@ import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
-from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _remove_sliver_pieces
+from gnc_opt.planning.refinement.arc_warm_start import (
+    KnownArcs,
+    _remove_sliver_pieces,
+    recover_initial_meshes,
+)
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
 from gnc_opt.planning.solver import SolveMethod
 
@@ -207,6 +211,32 @@ def test_a_guess_that_leads_astray_is_left(fast: Resolver, monkeypatch: pytest.M
     found = go.solve(limited, guess=fast.solution)
     assert found.provenance["way"] == SolveMethod.COLD.value and found.converged
     assert found.objective == pytest.approx(2.05, rel=1e-9)
+
+
+def test_a_guess_by_switch_times_is_refined_where_these_fail(fast: Resolver) -> None:
+    """Newton's method leaves no history, but its answer is as accurate as a refined one, and so is the next."""
+    known = fast.solution.need_problem("")
+    flown = go.solve(known.with_initial(q=-1.1), guess=fast.solution)
+    assert flown.history is None
+    found = go.solve(known.with_bounds(v=(-1.0, 0.8)), guess=flown)
+    assert found.converged and found.objective == pytest.approx(2.05, rel=1e-9)
+
+
+def test_a_chained_solve_keeps_to_limits_and_check(fast: Resolver) -> None:
+    limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
+    found = go.solve(limited, guess=fast.solution, tol=1e-6, check=False)
+    assert found.history is not None and found.verdict is None
+    with pytest.raises(go.SolveError):
+        go.solve(limited, guess=fast.solution, limits=go.RefinementLimits(max_work=1e-3))
+
+
+def test_meshes_of_arcs_are_no_first_meshes(limited: Resolver) -> None:
+    """A solution with kinks has a mesh for its arcs, which serves no other structure."""
+    known = limited.solution
+    bent = {"leg": go.Mesh((0.0, 0.1, 0.5, 1.0), (6, 9, 6))}
+    passes = tuple(replace(p, stage="nearby", meshes=bent) for p in known.history.passes)
+    nearby = replace(known, history=replace(known.history, passes=passes))
+    assert recover_initial_meshes(nearby) == {"leg": go.Mesh.uniform(20, 4)}
 
 
 @pytest.mark.parametrize("tol", [{}, {"tol": 1e-6}])
