@@ -22,7 +22,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile(
-    "gnc_opt", deadline=None, max_examples=25
+    "gnc_opt", deadline=None, max_examples=15
 )  # the time of an example depends on the machine
 settings.load_profile("gnc_opt")
 
@@ -64,6 +64,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def search_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forget the folders from which a test has loaded problem files: new processes would search them first."""
     monkeypatch.setattr(sys, "path", list(sys.path))
+
+
+@pytest.fixture
+def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save figures undrawn: for tests of text and numbers, since drawing those of a report takes a second."""
+
+    def save_blank(figure: object, path: str | Path, **options: object) -> None:
+        Path(path).write_text("<svg/>", encoding="utf-8")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", save_blank)
 
 
 @pytest.fixture

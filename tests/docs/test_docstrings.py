@@ -57,6 +57,7 @@ def names() -> dict[str, Any]:
     return runpy.run_path(str(ROOT / "website" / "before_examples.py"))
 
 
+@pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example.name)
 def test_examples_of_docstrings(
     example: doctest.DocTest, names: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -63,6 +63,7 @@ def differences(printed: list[str], shown: list[str]) -> list[str]:
     ]
 
 
+@pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize("page", [page for page in PAGES if page.code("python")], ids=lambda page: page.name)
 def test_examples_run_and_print_what_the_page_says(
     page: Page, tmp_path: Any, monkeypatch: pytest.MonkeyPatch

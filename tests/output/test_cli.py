@@ -54,12 +54,6 @@ def cart(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def without_generic_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They take half a second each time and have their own tests."""
-    monkeypatch.setattr("gnc_opt.report.solution_report._draw_figures", lambda *_: iter(()))
-
-
 def run(*arguments: Any) -> int:
     """The exit code, also where argparse leaves by SystemExit."""
     try:
@@ -105,6 +99,7 @@ def load_cart(path: Path) -> go.Problem:
     return load_problem_file(str(path)).build({})
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_solve_writes_json_and_report(cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target, folder = tmp_path / "out.json", tmp_path / "report"
     assert run("solve", cart, "--json", target, "--report", folder, "--set", "name=probe") == 0
@@ -150,13 +145,13 @@ def test_options_reach_the_solve(cart: Path, tmp_path: Path) -> None:
     assert told["objective"] == pytest.approx(12**0.5, abs=1e-5)
 
 
-@pytest.mark.usefixtures("without_generic_figures")
+@pytest.mark.usefixtures("blank_figures")
 def test_quiet_says_nothing(cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("solve", cart, "--quiet", "--report", tmp_path / "report") == 0
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.usefixtures("without_generic_figures")
+@pytest.mark.usefixtures("blank_figures")
 def test_the_view_of_the_problem_file_is_shown(
     cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

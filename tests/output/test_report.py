@@ -271,6 +271,7 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
     assert go.load(folder / "solution.npz").objective == smeared.objective
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_report_of_a_failed_solve_has_no_verdict(failed: go.Solution, tmp_path: Path) -> None:
     paths = write_report(failed, None, tmp_path)
     assert "verdict.svg" not in [path.name for path in paths]
@@ -376,6 +377,7 @@ def test_page_gives_objective_name_and_command(parsed: Parsed, smeared: go.Solut
     assert "gnc-opt solve a.py" in parsed.words
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     solution = go.solve(rest_to_rest(), tol=1e-8)
     page, *files = write_report(solution, go.verify(solution), tmp_path)
@@ -399,6 +401,7 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     ]  # s per unit of q, which has none
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_page_states_what_is_used_and_prints_no_rounding_errors(tmp_path: Path) -> None:
     """From q = 1 to 0 in 2 s with a force of 1 N: an impulse of 2 N s; 0.1 kg/s is used, whatever is done."""
     model = go.Model("cart")
@@ -446,6 +449,7 @@ def test_what_is_maximised_is_shown_as_it_was_stated(capsys: pytest.CaptureFixtu
     assert float(shown.split("objective ")[1].split()[0]) == pytest.approx(2.0, abs=1e-6)
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_time_has_the_unit_of_a_final_time_that_is_minimised(tmp_path: Path) -> None:
     model, *_ = dynamics("tug", "v", "a", lambda v, a: {v: a})
     problem, leg = one_phase("fastest", model, initial=0.0, final=(0.1, 9.0))

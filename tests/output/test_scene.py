@@ -102,6 +102,7 @@ def test_page_carries_the_motion(solution):
     )
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_campaign_carries_any_run(campaign, tmp_path):
     page = write_campaign_report(campaign, tmp_path, view=View("r", force="u"), runs=30)[0].read_text("utf-8")
     assert len(page) < LARGEST and "30 of 40 runs" in page
@@ -124,6 +125,7 @@ def test_a_run_that_is_lost_does_not_fill_the_picture(campaign):
     assert max(data["high"]) < 10 and "run 1" in data["motions"]
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_reports_of_runs(campaign, tmp_path):
     run = campaign.rerun(4)
     paths = write_run_report(run, tmp_path, title="the fourth", view=View("r"))

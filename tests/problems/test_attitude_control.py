@@ -36,7 +36,7 @@ from problems.attitude_control.model import (
     TRACKER_RATE,
 )
 from problems.reaction_wheels import AXES, INERTIA, REFERENCE, REST
-from problems.reaction_wheels.control import design_flc, peak_speed
+from problems.reaction_wheels.control import design_flc
 
 SEED = 3
 
@@ -76,13 +76,6 @@ def test_the_wheels_limits_are_at_work(campaigns):
     fastest = campaigns["FLC"].measure("max(speed)")
     assert fastest == pytest.approx(allowed, rel=2e-3) and np.all(fastest < LIMITS["max(speed)"])
     assert np.all(campaigns["FLC"].measure("max(torque)") > 0.9 * MAX_TORQUE)
-    again = campaigns["FLC"].rerun(0)
-    # measures are of the motion, also between the samples of the run
-    for measured, sampled in (
-        (fastest[0], peak_speed(again)),
-        (campaigns["FLC"].measure("max(torque)")[0], np.max(np.abs(again.state("motor").values))),
-    ):
-        assert sampled * (1 - 1e-12) <= measured <= sampled * (1 + 1e-4)
 
 
 def test_a_wheel_is_braked_before_its_limit():
@@ -124,9 +117,9 @@ def test_the_filter_finds_the_gyros_bias(run, campaigns):
     assert judged.average < judged.band[1]  # at rest it is better than it says: the noise is for the slew
 
 
-def test_scipy_goes_the_same_way(run, campaigns):
-    """Body, wheels and motors of two runs written down again, flown with their commands for a third of the slew."""
-    runs, steps = [run, campaigns["least energy"].rerun(1)], round(DURATION / 3 / DT)
+def test_scipy_goes_the_same_way(run):
+    """Body, wheels and motors of a run written down again, flown with its commands for a third of the slew."""
+    runs, steps = [run], round(DURATION / 3 / DT)
     again = np.stack([run.states[:, steps] for run in runs], axis=1)
     assert flown_again(runs, steps) == pytest.approx(again, abs=1e-8)
 
@@ -140,7 +133,7 @@ def flown_again(runs: list[Run], steps: int) -> Array:
     inertia, lag, external, factor = map(
         of, ("plant.inertia", "plant.lag", "plant.external", "motors.factor")
     )
-    assert np.ptp(lag) > 0.1 * LAG and not np.allclose(inertia.T, INERTIA)
+    assert not np.allclose(lag, LAG, rtol=0.05) and not np.allclose(inertia.T, INERTIA)
 
     def rate(t: float, flat: Array, told: Array) -> Array:
         q, omega, h, motor = np.split(flat.reshape(15, -1), [4, 7, 11])

@@ -370,6 +370,7 @@ def test_shuttle_reaches_the_published_latitude_in_the_published_time() -> None:
 # --- the shared main ------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_main_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, folder = tmp_path / "out.json", tmp_path / "report"
     assert moon_landing.main(["--json", str(out), "--report", str(folder)]) == 0

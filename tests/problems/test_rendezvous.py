@@ -84,7 +84,7 @@ def test_switch_times_steer_the_chaser_to_its_target(case: int) -> None:
     np.testing.assert_allclose(x, target, atol=1e-4)
 
 
-@pytest.mark.parametrize(("case", "equation"), [(1, "printed"), (3, "exact")])
+@pytest.mark.parametrize(("case", "equation"), [(1, "printed")])
 def test_movable_switches_reach_the_reference_and_pass_every_condition(
     case: int, equation: rendezvous.Equation
 ) -> None:

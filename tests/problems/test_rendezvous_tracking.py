@@ -1,23 +1,19 @@
 """The rendezvous followed: pass rates, repeatability, price of the reserve."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from flexible import cross
 from scipy.integrate import solve_ivp
-from testing.loops import agrees
 
 import gnc_opt as go
-from benchmarks.performance.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
 from gnc_opt.analysis import consistency
 from gnc_opt.arrays import Array
-from gnc_opt.simulation import Quantisation, Run
+from gnc_opt.simulation import Run
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH
 from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
 from problems.rendezvous_tracking import (
-    DISPERSIONS,
     DT,
     FORCE_STEP,
     LIMITS,
@@ -150,28 +146,6 @@ def test_feedback_passes_99_percent_of_the_runs(tracking, followed, name):
     assert dict(campaign.limits) == LIMITS
 
 
-def test_linear_covariance_predicts_the_scatter_of_runs(tracking):
-    """All twelve components, without the steps of the thrusters, whose derivative is zero."""
-    loop, x0, tf = tracking.loop(tracking.tvlqr), tracking.initial, tracking.end
-    about = {"x0": x0, "tf": tf, "seed": 11, "dispersions": DISPERSIONS}
-    smooth = replace(loop, actuators=[b for b in loop.actuators if not isinstance(b, Quantisation)])
-    told = go.linear_covariance(go.Scenario(smooth, **about), every=50)
-    runs = go.monte_carlo(smooth, 400, executor="serial", **about)
-    assert len(runs.errors) == 12 and agrees(told, runs)
-
-
-def test_predictive_control_follows_too(tracking):
-    campaign = tracking.simulate_campaign("MPC", 1, SEED, executor="serial")
-    assert np.all(campaign.passed())
-
-
-def test_plain_python_loop_ends_at_the_same_states(followed):
-    regulated = followed["TVLQR"]
-    parameters, normal = plain_inputs(regulated, regulated.flight, 3)
-    end = plain_run(regulated.flight, parameters, normal, regulated.flight.schedule, RTOL, ATOL)
-    np.testing.assert_allclose(end, regulated.states[:, 3], atol=AGREEMENT, rtol=0)
-
-
 @pytest.mark.slow
 def test_scipy_goes_the_same_way(measured_runs):
     """Chaser, thrusters and force of two runs written down again, flown with their commands to their arrival."""
@@ -222,6 +196,7 @@ def flown_again(runs: list[Run], steps: int) -> Array:
     return np.asarray(y.reshape(12, -1))
 
 
+@pytest.mark.usefixtures("blank_figures")
 @pytest.mark.slow
 def test_main_writes_statistics_and_figures(
     tracking, guided, measured, corrected, filtered, tmp_path, capsys, monkeypatch

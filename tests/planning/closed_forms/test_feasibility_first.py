@@ -80,8 +80,7 @@ def test_theory_even_displacements_take_half_turns(displacement: float, half_tur
     assert minimum_time(displacement) == pytest.approx(half_turns * np.pi, rel=1e-7)
 
 
-@pytest.mark.parametrize("final", [(0.1, None), (0.1, 50.0)])
-@pytest.mark.parametrize("displacement", [3.0, 15.0])
+@pytest.mark.parametrize(("displacement", "final"), [(3.0, (0.1, 50.0)), (15.0, (0.1, None))])
 def test_oscillator_from_the_default_guess(displacement: float, final: tuple[float, float | None]) -> None:
     """20 x 4 points meet switches within a cell, and only feasible controls: a little slower than the optimum."""
     solution = go.solve(oscillator(displacement, final), tol=None)

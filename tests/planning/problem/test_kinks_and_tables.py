@@ -86,7 +86,7 @@ def powered(lower: float | None) -> go.Problem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lower", [None, -0.4])
+@pytest.mark.parametrize("lower", [-0.4])
 def test_limits_of_the_parts_of_a_split_control(lower: float | None) -> None:
     """As fast as the thrust, then the power allows up to a speed c, coast, and brake: at the limits, v v' = P."""
 

@@ -92,9 +92,8 @@ def test_converged_means_that_error_and_verdict_pass(cart: go.Solution) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("structure", ["auto", "none"])
 def test_a_verdict_that_fails_is_no_convergence(
-    cart: go.Solution, monkeypatch: pytest.MonkeyPatch, structure: Any, tmp_path: Path
+    cart: go.Solution, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Whichever way it went, the ending and what is printed name the condition and its place."""
     import importlib
@@ -110,7 +109,7 @@ def test_a_verdict_that_fails_is_no_convergence(
         return replace(verdict, conditions=(open_one, *verdict.conditions))
 
     monkeypatch.setattr(module, "_check_solution", judge)
-    refined = go.refine(cart, tol=1e-5, structure=structure)
+    refined = go.refine(cart, tol=1e-5)
     history = told(refined)
     assert history.status is RefinementStatus.CONDITIONS_FAIL and not refined.converged
     assert history.final_iteration.error <= 1e-5

@@ -424,7 +424,7 @@ def _flight(push: float) -> tuple[Any, Any, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cost", [c for c in _COSTS if c != "norm_2"])
+@pytest.mark.parametrize("cost", ["dear forth", "sqrt"])
 def test_a_coast_of_least_fuel_is_checked_however_its_cost_is_written(cost: str) -> None:
     problem, _ = _problem(cost)
     right, wrong = (go.verify_trajectory(problem, *_flight(push)) for push in (1.0, 0.99))

@@ -14,7 +14,6 @@ from testing.internals import Interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from benchmarks.performance.scale import RADIUS, THRUST, spiral
 from gnc_opt.planning.optimality.trajectory_fit import (
     FittedPhase,
     SampledPhase,
@@ -316,13 +315,6 @@ def test_bounds_of_a_turn_are_no_limit_to_a_heading_that_crosses_them(
     kept = go.load(found.save(tmp_path / "crossing"), problem=problem)
     np.testing.assert_array_equal(kept.control("heading")(t), heading)
     assert go.verify(kept).minimum
-
-
-@pytest.mark.slow
-def test_a_steering_angle_of_a_hundred_revolutions_does_not_turn_away() -> None:
-    """Its bounds of a turn are no limit, but a solver that may go round and round from 4000 points does so."""
-    found = go.solve(spiral(), mesh="1000x4", tol=None, options=go.SolverOptions(max_iterations=60))
-    assert found.objective == pytest.approx((1 - RADIUS**-0.5) / THRUST, rel=1e-4)  # Edelbaum's circles
 
 
 @pytest.mark.slow

@@ -159,7 +159,6 @@ def shifted(kind: int, name: str) -> Trajectory:
     [
         (other_minimum, "stationarity"),
         (late, "boundary conditions"),
-        (lambda: shifted(1, "q"), "boundary conditions"),
         (lambda: shifted(1, "v"), "dynamics"),
         (lambda: shifted(2, "a"), "dynamics"),
     ],
