@@ -182,7 +182,7 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
         return value.copy()
     if isinstance(value, ca.DM):
         value = value.full()
-    if _contains_symbols(value):
+    if _contains_casadi_symbols(value):
         raise error(f"{what} is the expression {quote(value)} where numbers are needed: give numbers.")
     try:
         array = np.asarray(value)
@@ -194,8 +194,8 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
     raise error(f"{what} is {quote(value)}, which is not a number or an array of numbers.")
 
 
-def _contains_symbols(value: Any) -> bool:
+def _contains_casadi_symbols(value: Any) -> bool:
     """Return whether a value contains CasADi symbols, which NumPy would convert with warnings."""
     if isinstance(value, (list, tuple)):
-        return any(_contains_symbols(entry) for entry in value)
+        return any(_contains_casadi_symbols(entry) for entry in value)
     return isinstance(value, (ca.SX, ca.MX))

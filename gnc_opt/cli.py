@@ -106,12 +106,7 @@ def _add_examples_command(commands: Any) -> None:
     add = command.add_argument
     add("--debug", action="store_true", help="show the traceback of an error")
     add("name", metavar="NAME", nargs="?", help="problem to run; without it, all are listed")
-    add(
-        "options",
-        metavar="OPTION",
-        nargs=argparse.REMAINDER,
-        help="options of the problem; see NAME --help",
-    )
+    add("options", metavar="OPTION", nargs=argparse.REMAINDER, help="options of the problem; see NAME --help")
     command.set_defaults(run=examples_command)
 
 

@@ -55,8 +55,8 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.verification import verify
 
     _check_output_paths(args)
-    console = _select_console(args)
-    with _one_line_warnings():
+    console = _select_text_console(args)
+    with _show_warnings_on_one_line():
         file, problem = _load_problem(args)
         solution = solve(
             problem,
@@ -66,7 +66,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
             structure=args.structure,
             check=not args.fast,
             limits=RefinementLimits(max_work=args.limit),
-            options=_solver_options(args),
+            options=_read_solver_options(args),
             progress=not args.quiet,
             throw=False,
         )
@@ -76,7 +76,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
         print(f"gnc-opt: {format_failure(solution)}", file=sys.stderr)
     _print_solution(console, solution, verdict, args.conditions)
     _write_output_files(args, console, file, solution, verdict)
-    return _exit_code(solution, verdict, args.exit_zero)
+    return _choose_exit_code(solution, verdict, args.exit_zero)
 
 
 def multistart_command(args: argparse.Namespace) -> ExitCode:
@@ -85,7 +85,7 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
 
     _check_output_paths(args)
     options = dict(parse_option(text) for text in args.set)
-    with _one_line_warnings():
+    with _show_warnings_on_one_line():
         file = load_problem_file(args.file)
         found = multistart(
             partial(_build_problem_from_file, args.file, options),
@@ -98,7 +98,7 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
             executor="serial" if args.serial else None,
             progress=not args.quiet,
         )
-    _print_text(_select_console(args), str(found))
+    _print_text(_select_text_console(args), str(found))
     if args.json == "-":
         print(json_text(search_dict(found)), end="")
     elif args.json is not None:
@@ -113,10 +113,10 @@ def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
 
 
 def check_command(args: argparse.Namespace) -> ExitCode:
-    with _one_line_warnings():
+    with _show_warnings_on_one_line():
         file, problem = _load_problem(args)
         problem.check()
-    _print_text(_select_console(args), _describe_problem(file, problem))
+    _print_text(_select_text_console(args), _describe_problem(file, problem))
     return ExitCode.OK
 
 
@@ -143,13 +143,13 @@ def _load_problem(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
     return file, file.build(options)
 
 
-def _solver_options(args: argparse.Namespace) -> SolverOptions:
+def _read_solver_options(args: argparse.Namespace) -> SolverOptions:
     from gnc_opt.planning.nlp import SolverOptions
 
     return SolverOptions() if args.solver_tol is None else SolverOptions(tolerance=args.solver_tol)
 
 
-def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> ExitCode:
+def _choose_exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> ExitCode:
     if solution.status.value == "interrupted":
         return ExitCode.INTERRUPTED
     if not solution.status.solved:
@@ -159,7 +159,7 @@ def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> 
     return ExitCode.CONDITIONS_FAIL
 
 
-def _select_console(args: argparse.Namespace) -> Console:
+def _select_text_console(args: argparse.Namespace) -> Console:
     """Return the console for text: standard output, or standard error if JSON goes to standard output."""
     from rich.console import Console
 
@@ -227,7 +227,7 @@ def _check_output_paths(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _one_line_warnings() -> Iterator[None]:
+def _show_warnings_on_one_line() -> Iterator[None]:
     """Show warnings of gnc_opt on one line without their source location; other warnings are unchanged."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

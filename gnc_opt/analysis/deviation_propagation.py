@@ -48,13 +48,13 @@ class StateDeviations:
             noise = [s + g[:, p] @ g[:, p].T for s, p in zip(noise, self.sources.numbers, strict=True)]
         return StateDeviations(self.sources, a @ self.by_parameters + added, noise)
 
-    def transform(self, matrix: Array) -> StateDeviations:
+    def transform_by(self, matrix: Array) -> StateDeviations:
         """Return the deviations of a matrix times the column."""
         noise = [matrix @ s @ matrix.T for s in self.noise]
         return StateDeviations(self.sources, matrix @ self.by_parameters, noise)
 
     @property
-    def n_entries(self) -> int:
+    def n_state_entries(self) -> int:
         return int(self.by_parameters.shape[0])
 
     @property
@@ -66,4 +66,4 @@ class StateDeviations:
         ]
         for i, s in enumerate(self.noise, start=len(parts) - len(self.noise)):
             parts[i] = parts[i] + s
-        return np.reshape(parts, (len(parts), self.n_entries, self.n_entries))
+        return np.reshape(parts, (len(parts), self.n_state_entries, self.n_state_entries))

@@ -238,13 +238,13 @@ def _compute_chi_square_interval(
     """Return the equal-tailed interval of the mean of independent (gated) chi-square values."""
     if values < 1:
         return float("nan"), float("nan")
-    mean, freedom = (components, components) if gate is None else _gated_chi_square_interval(components, gate)
+    mean, freedom = (components, components) if gate is None else _fit_gated_chi_square(components, gate)
     tails = [0.5 - confidence / 2, 0.5 + confidence / 2]
     low, high = scipy.stats.chi2.ppf(tails, freedom * values).tolist()
     return mean * low / (freedom * values), mean * high / (freedom * values)
 
 
-def _gated_chi_square_interval(components: int, gate: float) -> tuple[float, float]:
+def _fit_gated_chi_square(components: int, gate: float) -> tuple[float, float]:
     """Return the mean of a gated chi-square value, and the degrees of freedom of the equivalent scaled chi-square."""
     half, limit = components / 2, float(scipy.stats.chi2.ppf(gate, components)) / 2
     first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))

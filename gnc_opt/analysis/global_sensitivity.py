@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from gnc_opt.analysis.scenario import Scenario, run_in_workers
+from gnc_opt.analysis.scenario import Scenario, run_tasks_in_workers
 from gnc_opt.arguments import expect, read_integer, read_probability, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -145,12 +145,12 @@ def sobol_indices(
     """
     name = "sobol_indices()"
     expect(scenario, Scenario, f"the argument of {name}", "give a Scenario")
-    scenario.require_measure(measure)
+    scenario.require_known_measure(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
     design = _Design(scenario, measure)
     chunks = [range(k, min(k + MOST_PER_BATCH, count)) for k in range(0, count, MOST_PER_BATCH)]
-    f = np.hstack(run_in_workers(design, _Design.sample_rows, chunks, executor, name))
+    f = np.hstack(run_tasks_in_workers(design, _Design.evaluate_sample_matrices, chunks, executor, name))
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(
@@ -207,7 +207,7 @@ class _Design:
         noise = (NOISE,) if self.scenario.noise_size else ()
         return (*self.scenario.dispersions, *noise)
 
-    def sample_rows(self, rows: range) -> Array:
+    def evaluate_sample_matrices(self, rows: range) -> Array:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
         flight, dispersions = self.scenario.compiled_loop, self.scenario.dispersions
         a, b = (
@@ -227,4 +227,4 @@ class _Design:
         return np.stack(found)
 
     def _evaluate_measures(self, P: Array, seeds: list[list[int]]) -> Array:
-        return self.scenario.measure_values(self.measure, P, seeds)
+        return self.scenario.compute_measure_values(self.measure, P, seeds)

@@ -48,12 +48,12 @@ def format_covariance_table(found: LinearCovariance) -> str:
         sigma = float(np.linalg.norm(found.std(variable.name)[:, -1]))
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
         shares = [(s, share) for s, share in found.variance_budget(variable.name).items() if share > 0][:3]
-        lines.append((line + ", ".join(f"{s} {_format_share(share)}" for s, share in shares)).rstrip())
+        lines.append((line + ", ".join(f"{s} {_format_percentage(share)}" for s, share in shares)).rstrip())
     lines.append("  sources: shares of the variance")
     return "\n".join(lines)
 
 
-def _format_share(share: float) -> str:
+def _format_percentage(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
@@ -219,16 +219,16 @@ class _CovariancePropagation:
                 self._store_output_covariances(step.y, scatter.propagate(step.c, step.d, step.e, first=first))
             scatter, X = scatter.propagate(step.a, step.g, step.h, first=first), step.X_next
         self._store_state_covariance(X, scatter)
-        return self._collect_result()
+        return self._build_linear_covariance()
 
     # --- internals ----------------------------------------------------------------------------------------
 
     def _store_state_covariance(self, X: Array, scatter: StateDeviations) -> None:
-        places = self.linearization.state_layout.split(np.arange(scatter.n_entries))["plant"]
+        places = self.linearization.state_layout.split(np.arange(scatter.n_state_entries))["plant"]
         x = self.flight.kernel.state.split(X)["plant"]
-        to_errors = np.zeros((self.flight.error_layout.size, scatter.n_entries))
+        to_errors = np.zeros((self.flight.error_layout.size, scatter.n_state_entries))
         to_errors[:, places] = self._error_jacobian(x).full()
-        errors = scatter.transform(to_errors)
+        errors = scatter.transform_by(to_errors)
         self.values["state"].append(x)
         self.covariances_by_source["error"].append(errors.covariances_by_source)
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
@@ -237,7 +237,7 @@ class _CovariancePropagation:
         values = self.linearization.output_layout.split(y)
         places = self.linearization.output_layout.split(np.eye(y.size))
         for kind, name in _KINDS.items():
-            part = scatter.transform(places[name])
+            part = scatter.transform_by(places[name])
             self.values[kind].append(values[name])
             self.covariances_by_source[kind].append(part.covariances_by_source)
 
@@ -247,7 +247,7 @@ class _CovariancePropagation:
         jacobian = ca.jacobian(self.flight.errors(x, x_ref), x)
         return ca.Function("by_x", [x_ref], [ca.substitute(jacobian, x, x_ref)])
 
-    def _collect_result(self) -> LinearCovariance:
+    def _build_linear_covariance(self) -> LinearCovariance:
         flight = self.flight
         kept = np.append(np.arange(0, flight.n_steps, self.every), flight.n_steps)
         parts = {kind: np.stack(found, axis=1) for kind, found in self.covariances_by_source.items()}

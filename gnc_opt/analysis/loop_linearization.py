@@ -73,7 +73,7 @@ class Linearization:
     def state_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of X."""
         parts = self.flight.kernel.state.parts
-        held = {"memory": len(self.fixed_indices)}
+        held = {"memory": len(self.fixed_covariance_indices)}
         return ColumnLayout(
             tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
         )
@@ -112,7 +112,7 @@ class Linearization:
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
         row = next(self._nominal_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
-        keep = self.linearized_indices
+        keep = self.linearized_entry_indices
         return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
 
     def nominal_nis(self) -> float:
@@ -130,11 +130,11 @@ class Linearization:
         """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
-        by_P = self._constant_derivatives
+        by_P = self._differentiate_loop_constants
         n = self.state_layout.size
         for k, row in enumerate(self._nominal_inputs()):
             after, y, *jacobians = self._step_derivative_function(
-                X[self.linearized_indices], X[self._fixed_entries], row, C
+                X[self.linearized_entry_indices], X[self._nominal_entry_indices], row, C
             )
             by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
@@ -147,15 +147,15 @@ class Linearization:
     # --- internals ----------------------------------------------------------------------------------------
 
     @cached_property
-    def linearized_indices(self) -> list[int]:
+    def linearized_entry_indices(self) -> list[int]:
         """Indices in X of the linearised entries."""
-        held = set(self.fixed_indices)
+        held = set(self.fixed_covariance_indices)
         return [
             int(i) for name, _ in self.state_layout.parts for i in self._state_indices[name] if i not in held
         ]
 
     @cached_property
-    def fixed_indices(self) -> list[int]:
+    def fixed_covariance_indices(self) -> list[int]:
         """Indices in X of the entries with fixed nominal values."""
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
@@ -163,8 +163,8 @@ class Linearization:
         return [int(i) for i in self._state_indices["memory"][memory.slice(COVARIANCE)]]
 
     @cached_property
-    def _fixed_entries(self) -> list[int]:
-        retained = set(self.linearized_indices)
+    def _nominal_entry_indices(self) -> list[int]:
+        retained = set(self.linearized_entry_indices)
         return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
@@ -182,7 +182,7 @@ class Linearization:
         """Return ``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
-        places, rest = self.linearized_indices, self._fixed_entries
+        places, rest = self.linearized_entry_indices, self._nominal_entry_indices
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
@@ -197,7 +197,7 @@ class Linearization:
         return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
 
     @cached_property
-    def _constant_derivatives(self) -> Array:
+    def _differentiate_loop_constants(self) -> Array:
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])

@@ -23,7 +23,7 @@ from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.arguments import StrictAttributes, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.loop_margins import Margins, mask_input_output_states, stability_margins
-from gnc_opt.control.sampled_data import to_continuous_poles
+from gnc_opt.control.sampled_data import map_to_continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import one_thread
@@ -102,7 +102,7 @@ class LoopResponse(StrictAttributes):
 
     def poles(self, index: int = 0) -> Array:
         """Return the poles z of the closed loop, (n,) complex."""
-        return np.asarray(np.linalg.eigvals(self.a[self._read_instant(index)]).astype(complex))
+        return np.asarray(np.linalg.eigvals(self.a[self._read_instant_index(index)]).astype(complex))
 
     def is_stable(self, index: int = 0) -> bool:
         """Return whether the linearised loop is stable at the instant ``index``."""
@@ -145,7 +145,7 @@ class LoopResponse(StrictAttributes):
     def frequencies(self) -> Array:
         """Relevant frequencies, (n,) rad/s: two decades about the poles, up to half the sampling rate."""
         poles = np.concatenate([self.poles(k) for k in range(self.times.size)])
-        sizes = np.abs(to_continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
+        sizes = np.abs(map_to_continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
         top = np.pi / self.dt
         low = 0.01 * min(float(np.min(sizes[sizes > 1e-6 * top], initial=top)), 0.1 * top)
         return np.logspace(np.log10(low), np.log10(top), 400)
@@ -164,7 +164,7 @@ class LoopResponse(StrictAttributes):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
             )
-        k = self._read_instant(index)
+        k = self._read_instant_index(index)
         within = mask_input_output_states(self.a[k], self.b[k], self.c[k])
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
@@ -172,7 +172,7 @@ class LoopResponse(StrictAttributes):
             c @ _solve_linear_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
         )
 
-    def _read_instant(self, index: int) -> int:
+    def _read_instant_index(self, index: int) -> int:
         k = read_integer(index, "the index of an instant", 0)
         if k >= self.times.size:
             raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")

@@ -65,7 +65,7 @@ class Scenario:
         set_(self, "seed", read_integer(self.seed, "the seed of a scenario", 0))
         check_dispersions(self.dispersions, self.compiled_loop.layout, self.compiled_loop.nominal)
         set_(self, "dispersions", dict(self.dispersions))
-        self.criteria.target_states(self.compiled_loop)
+        self.success_criteria.target_states(self.compiled_loop)
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -78,13 +78,13 @@ class Scenario:
         return self.loop.compile(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
 
     @cached_property
-    def criteria(self) -> SuccessCriteria:
+    def success_criteria(self) -> SuccessCriteria:
         """Targets of the runs, and user-defined measures."""
         return read_criteria(self.target, self.measures)
 
-    def require_measure(self, measure: str) -> None:
+    def require_known_measure(self, measure: str) -> None:
         """Raise an error if the name is not a measure of the runs."""
-        if measure not in self.criteria.measures:
+        if measure not in self.success_criteria.measures:
             self.simulate_campaign(np.empty((self.compiled_loop.layout.size, 0)), []).measure(measure)
 
     @property
@@ -98,11 +98,11 @@ class Scenario:
         """Simulate runs with parameter columns P (n_parameters, n) and seeds, and return them as a campaign."""
         runs = range(P.shape[1])
         flown = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
-        goal = self.criteria.target_states(self.compiled_loop)
+        goal = self.success_criteria.target_states(self.compiled_loop)
         campaign = merge_batches(self.compiled_loop, flown, seed=0, asked=len(runs), goal=goal)
-        return self.criteria.apply_to_campaign(campaign) if runs else campaign
+        return self.success_criteria.apply_to_campaign(campaign) if runs else campaign
 
-    def measure_values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
+    def compute_measure_values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
         """Return a measure of runs, (n,), as in `simulate_campaign`; infinite for failed runs or without a value."""
         campaign = self.simulate_campaign(P, seeds)
         flown = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
@@ -110,7 +110,7 @@ class Scenario:
         return np.where(flown & ~np.isnan(values), values, np.inf)
 
 
-def run_in_workers(
+def run_tasks_in_workers(
     work: Any,
     method: Callable[[Any, Any], Any],
     tasks: Sequence[Any],

@@ -39,17 +39,17 @@ class QpCode:
         return self.count * (self.rows.lower.size + self.roots.size)
 
     @property
-    def n_limits(self) -> int:
-        return self.count * self._n_limits_per_step
+    def n_qp_limits(self) -> int:
+        return self.count * self._n_rows_per_step
 
     @property
     def max_operations(self) -> int:
         """Largest number of arithmetic operations and comparisons of a call."""
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
-        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_limits_per_step + n + m))
+        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_rows_per_step + n + m))
         row = 2 * sweep + size * (size + 3)
-        iteration = 2 * sweep + 6 * self.n_limits + 2 * size * (size + 8) + row + 3 * size * (size + 3)
+        iteration = 2 * sweep + 6 * self.n_qp_limits + 2 * size * (size + 8) + row + 3 * size * (size + 3)
         return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
@@ -58,7 +58,7 @@ class QpCode:
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
         active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1
-        return int(active + 4 * self.n_limits + 6 * (size + 1) + 2 * n + 3 * m)
+        return int(active + 4 * self.n_qp_limits + 6 * (size + 1) + 2 * n + 3 * m)
 
     def write_c_code(self, numbers: CFloatType) -> str:
         """Return the C code, to be placed after a table ``schedule[N_ROWS][.]``."""
@@ -79,7 +79,7 @@ class QpCode:
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
             "state_lower": _find_finite_limits(rows.state_lower), "state_upper": _find_finite_limits(rows.state_upper),
-            "row_lower": self._row_limits[0], "row_upper": self._row_limits[1],
+            "row_lower": self._build_row_limits[0], "row_upper": self._build_row_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
@@ -90,13 +90,13 @@ class QpCode:
         ]
         lines += ["} matrices;", ""]
         lines += [
-            numbers.define_array(name, values if values.size else np.zeros(1))
+            numbers.write_array_definition(name, values if values.size else np.zeros(1))
             for name, values in arrays.items()
         ]
         for name, entries in places.items():
             lines.append(f"static const int {name}[] = {{{', '.join(map(str, entries or (0,)))}}};")
         steps = [
-            "{" + ", ".join(numbers.nested_initializer(table[k]) for table in self.matrices) + "}"
+            "{" + ", ".join(numbers.format_initializer(table[k]) for table in self.matrices) + "}"
             for k in range(len(self.matrices[0]))
         ]
         lines += ["static const matrices steps[N_TABLES] = {", ",\n".join(steps), "};", ""]
@@ -113,7 +113,7 @@ class QpCode:
     # --- internals ----------------------------------------------------------------------------------------
 
     @property
-    def _n_limits_per_step(self) -> int:
+    def _n_rows_per_step(self) -> int:
         rows = self.rows
         return rows.lower.size * (1 + (rows.change is not None)) + 2 * len(rows.states) + self.roots.size
 
@@ -122,7 +122,7 @@ class QpCode:
         return _ITERATIONS_PER_UNKNOWN * (self.n_unknowns + 1)
 
     @property
-    def _row_limits(self) -> tuple[Array, Array]:
+    def _build_row_limits(self) -> tuple[Array, Array]:
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
@@ -158,7 +158,7 @@ def build_codegen_law(
     x_ref, u_ff, number = ca.vertsplit(r, [0, x.numel(), x.numel() + m, x.numel() + m + 1])
     previous, alarm = ca.vertsplit(z, [0, m, m + 1])
     e = deviation.error_expression(x, x_ref)
-    v, solved = _qp_solver_placeholder(e.numel(), m)(number, e, previous)
+    v, solved = _make_qp_solver_placeholder(e.numel(), m)(number, e, previous)
     u = limit_command(u_ff + v, previous, rows)
     first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)
     assert controller.dt is not None and controller.span is not None
@@ -192,7 +192,7 @@ class _IndexedSchedule:
         return np.vstack([self.reference(times, dt), numbers])
 
 
-def _qp_solver_placeholder(n: int, m: int) -> Any:
+def _make_qp_solver_placeholder(n: int, m: int) -> Any:
     """Return a function that stands for the QP solver in the exported law; it returns NaN in Python."""
     inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
     nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]

@@ -21,7 +21,7 @@ from gnc_opt.control.open_loop import (
     ReferenceSchedule,
     StackedSchedule,
     build_reference_layout,
-    reference_sample_times,
+    choose_reference_sample_times,
 )
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError
@@ -76,7 +76,7 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant
-    times = reference_sample_times(reference)
+    times = choose_reference_sample_times(reference)
     values = np.array([v[0, 0] for v in pair.evaluate_along_reference(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])
@@ -160,7 +160,7 @@ def build_guarded_controller(
     alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)
     if nominal is not None:
         variables += nominal.memory_variables
-        inner_signals = nominal.signal_variables
+        inner_signals = nominal.prefixed_signal_variables
         alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
         schedule = StackedSchedule(schedule, nominal.controller.schedule)
         z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
@@ -215,7 +215,7 @@ class NominalController:
         return [_prefix_nominal_names(v) for v in self.controller.memory.variables]
 
     @property
-    def signal_variables(self) -> list[Variable]:
+    def prefixed_signal_variables(self) -> list[Variable]:
         """Signals of the nominal controller, with prefixed names."""
         return [_prefix_nominal_names(v) for v in self.controller.signals.variables]
 

@@ -80,7 +80,7 @@ class DesignReport(StrictAttributes):
     def __str__(self) -> str:
         rows = [
             ("quantity", "value", "unit", "remark"),
-            *(row for fact in self.facts for row in _entry_table_rows(fact)),
+            *(row for fact in self.facts for row in _format_entry_rows(fact)),
         ]
         widths = [max(len(row[k]) for row in rows) for k in range(3)]
         widths[1] = min(widths[1], REPORT_VALUE_WIDTH)
@@ -88,29 +88,29 @@ class DesignReport(StrictAttributes):
         return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
 
     def _repr_html_(self) -> str:
-        rows = [(fact.name, _format_value(fact), fact.unit, fact.remark) for fact in self.facts]
+        rows = [(fact.name, _format_entry_value(fact), fact.unit, fact.remark) for fact in self.facts]
         return html_heading(self.title) + html_table(("quantity", "value", "unit", "remark"), rows)
 
 
-def _entry_table_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
-    first, *more = _format_value(fact).splitlines()
+def _format_entry_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
+    first, *more = _format_entry_value(fact).splitlines()
     if more:
         first, more = f"{len(more) + 1} rows:", [first, *more]
     return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
 
 
-def _format_value(fact: ReportEntry) -> str:
+def _format_entry_value(fact: ReportEntry) -> str:
     """Return the value as text: comma-separated numbers, a matrix row by row, conjugate poles as ``-1 ± 2j``."""
     if isinstance(fact.value, str):
         return fact.value
     array = np.asarray(fact.value)
     if array.ndim == 2:
         array = np.where(np.abs(array) > EQUAL * np.max(np.abs(array), axis=0), array, 0.0)
-        return "\n".join(_format_list(row) for row in array)
-    return _format_list(np.atleast_1d(array))
+        return "\n".join(_format_number_list(row) for row in array)
+    return _format_number_list(np.atleast_1d(array))
 
 
-def _format_list(values: Array) -> str:
+def _format_number_list(values: Array) -> str:
     texts, left = [], list(values)
     while left:
         value = left.pop(0)

@@ -36,7 +36,11 @@ from gnc_opt.control.input_output_linearization import (
     read_component_option,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
-from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
+from gnc_opt.control.sampled_data import (
+    compute_spectral_radius,
+    discretize_zero_order_hold,
+    polynomial_from_poles,
+)
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import one_thread
@@ -145,7 +149,7 @@ def _stack_chain_errors(errors: OutputErrors) -> Any:
     return ca.vertcat(*[errors.chains[i][k] for i, k in _list_chain_entries(errors)])
 
 
-def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
+def _build_integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
     places = _list_chain_entries(errors)
     a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.n_outputs))
@@ -158,11 +162,11 @@ def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
 
 
 def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
-    a, b = _integrator_chains(errors)
+    a, b = _build_integrator_chains(errors)
     gain = np.zeros((errors.n_outputs, len(_list_chain_entries(errors))))
     for column, (i, k) in enumerate(_list_chain_entries(errors)):
         label, degree = errors.labels[i], errors.relative_degrees[i]
-        gain[i, column] = _pole_placement_gains(errors, label, degree, poles)[k]
+        gain[i, column] = _compute_pole_placement_gains(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)
     if np.max(found.real) >= 0:
         raise DesignError(
@@ -172,7 +176,7 @@ def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Se
     return gain
 
 
-def _pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
+def _compute_pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
         poles = read_component_option(label, poles, errors, "the linearisation")
@@ -192,7 +196,7 @@ def _pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: 
 
 
 def _compute_closed_loop_poles(errors: OutputErrors, gain: Array) -> Array:
-    a, b = _integrator_chains(errors)
+    a, b = _build_integrator_chains(errors)
     return np.asarray(np.linalg.eigvals(a - b @ gain))
 
 
@@ -200,9 +204,9 @@ def _report_sampled_stability(errors: OutputErrors, gain: Array, dt: float | Non
     if dt is None:
         return []
     dt = read_positive(dt, "the control step dt", DesignError)
-    a, b = _integrator_chains(errors)
-    held_a, held_b = zero_order_hold(a, b, dt)
-    radius = spectral_radius(held_a - held_b @ gain)
+    a, b = _build_integrator_chains(errors)
+    held_a, held_b = discretize_zero_order_hold(a, b, dt)
+    radius = compute_spectral_radius(held_a - held_b @ gain)
     if radius >= 1:
         raise DesignError(
             f"control steps of {dt:g} s are too long for these poles: the sampled errors have the spectral radius "

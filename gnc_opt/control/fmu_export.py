@@ -115,7 +115,7 @@ def export_fmu(
         controller = codegen_controller(controller).controller
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
-        guid = _source_digest(sources)
+        guid = _hash_c_sources(sources)
         (sources / _LAW_HEADER).write_text(_write_law_header(controller, code, guid), encoding="ascii")
         members = {f"sources/{path.name}": path.read_bytes() for path in sorted(sources.iterdir())}
         members["modelDescription.xml"] = _write_model_description(controller, code, guid)
@@ -129,7 +129,7 @@ def export_fmu(
     return Fmu(file, code.name, guid, code.dt, place)
 
 
-def _source_digest(sources: Path) -> str:
+def _hash_c_sources(sources: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(sources.iterdir()):
         digest.update(path.read_bytes())

@@ -157,7 +157,7 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     (2,)
     """
     pair = PlantPair.from_model(model)
-    return build_error_chains(pair, reference, error_expressions(pair, outputs))
+    return build_error_chains(pair, reference, build_output_error_expressions(pair, outputs))
 
 
 def build_error_chains(pair: PlantPair, reference: Reference, expressions: Mapping[str, Any]) -> OutputErrors:
@@ -187,7 +187,7 @@ def build_error_chains(pair: PlantPair, reference: Reference, expressions: Mappi
     return OutputErrors(pair, tuple(named), tuple(chains), drift, decoupling)
 
 
-def error_expressions(pair: PlantPair, outputs: Outputs) -> dict[str, Any]:
+def build_output_error_expressions(pair: PlantPair, outputs: Outputs) -> dict[str, Any]:
     """Return the error of each output, SX of (t, x, x_ref), by name."""
     if isinstance(outputs, Mapping):
         items: list[tuple[str, Any]] = list(outputs.items())
@@ -196,10 +196,10 @@ def error_expressions(pair: PlantPair, outputs: Outputs) -> dict[str, Any]:
         items = [(o, o) if isinstance(o, str) else (f"y{i}", o) for i, o in enumerate(listed)]
     if not items:
         raise DesignError("no outputs are given: name the states or outputs to steer.")
-    return {name: _output_error(pair, name, output) for name, output in items}
+    return {name: _build_output_error(pair, name, output) for name, output in items}
 
 
-def _output_error(pair: PlantPair, name: str, output: Any) -> Any:
+def _build_output_error(pair: PlantPair, name: str, output: Any) -> Any:
     model = pair.model
     if isinstance(output, str):
         if output in model.states:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, saturate
+from gnc_opt.control.control_limits import Limits, saturate_command
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GUARD,
@@ -38,7 +38,7 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_error_chains
 from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
-from gnc_opt.control.sampled_data import spectral_radius, zero_order_hold
+from gnc_opt.control.sampled_data import compute_spectral_radius, discretize_zero_order_hold
 from gnc_opt.control.sliding_mode import build_switching_control
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
@@ -107,21 +107,21 @@ def design_integral_sliding_mode(
     reference = read_plant_model(model, reference, "design_integral_sliding_mode")
     pair = PlantPair.from_model(model)
     switching = build_switching_control(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
-    errors, singular = _projected_surface(pair, reference, projection)
+    errors, singular = _build_projected_surface(pair, reference, projection)
     inverse = build_guarded_inverse(errors, reference, guard)
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
-    s, integral = _integrate_surface(errors, dt)
+    s, integral = _build_surface_integral(errors, dt)
     wanted, twist = switching.required_input(s, ca.SX.zeros(errors.n_outputs))
     u = u_nominal + inverse(wanted)
     memory = [
         *twist,
-        *switching.alarm_memory(s, stays=False),
-        *integral(u_nominal + (saturate(u, switching.limits) - u)),
+        *switching.create_alarm_memory(s, stays=False),
+        *integral(u_nominal + (saturate_command(u, switching.limits) - u)),
     ]
     facts += [
         ReportEntry("s at the start", 0.0, remark="no reaching phase"),
-        *switching.report_entries(),
+        *switching.build_report_entries(),
         ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
         *switching.report_authority(errors, reference),
     ]
@@ -135,7 +135,7 @@ def design_integral_sliding_mode(
     )
 
 
-def _projected_surface(
+def _build_projected_surface(
     pair: PlantPair, reference: Reference, projection: Projection
 ) -> tuple[OutputErrors, Array]:
     """Return w = G e as an output of relative degree 1, and the singular values of B at the start."""
@@ -161,7 +161,7 @@ def _projected_surface(
     return build_error_chains(pair, reference, {"s": g @ e}), singular
 
 
-def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
+def _build_surface_integral(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     """Return s, and a function from the nominal command to the memory entries of s."""
     pair = errors.pair
     w = ca.vertcat(*[chain[0] for chain in errors.chains])
@@ -220,5 +220,5 @@ def _nominal_loop_poles(pair: PlantPair, reference: Reference, gain: Array, dt: 
     """Return the poles of A - B K at the end of the reference, and the spectral radius of the sampled loop."""
     t = reference.final_time
     a, b = ErrorDynamics(pair.model).linearize(t, reference.x(t), reference.u(t))
-    held_a, held_b = zero_order_hold(a, b, dt)
-    return np.asarray(np.linalg.eigvals(a - b @ gain)), spectral_radius(held_a - held_b @ gain)
+    held_a, held_b = discretize_zero_order_hold(a, b, dt)
+    return np.asarray(np.linalg.eigvals(a - b @ gain)), compute_spectral_radius(held_a - held_b @ gain)

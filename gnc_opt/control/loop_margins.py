@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.control.sampled_data import to_continuous_poles
+from gnc_opt.control.sampled_data import map_to_continuous_poles
 from gnc_opt.runtime_environment import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
@@ -61,13 +61,13 @@ class Margins:
 @one_thread()
 def stability_margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
     """Return the margins of the stable loop ``v = -gain e``; dt (s) for a sampled plant (A, B)."""
-    omega = _frequency_grid(a, a - b @ gain, dt)
-    channels = [_channel_margins(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
+    omega = _build_frequency_grid(a, a - b @ gain, dt)
+    channels = [_compute_channel_margins(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
     up, down, phase, delay = (np.array(column) for column in zip(*channels, strict=True))
-    return Margins(up, down, phase, delay, _disk_margin(a, b, gain, omega, dt))
+    return Margins(up, down, phase, delay, _compute_disk_margin(a, b, gain, omega, dt))
 
 
-def _channel_margins(
+def _compute_channel_margins(
     a: Array, b: Array, gain: Array, i: int, omega: Array, dt: float | None
 ) -> tuple[float, float, float, float]:
     others = [j for j in range(b.shape[1]) if j != i]
@@ -76,17 +76,18 @@ def _channel_margins(
     rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
 
     def evaluate_channel(w: float) -> complex:
-        return complex(_loop_transfer(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
+        return complex(_evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
 
-    values = _loop_transfer(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
+    values = _evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
     crossings = [
         1.0 / -v
-        for v in _real_axis_crossing((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
+        for v in _find_real_axis_crossings((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
         if v < 0
     ]
-    unit = _bracketed_roots(lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY))
+    unit = _bracket_roots(lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY))
     phases = [
-        (abs(_wrap_angle(np.angle(-evaluate_channel(w)))), _phase_lag(evaluate_channel(w)) / w) for w in unit
+        (abs(_wrap_angle(np.angle(-evaluate_channel(w)))), _compute_phase_lag(evaluate_channel(w)) / w)
+        for w in unit
     ]
     return (
         min((c for c in crossings if c > 1), default=np.inf),
@@ -112,11 +113,11 @@ def mask_input_output_states(a: Array, b: Array, c: Array) -> Mask:
     return np.asarray(moved & seen)
 
 
-def _disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
+def _compute_disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
     one = np.eye(b.shape[1])
 
     def sensitivity_norm(log_w: Array) -> Array:
-        sensitivity = np.linalg.inv(one + _loop_transfer(a, b, gain, np.exp(log_w), dt))
+        sensitivity = np.linalg.inv(one + _evaluate_loop_transfer(a, b, gain, np.exp(log_w), dt))
         return np.asarray(np.linalg.norm(sensitivity - 0.5 * one, 2, axis=(1, 2)))
 
     grid = np.log(omega)
@@ -130,7 +131,7 @@ def _disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: float | None
     return 1.0 / max(float(values[k]), -float(best.fun))
 
 
-def _loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
+def _evaluate_loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
     """Return L (n_frequencies, m, m), evaluated in batches of frequencies that fit in memory."""
     one, right = np.eye(a.shape[0]), b[None].astype(complex)
     points = np.array([_laplace_variable(w, dt) for w in omega])[:, None, None]
@@ -144,7 +145,7 @@ def _laplace_variable(omega: float, dt: float | None) -> complex:
     return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
 
-def _real_axis_crossing(
+def _find_real_axis_crossings(
     system: tuple[Array, Array, Array],
     value: Callable[[float], complex],
     omega: Array,
@@ -154,18 +155,18 @@ def _real_axis_crossing(
     """Return the values at which L of a system (A, b, gain) crosses the real axis; inf if rounding prevents it."""
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
-        at, change = _loop_rounding_error(*system, _laplace_variable(w, dt))
+        at, change = _evaluate_loop_with_rounding(*system, _laplace_variable(w, dt))
         found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
-        ends = [_loop_rounding_error(*system, _laplace_variable(w, dt)) for w in omega[k : k + 2]]
+        ends = [_evaluate_loop_with_rounding(*system, _laplace_variable(w, dt)) for w in omega[k : k + 2]]
         if all(change < abs(at.imag) for at, change in ends):
-            (w,) = _bracketed_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
-            at, change = _loop_rounding_error(*system, _laplace_variable(w, dt))
+            (w,) = _bracket_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
+            at, change = _evaluate_loop_with_rounding(*system, _laplace_variable(w, dt))
             found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     return found
 
 
-def _loop_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
+def _evaluate_loop_with_rounding(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
     """Return L at s (or z), and its first-order change by rounding of A and of s."""
     one = np.eye(a.shape[0])
     try:
@@ -176,11 +177,11 @@ def _loop_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[c
     return complex(gain @ right), change
 
 
-def _frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
+def _build_frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
     """Return a logarithmic frequency grid (rad/s) around the poles, with grid points next to each resonance."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
-        poles = to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
+        poles = map_to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
     size = np.abs(poles)
     size = size[size > _AT_ZERO * size.max(initial=0.0)]
     if not size.size:
@@ -192,7 +193,7 @@ def _frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
     return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
 
 
-def _bracketed_roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
+def _bracket_roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
     change = np.flatnonzero(values[:-1] * values[1:] < 0)
     return [
         float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=ROUNDING))
@@ -204,7 +205,7 @@ def _wrap_angle(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _phase_lag(value: complex) -> float:
+def _compute_phase_lag(value: complex) -> float:
     """Return the phase lag, in (0, 2 pi], that brings L to -1."""
     lag = float(np.angle(-value) % (2 * np.pi))
     return lag if lag > 0 else 2 * np.pi

@@ -30,11 +30,11 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.loop_margins import stability_margins
-from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, reference_sample_times
+from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
-from gnc_opt.control.sampled_data import discretize, to_continuous_poles
+from gnc_opt.control.sampled_data import discretize, map_to_continuous_poles
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
@@ -51,7 +51,7 @@ def report_regulator(
     remark: str = "slowest first",
 ) -> list[ReportEntry]:
     """Return the report entries of a regulator and its plant (A, B), continuous or sampled with dt (s)."""
-    poles = to_continuous_poles(regulator.poles, dt)
+    poles = map_to_continuous_poles(regulator.poles, dt)
     residual = "of the Riccati equation, relative to its largest term"
     return [
         ReportEntry(name, poles, "1/s", remark),
@@ -134,10 +134,10 @@ def design_lqr(
     deviation = ErrorDynamics(model)
     a, b = require_constant_linearization(deviation, reference)
     cost = read_cost(model, Q, R, N)
-    integrals = _integral_states(deviation, reference, integral)
+    integrals = _read_integral_states(deviation, reference, integral)
     solution, plant = _solve_augmented_riccati(deviation, (a, b), cost, integrals, dt)
     bounds = read_limits(model, limits)
-    step, start, memory = _lqr_law(model, deviation, solution.gain, integrals, bounds)
+    step, start, memory = _build_lqr_law(model, deviation, solution.gain, integrals, bounds)
     signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.n_states else []))
     facts = [*_report_lqr(solution, plant, model.controls, dt), *report_authority(reference, bounds)]
     regulator = Controller(
@@ -182,7 +182,7 @@ class _StepSchedule:
 
 def require_constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are constant along the reference; otherwise raise `DesignError`."""
-    times = reference_sample_times(reference, 25)
+    times = choose_reference_sample_times(reference, 25)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
     a, b = pairs[-1]
@@ -197,7 +197,7 @@ def require_constant_linearization(deviation: ErrorDynamics, reference: Referenc
     return a, b
 
 
-def _integral_states(
+def _read_integral_states(
     deviation: ErrorDynamics, reference: Reference, integral: Mapping[str, ArrayLike] | None
 ) -> _IntegralStates:
     model = deviation.model
@@ -264,7 +264,7 @@ def _solve_augmented_riccati(
     )
 
 
-def _lqr_law(
+def _build_lqr_law(
     model: Model, deviation: ErrorDynamics, gain: Array, integrals: _IntegralStates, limits: Authority | None
 ) -> tuple[object, object, Layout]:
     states, controls = model.states.size, model.controls.size
@@ -305,7 +305,7 @@ def _compute_integral_rates(
 def _report_lqr(
     solution: LqrSolution, plant: tuple[Array, Array], controls: Layout, dt: float | None
 ) -> list[ReportEntry]:
-    poles = to_continuous_poles(solution.poles, dt)
+    poles = map_to_continuous_poles(solution.poles, dt)
     facts = [
         ReportEntry("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))
     ]

@@ -168,7 +168,7 @@ def design_mpc(
             ),
         ),
     )
-    code = _qp_code(windows, rows, model)
+    code = _build_qp_code(windows, rows, model)
     return with_dropout_handling(replace(plain, flight=build_codegen_law(code, deviation, plain, reference)))
 
 
@@ -245,8 +245,8 @@ class _MpcLaw:
 
     def mpc_step(self, *, easy: bool = False) -> Any:
         """Return the law ``(t, x, r, z) -> (u, z_next)``; the easy form has a validity flag as third output."""
-        t, x, r, z = self._law_symbols()
-        e, u_ff, x_limited, matrices, previous, alarm = self._split_signals(x, r, z)
+        t, x, r, z = self._create_law_symbols()
+        e, u_ff, x_limited, matrices, previous, alarm = self._split_law_inputs(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
         inside = self._horizon_function(
             "inside", ca.SX, lambda horizon, *a: [horizon.is_regulator_feasible(*a)]
@@ -265,19 +265,19 @@ class _MpcLaw:
 
     def initial_memory_function(self) -> Any:
         """Return the function of the initial memory: the feedforward, clipped to its limits."""
-        t, x, r, z = self._law_symbols()
-        m, u_ff = self.rows.lower.size, self._split_signals(x, r, z)[1]
+        t, x, r, z = self._create_law_symbols()
+        m, u_ff = self.rows.lower.size, self._split_law_inputs(x, r, z)[1]
         first = clip(u_ff[:m], self.rows.lower, self.rows.upper)
         return initial_state_function(t, x, r, ca.vertcat(first, 0))
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _law_symbols(self) -> tuple[Any, Any, Any, Any]:
+    def _create_law_symbols(self) -> tuple[Any, Any, Any, Any]:
         sizes = (1, self.deviation.model.states.size, self.signals.size, self.rows.lower.size + 1)
         t, x, r, z = (ca.MX.sym(name, size) for name, size in zip("txrz", sizes, strict=True))
         return t, x, r, z
 
-    def _split_signals(self, x: Any, r: Any, z: Any) -> list[Any]:
+    def _split_law_inputs(self, x: Any, r: Any, z: Any) -> list[Any]:
         """Return e, feedforward and limited states over the horizon, its matrices, previous command and alarm."""
         states, m = x.shape[0], self.rows.lower.size
         count, limited = self.schedule.windows.count, len(self.schedule.limited)
@@ -309,7 +309,7 @@ class _MpcLaw:
         return [answer["x"][: self.rows.lower.size], solved]
 
 
-def _qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -> QpCode:
+def _build_qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -> QpCode:
     """Return the QP for C export, with the matrices of every step of the reference."""
     last = len(windows.gains.steps) - 1
     firsts = [last + windows.count] if windows.is_constant else range(last + 1)
@@ -414,7 +414,7 @@ def _report_mpc(
     first = windows(0)
     facts = [
         ReportEntry("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
-        *_report_limits(rows, states),
+        *_report_hard_and_soft_limits(rows, states),
         ReportEntry("dynamics along the horizon", "constant" if windows.is_constant else "from the schedule"),
         ReportEntry("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
     ]
@@ -425,7 +425,7 @@ def _report_mpc(
     return facts
 
 
-def _report_limits(rows: StepLimits, states: Layout) -> list[ReportEntry]:
+def _report_hard_and_soft_limits(rows: StepLimits, states: Layout) -> list[ReportEntry]:
     soft = [states.labels[rows.states[i]] for i in rows.soft_limited_states]
     hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited_states]
     rates = ["rates of controls"] if rows.change is not None else []

@@ -40,10 +40,10 @@ def describe_reference_residual(model: Model, x: Signal, u: Signal, edges: Array
     rates = [model.f(t, x(t), u(t)) for t in (times, times + h / 2, times + h)]
     left = np.abs((last - first) / h - (rates[0] + 4 * rates[1] + rates[2]) / 6)  # Simpson's rule
     rounded = 8 * np.finfo(float).eps * (np.abs(first) + np.abs(last)) / h
-    return _describe_residual(model, times, np.maximum(left - rounded, 0.0), first, u(times))
+    return _format_trim_residual(model, times, np.maximum(left - rounded, 0.0), first, u(times))
 
 
-def _describe_residual(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
+def _format_trim_residual(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
     terms = np.abs(model.f(times, x, u)) + left
     for j, t in enumerate(times):
         a, b = model.linearize(float(t), x[:, j], u[:, j])
@@ -224,7 +224,7 @@ class Reference(StrictAttributes):
         self.initial_time, self.final_time, self.jumps = float(breaks[0]), float(breaks[-1]), jumps
         end = self.final_time
         held = tail == "hold"
-        self._tail = self._evaluate_pieces(u, end, None) if held else trim(model, end, self.x(end))
+        self._tail = self._evaluate_reference_pieces(u, end, None) if held else trim(model, end, self.x(end))
 
     def __repr__(self) -> str:
         return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
@@ -241,16 +241,18 @@ class Reference(StrictAttributes):
 
     def x(self, t: ArrayLike) -> Array:
         """Return the states at time t (s): (n_states,) for a scalar, (n_states, n_times) for an array."""
-        return self._evaluate_pieces(self._x, t, None)
+        return self._evaluate_reference_pieces(self._x, t, None)
 
     def u(self, t: ArrayLike) -> Array:
         """Return the controls at time t (s): (n_controls,) for a scalar, (n_controls, n_times) for an array."""
-        return self._evaluate_pieces(self._u, t, self._tail)
+        return self._evaluate_reference_pieces(self._u, t, self._tail)
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
-        owners, left, right = _split_steps(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
+        owners, left, right = _split_steps_at(
+            starts, dt, np.unique(np.concatenate([self.jumps, self._breaks]))
+        )
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
         means = (
             self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ _WEIGHTS * (0.5 * (right - left) / dt)
@@ -259,7 +261,7 @@ class Reference(StrictAttributes):
         np.add.at(total.T, owners, means.T)
         return total
 
-    def _evaluate_pieces(
+    def _evaluate_reference_pieces(
         self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
     ) -> Array:
         times = np.atleast_1d(read_numbers(t, "the time of a reference"))
@@ -343,7 +345,7 @@ def _warn_of_residual(
         )
 
 
-def _split_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
+def _split_steps_at(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the pieces of steps between marks: index of the step, start and end of each piece."""
     first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
     counts = np.maximum(behind - first, 0) + 1

@@ -105,8 +105,8 @@ def riccati_residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array,
 
 def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
     """Raise `DesignError` if an uncontrollable mode does not decay."""
-    for mode in uncontrollable_modes(a, b, labels):
-        if not _is_decaying(mode.eigenvalue, a, sampled):
+    for mode in find_uncontrollable_modes(a, b, labels):
+        if not _is_decaying_eigenvalue(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
                 f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_names(mode.states)} "
@@ -117,8 +117,8 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
 
 def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
     """Raise `DesignError` if a mode that does not decay has no cost."""
-    for mode in uncontrollable_modes(a.T, q.T, labels):
-        if not _is_decaying(mode.eigenvalue, a, sampled):
+    for mode in find_uncontrollable_modes(a.T, q.T, labels):
+        if not _is_decaying_eigenvalue(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the weights are not detectable: the mode with eigenvalue "
                 f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_names(mode.states)} "
@@ -127,7 +127,7 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
             )
 
 
-def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[UncontrollableMode]:
+def find_uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[UncontrollableMode]:
     """Return the modes of ``de/dt = A e + B v`` that v does not control, from the staircase form."""
     size = a.shape[0]
     balanced, scale = _balance_matrix(a)
@@ -167,7 +167,7 @@ def _balance_matrix(a: Array) -> tuple[Array, Array]:
     return balanced, scale
 
 
-def _is_decaying(eigenvalue: complex, a: Array, sampled: bool) -> bool:
+def _is_decaying_eigenvalue(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
         return abs(eigenvalue) < 1 - EQUAL
     rate = float(np.linalg.norm(_balance_matrix(a)[0], 2))

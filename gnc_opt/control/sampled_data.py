@@ -38,12 +38,12 @@ def count_whole_steps(duration: float, step: float, what: str) -> int:
     return count
 
 
-def count_started_periods(duration: float, step: float) -> int:
+def count_steps_started_within(duration: float, step: float) -> int:
     """Return the number of steps that begin within a duration (s)."""
     return math.ceil(duration / step - SAME_TIME)
 
 
-def is_period_start(phase: Any) -> Any:
+def is_step_counter_zero(phase: Any) -> Any:
     """Return whether a step counter (SX) is 0."""
     return phase < 0.5
 
@@ -73,7 +73,7 @@ def polynomial_from_poles(poles: Any) -> Array | None:
 _ROUNDING = float(np.finfo(float).eps)
 
 
-def to_continuous_poles(poles: Any, dt: float | None) -> Any:
+def map_to_continuous_poles(poles: Any, dt: float | None) -> Any:
     """Return poles as rates (1/s): ``ln(z)/dt`` for a loop sampled with dt (s)."""
     if dt is None:
         return poles
@@ -102,7 +102,7 @@ class SampledStep:
 
 def discretize(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
     """Return the exact discretisation of constant A, B and cost over dt (s)."""
-    flow = _van_loan_matrix(a, b, _stack_cost_matrix(q, r, n))
+    flow = _build_van_loan_matrix(a, b, _stack_cost_matrix(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M only: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
     phi, cost = _compute_transition_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
@@ -125,7 +125,7 @@ def discretize_time_varying(
     weight = _stack_cost_matrix(q, r, n)
     phi, cost = np.eye(weight.shape[0]), np.zeros_like(weight)
     for k, h in enumerate(steps):
-        first, second = (_van_loan_matrix(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
+        first, second = (_build_van_loan_matrix(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
         commutator = second @ first - first @ second
         exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator
         step, part = _compute_transition_and_cost(scipy.linalg.expm(exponent))
@@ -134,14 +134,14 @@ def discretize_time_varying(
     return _build_sampled_step(phi, cost, q.shape[0], dt)
 
 
-def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
+def discretize_zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
     """Return the discrete plant (A, B) of a zero-order hold over dt (s)."""
     n, m = b.shape
     both = scipy.linalg.expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
     return both[:n, :n], both[:n, n:]
 
 
-def spectral_radius(matrix: Array) -> float:
+def compute_spectral_radius(matrix: Array) -> float:
     """Return the largest magnitude of the eigenvalues; a sampled loop is stable if it is below 1."""
     return float(np.max(np.abs(np.linalg.eigvals(matrix))))
 
@@ -150,7 +150,7 @@ def _stack_cost_matrix(q: Array, r: Array, n: Array) -> Array:
     return np.block([[q, n], [n.T, r]])
 
 
-def _van_loan_matrix(a: Array, b: Array, weight: Array) -> Array:
+def _build_van_loan_matrix(a: Array, b: Array, weight: Array) -> Array:
     size = weight.shape[0]
     m = np.zeros((size, size))
     m[: a.shape[0]] = np.hstack([a, b])

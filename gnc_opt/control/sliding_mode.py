@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, read_limits, report_authority, saturate
+from gnc_opt.control.control_limits import Authority, Limits, read_limits, report_authority, saturate_command
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
@@ -51,14 +51,18 @@ from gnc_opt.control.reaching_laws import (
     read_disturbance_bounds,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
-from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
+from gnc_opt.control.sampled_data import (
+    compute_spectral_radius,
+    discretize_zero_order_hold,
+    polynomial_from_poles,
+)
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError, quote
 from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import one_thread
 
 
-def _sliding_mode_command(
+def _build_sliding_mode_command(
     s: Any,
     drift: Any,
     errors: OutputErrors,
@@ -68,13 +72,13 @@ def _sliding_mode_command(
 ) -> tuple[list[MemoryEntry], Any]:
     n, dt = errors.n_outputs, switching.dt
     wanted, twist = switching.required_input(s, drift)
-    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.alarm_memory(s)]
+    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.create_alarm_memory(s)]
     if observer is None:
         return memory, inverse(wanted)
     assert dt is not None
     s_hat, q = ca.SX.sym("s_hat", n), ca.SX.sym("disturbance", n)
     u = inverse(wanted - observer.estimate(s, s_hat, q))
-    known = drift + errors.decoupling @ saturate(u, switching.limits)
+    known = drift + errors.decoupling @ saturate_command(u, switching.limits)
     s_next, q_next = observer.update(s, s_hat, q, known, dt)
     return [
         *memory,
@@ -94,8 +98,8 @@ def _require_sampled_decay(
         gain = k * c + np.append(0.0, c[:-1]) if k else c[:-1]
         if not gain.size:
             continue
-        a, b = zero_order_hold(np.eye(gain.size, k=1), np.eye(gain.size)[:, [-1]], switching.dt)
-        radius = spectral_radius(a - b @ gain[None])
+        a, b = discretize_zero_order_hold(np.eye(gain.size, k=1), np.eye(gain.size)[:, [-1]], switching.dt)
+        radius = compute_spectral_radius(a - b @ gain[None])
         if radius >= 1:
             raise DesignError(
                 f"control steps of {switching.dt:g} s are too long for the surface of '{label}': away from it "
@@ -104,7 +108,7 @@ def _require_sampled_decay(
             )
 
 
-def _sum_weighted_derivatives(c: Array, chain: Any, order: int) -> Any:
+def _sum_chain_derivatives(c: Array, chain: Any, order: int) -> Any:
     """Return the sum of c_k times the derivative of order k + ``order`` of a chain, SX."""
     return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
 
@@ -117,7 +121,7 @@ def _report_surface(
     poles = [
         ReportEntry(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1
     ]
-    facts = [*poles, *switching.report_entries()]
+    facts = [*poles, *switching.build_report_entries()]
     if not isinstance(switching.boundary, Sign):
         real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
         steady = [band / c[0] for band, c in zip(switching.sliding_bands, coefficients, strict=True)]
@@ -152,7 +156,7 @@ class SwitchingControl:
         grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
         return wanted + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), grown)]
 
-    def alarm_memory(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
+    def create_alarm_memory(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
         """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `create_gain_alarm`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.layer_width(1.0)
@@ -160,7 +164,7 @@ class SwitchingControl:
             return []
         return create_gain_alarm(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
-    def report_entries(self) -> list[ReportEntry]:
+    def build_report_entries(self) -> list[ReportEntry]:
         """Return the report entries of the bands of s and the sampling limit."""
         remark = "largest abs(s) that a disturbance at its bound sustains, continuous control"
         facts = [ReportEntry("band of s", self.sliding_bands, remark=remark)]
@@ -323,16 +327,16 @@ def design_sliding_mode(
     """
     reference = read_plant_model(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)
-    coefficients = _surface_coefficients(errors, slopes)
+    coefficients = _compute_surface_coefficients(errors, slopes)
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
     switching = build_switching_control(*law, memory=observer is not None)
     _require_sampled_decay(errors.labels, coefficients, switching)
     inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     pairs = list(zip(coefficients, errors.chains, strict=True))
-    s = ca.vertcat(*[_sum_weighted_derivatives(c, chain, 0) for c, chain in pairs])
-    drift = errors.drift + ca.vertcat(*[_sum_weighted_derivatives(c[:-1], chain, 1) for c, chain in pairs])
-    memory, u = _sliding_mode_command(s, drift, errors, inverse, switching, observer)
+    s = ca.vertcat(*[_sum_chain_derivatives(c, chain, 0) for c, chain in pairs])
+    drift = errors.drift + ca.vertcat(*[_sum_chain_derivatives(c[:-1], chain, 1) for c, chain in pairs])
+    memory, u = _build_sliding_mode_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         *_report_surface(errors, coefficients, switching),
@@ -352,7 +356,7 @@ def design_sliding_mode(
     )
 
 
-def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
+def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     found = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.relative_degrees, strict=True)):
         given = _read_surface_slope(errors, slopes, label, i) if r > 1 else []

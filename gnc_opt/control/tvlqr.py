@@ -27,7 +27,7 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.lqr import report_regulator
-from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, reference_sample_times
+from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
@@ -107,7 +107,7 @@ def design_tvlqr(
     deviation = ErrorDynamics(model)
     gains = compute_riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
-    step, start = _tvlqr_law(deviation)
+    step, start = _build_tvlqr_law(deviation)
     facts = [*_report_tvlqr(deviation, reference, gains), *report_authority(reference, bounds)]
     regulator = Controller(
         name=name,
@@ -125,7 +125,7 @@ def design_tvlqr(
     return with_dropout_handling(regulator)
 
 
-def _tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
+def _build_tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     states, controls, errors = (
         layout.size for layout in (deviation.model.states, deviation.model.controls, deviation.errors)
     )
@@ -142,7 +142,7 @@ def _report_tvlqr(
     reference: Reference,
     gains: Gains,
 ) -> list[ReportEntry]:
-    times = reference_sample_times(reference, 40)
+    times = choose_reference_sample_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)

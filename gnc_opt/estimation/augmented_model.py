@@ -178,7 +178,7 @@ class AugmentedModel:
         for channel in self.channels:
             if channel.measurement.has_bias:
                 place = self.errors.slice(channel.bias_name)
-                sigma[place] = channel.measurement.as_array(bias, channel.space.errors)
+                sigma[place] = channel.measurement.component_array(bias, channel.space.errors)
         return sigma
 
     def initial_state(self, t: float, x: Array) -> Array:
@@ -231,7 +231,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Measure
     if measurement.difference is not None:
         space = _replace_error_difference(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
-        measurement.as_array(each, space.errors)
+        measurement.component_array(each, space.errors)
     what = f"of the measurement of '{name}'"
     period = (
         1 if measurement.period is None else count_whole_steps(measurement.period, dt, f"the period {what}")

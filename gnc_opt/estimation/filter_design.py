@@ -14,13 +14,13 @@ from gnc_opt.arguments import expect, read_integer, read_label, read_positive, s
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.riccati import solve_algebraic_riccati, uncontrollable_modes
+from gnc_opt.control.riccati import find_uncontrollable_modes, solve_algebraic_riccati
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation.augmented_model import AugmentedModel
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.estimation.kalman_filter import COVARIANCE, KalmanFilter
 from gnc_opt.estimation.linearization import Approximation, SigmaRegression, TangentModel
-from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_options
+from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_filter_options
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_state_vector, as_vector
 from gnc_opt.runtime_environment import one_thread
@@ -72,7 +72,7 @@ def design_ekf(
     >>> print(np.round(x, 3))  # the sample is a hundred times better than the guess
     [1.05 0.  ]
     """
-    told = read_options(options, "EKF")
+    told = read_filter_options(options, "EKF")
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
     return design.build_estimator(TangentModel(), "extended Kalman filter")
 
@@ -108,7 +108,7 @@ def design_ukf(
     >>> print(filtered.simulate([1.05, 0.01], tf=8.0).miss("q") < 0.01)
     True
     """
-    told = read_options(options, "UKF")
+    told = read_filter_options(options, "UKF")
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
     return design.build_estimator(SigmaRegression(), "unscented Kalman filter")
 
@@ -195,10 +195,10 @@ class FilterDesign:
             sizes={c.name: c.space.errors for c in augmented.channels},
             gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
-            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._report_entries())),
+            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._build_report_entries())),
         )
 
-    def _report_entries(self) -> list[ReportEntry]:
+    def _build_report_entries(self) -> list[ReportEntry]:
         labels = self.augmented.errors.labels
         facts = [
             ReportEntry("estimated", ", ".join(labels)),
@@ -213,21 +213,21 @@ class FilterDesign:
             facts.append(
                 ReportEntry(
                     f"measurement of {channel.name}",
-                    m.as_array("sigma", channel.space.errors),
+                    m.component_array("sigma", channel.space.errors),
                     channel.variable.unit,
                     f"sigma; {when}{late}{gate}",
                 )
             )
-        facts += self._steady_state_facts(labels)
+        facts += self._report_steady_state(labels)
         what = "consecutive steps without a sample; after that no estimate"
         return [*facts, ReportEntry("hold", str(self.hold), remark=what)]
 
-    def _steady_state_facts(self, labels: tuple[str, ...]) -> list[ReportEntry]:
+    def _report_steady_state(self, labels: tuple[str, ...]) -> list[ReportEntry]:
         """Return the unobservable states and the steady-state accuracy of the model linearised at the initial state."""
-        F, Q, H, R = self._linear_model()
+        F, Q, H, R = self._linearize_at_initial_state()
         where = "model linearised at the initial state, zero command"
         unseen = sorted(
-            {label for mode in uncontrollable_modes(F.T, H.T, labels) for label in mode.states},
+            {label for mode in find_uncontrollable_modes(F.T, H.T, labels) for label in mode.states},
             key=labels.index,
         )
         facts = [ReportEntry("unobservable states", ", ".join(unseen) or "nothing", remark=where)]
@@ -252,7 +252,7 @@ class FilterDesign:
             ),
         ]
 
-    def _linear_model(self) -> tuple[Array, Array, Array, Array]:
+    def _linearize_at_initial_state(self) -> tuple[Array, Array, Array, Array]:
         """Return F and Q of one control step, H and R of all measurements, at the initial state with zero command."""
         augmented, space, tangent = self.augmented, self.augmented.space, TangentModel()
         x, first = ca.SX.sym("x", space.size), augmented.initial_state(self.t0, self.x0)
@@ -275,7 +275,9 @@ class FilterDesign:
         outputs = [F @ delays, F @ early @ F.T + late, ca.vertcat(*rows)]
         found = ca.Function("linear", [x], outputs)(first)
         matrices = [np.asarray(m.full()) for m in found]
-        sigma = np.concatenate([c.measurement.as_array("sigma", c.space.errors) for c in augmented.channels])
+        sigma = np.concatenate(
+            [c.measurement.component_array("sigma", c.space.errors) for c in augmented.channels]
+        )
         return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 
 

@@ -38,7 +38,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, saturate
+from gnc_opt.control.control_limits import Authority, saturate_command
 from gnc_opt.estimation.augmented_model import AugmentedModel, MeasurementChannel
 from gnc_opt.estimation.linearization import (
     Approximation,
@@ -143,13 +143,13 @@ class KalmanFilter:
             ca.SX.sym("u", augmented.model.controls.size),
         )
         F, early, late = augmented.discretize(t, x, x, u, augmented.dt, self.density)
-        maps = [_structural_nonzeros(F)]
+        maps = [_select_nonzeros(F)]
         if augmented.has_delay_lines:
-            maps.append(_structural_nonzeros(self._linearize_delay_shift(t, x)[1]))
+            maps.append(_select_nonzeros(self._linearize_delay_shift(t, x)[1]))
         rows = np.vstack(
-            [_structural_nonzeros(view.slope) for view in self._linearize_measurements(t, x, ca.SX(n, n))]
+            [_select_nonzeros(view.slope) for view in self._linearize_measurements(t, x, ca.SX(n, n))]
         )
-        P = np.eye(n, dtype=bool) | _structural_nonzeros(early) | _structural_nonzeros(late)
+        P = np.eye(n, dtype=bool) | _select_nonzeros(early) | _select_nonzeros(late)
         while True:
             new = P.copy()
             for each in maps:
@@ -194,7 +194,7 @@ class KalmanFilter:
             after, found, nis = _joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
             taken = tally.count_sample(channel, good, nis)
             error, P = (
-                (_matrix_if_else(taken, after, error), _matrix_if_else(taken, found, P))
+                (_select_matrix(taken, after, error), _select_matrix(taken, found, P))
                 if gated
                 else (after, found)
             )
@@ -214,7 +214,7 @@ class KalmanFilter:
                 )
             else:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
-            noise = ca.SX(ca.diag(ca.DM(channel.measurement.as_array("sigma", space.errors) ** 2)))
+            noise = ca.SX(ca.diag(ca.DM(channel.measurement.component_array("sigma", space.errors) ** 2)))
             root = cholesky_semidefinite(noise + left)
             views.append(_LinearizedMeasurement(y, solve_lower_left(root, slope), root))
         return views
@@ -227,7 +227,7 @@ class KalmanFilter:
         augmented = self.augmented
         t, z = ca.SX.sym("t"), ca.SX.sym("z", self.memory.size)
         command = ca.SX.sym("u", augmented.model.controls.size)
-        u = saturate(command, self.limits)
+        u = saturate_command(command, self.limits)
         entries = {name: z[self.memory.slice(name)] for name in self.memory.names}
         x, P = self._unpack_memory(z)
         space = augmented.space
@@ -243,7 +243,7 @@ class KalmanFilter:
             after = flow(begin, x, u)
             F, early, late = augmented.discretize(begin, x, after, u, h, self.density)
             x, P = self.linearization.propagate_covariance(
-                _flow_with_held_command(flow, begin, u), space, x, P + early, after, F
+                _bind_command_to_flow(flow, begin, u), space, x, P + early, after, F
             )
             P = P + late
         outputs = ca.cse([self._pack_memory(entries, x, P)])
@@ -278,7 +278,7 @@ def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any
     return error, P, nis
 
 
-def _matrix_if_else(condition: Any, yes: Any, no: Any) -> Any:
+def _select_matrix(condition: Any, yes: Any, no: Any) -> Any:
     """Return ``yes`` or ``no``, depending on a condition; square matrices are symmetric."""
     if yes.shape[0] != yes.shape[1]:
         return ca.if_else(condition, yes, no)
@@ -290,9 +290,9 @@ def _copy_upper_to_lower(matrix: Any, j: int) -> Any:
     return ca.tril2symm(ca.tril(matrix))
 
 
-def _flow_with_held_command(flow: Any, t: Any, u: Any) -> Map:
+def _bind_command_to_flow(flow: Any, t: Any, u: Any) -> Map:
     return lambda x: flow(t, x, u)
 
 
-def _structural_nonzeros(matrix: Any) -> Any:
+def _select_nonzeros(matrix: Any) -> Any:
     return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

@@ -50,7 +50,7 @@ class FilterOptions:
     name: str | None = None
 
 
-def read_options(options: FilterOptions | None, name: str) -> FilterOptions:
+def read_filter_options(options: FilterOptions | None, name: str) -> FilterOptions:
     told = FilterOptions() if options is None else options
     expect(told, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
     return replace(told, name=name) if told.name is None else told
@@ -119,7 +119,7 @@ class Measurement:
         """Whether a constant or drifting bias is estimated."""
         return bool(np.any(np.asarray(self.bias) > 0) or np.any(np.asarray(self.bias_walk) > 0))
 
-    def as_array(self, name: str, size: int) -> Array:
+    def component_array(self, name: str, size: int) -> Array:
         """Return ``sigma``, ``bias`` or ``bias_walk`` as an array with one number per error component, (size,)."""
         return as_vector(
             getattr(self, name), size, f"the {name} of the measurement of '{self.of}'", ArgumentError

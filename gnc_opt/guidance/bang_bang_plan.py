@@ -54,8 +54,8 @@ class PlanPrediction:
 
     def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
         """Return the mean controls (SX) over a step; after the end the trim control of the final state."""
-        late = _share_of_step_after(begin, length, tau[-1] - self.ending.length)
-        over, rest = _share_of_step_after(begin, length, tau[-1]), self.plan.reference.tail_control
+        late = _compute_step_share_after(begin, length, tau[-1] - self.ending.length)
+        over, rest = _compute_step_share_after(begin, length, tau[-1]), self.plan.reference.tail_control
         before = self.plan.mean_control(begin, length, tau) * (1 - self.ending.reserve * late)
         return before * (1 - over) + ca.DM(rest) * over
 
@@ -107,7 +107,7 @@ class PlanPrediction:
         return ca.Function("arc", [t, x, u, length], [after])
 
 
-def _share_of_step_after(begin: Any, length: float, since: Any) -> Any:
+def _compute_step_share_after(begin: Any, length: float, since: Any) -> Any:
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
 

@@ -73,7 +73,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
             f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
             "neighbouring-optimal guidance does not apply; use design_tvlqr()."
         )
-    first, _, _ = _end_condition_derivatives(prediction, tau)
+    first, _, _ = _differentiate_end_conditions(prediction, tau)
     if not _has_full_row_rank(first.S):
         raise DesignError(
             f"the switch times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
@@ -88,7 +88,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
         return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
 
     found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
-    optimum, gradient, psi = _end_condition_derivatives(prediction, found.x[: tau.size] * duration)
+    optimum, gradient, psi = _differentiate_end_conditions(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
@@ -119,7 +119,7 @@ def _has_full_row_rank(S: Array) -> bool:
     return bool(sizes[-1] > RANK * sizes[0])
 
 
-def _end_condition_derivatives(prediction: PlanPrediction, tau: Array) -> tuple[PlanOptimum, Array, Array]:
+def _differentiate_end_conditions(prediction: PlanPrediction, tau: Array) -> tuple[PlanOptimum, Array, Array]:
     """Return S, H and the least-squares multipliers at these times, with the gradient of L and psi."""
     plan, g = prediction.plan, np.eye(tau.size)[-1]
 
@@ -210,19 +210,19 @@ def design_neighbouring_optimal(
     plan = SwitchingPlan.from_solution(solution)
     inner = regulator.unbridged or regulator
     step = inner.step_length(dt)
-    _check_regulator(inner, plan)
+    _check_regulator_layouts(inner, plan)
     weight = read_weight(Q, plan.reference.model.errors, "the weight Q")
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
     read_positive(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
     if reserve >= 1:
         raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
     read_positive(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
-    ending = _read_regulated_end(last, reserve, plan)
-    prediction = _refine_prediction(plan, ending, weight)
+    ending = _read_final_regulation(last, reserve, plan)
+    prediction = _refine_plan_prediction(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
     signals = build_reference_layout(plan.reference)
-    law_, start = guidance.law_functions(signals.size)
+    law_, start = guidance.build_law_functions(signals.size)
     own = (
         Variable("switching_times", plan.times.size - 1, "s"),
         Variable("final_time", 1, "s"),
@@ -242,13 +242,13 @@ def design_neighbouring_optimal(
         alarms=inner.alarms,
         span=(plan.reference.initial_time, plan.reference.final_time),
         explanation=DesignReport(
-            f"{name} of '{plan.reference.model.name}'", tuple(guidance.report_entries())
+            f"{name} of '{plan.reference.model.name}'", tuple(guidance.build_report_entries())
         ),
     )
     return with_dropout_handling(controller)
 
 
-def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
+def _check_regulator_layouts(regulator: Controller, plan: SwitchingPlan) -> None:
     model = plan.reference.model
     for what, found, needed in (
         ("states", regulator.states, model.states),
@@ -266,7 +266,7 @@ def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
         )
 
 
-def _read_regulated_end(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
+def _read_final_regulation(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
     length = read_positive(last, "the last part of design_neighbouring_optimal()", or_zero=True)
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
@@ -276,7 +276,7 @@ def _read_regulated_end(last: float, reserve: float, plan: SwitchingPlan) -> Reg
     return RegulatedEnd(length, reserve)
 
 
-def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
+def _refine_plan_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
     """Return the prediction with enough steps per arc to reproduce the end of the plan."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:
@@ -308,7 +308,7 @@ class _NeighbouringGuidance:
         return self.prediction.plan
 
     @cached_property
-    def correction_function(self) -> Any:
+    def time_correction(self) -> Any:
         """Return ``(t, x, tau) -> (tau, miss)``: one correction of the times after t + delay."""
         plan, best = self.plan, self.optimum
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial_state.size), ca.SX.sym("tau", best.tau.size)
@@ -337,12 +337,12 @@ class _NeighbouringGuidance:
         found[-1] = ca.fmax(found[-1], soonest)
         return ca.vertcat(*found)
 
-    def law_functions(self, n_signals: int) -> tuple[Any, Any]:
+    def build_law_functions(self, n_signals: int) -> tuple[Any, Any]:
         n, inner = self.optimum.tau.size, self.regulator
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial_state.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
         planned, tracked, own = z[:n], z[n], z[n + 2 :]
-        tau, miss = self.correction_function(t, x, planned)
+        tau, miss = self.time_correction(t, x, planned)
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
         means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
@@ -355,7 +355,7 @@ class _NeighbouringGuidance:
 
     # --- design report ------------------------------------------------------------------------------------
 
-    def report_entries(self) -> list[ReportEntry]:
+    def build_report_entries(self) -> list[ReportEntry]:
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
         return [
@@ -364,10 +364,7 @@ class _NeighbouringGuidance:
                 "switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"
             ),
             ReportEntry(
-                "least curvature",
-                best.curvature,
-                "",
-                "of the scaled flight time, end conditions satisfied",
+                "least curvature", best.curvature, "", "of the scaled flight time, end conditions satisfied"
             ),
             ReportEntry(
                 "last part",
@@ -381,5 +378,5 @@ class _NeighbouringGuidance:
                 "",
                 "of the prediction on board, Runge-Kutta of order 4",
             ),
-            ReportEntry("operations", str(self.correction_function.n_instructions()), "", "of a correction"),
+            ReportEntry("operations", str(self.time_correction.n_instructions()), "", "of a correction"),
         ]

@@ -166,7 +166,7 @@ class Replanner:
         set_(self, "every", read_positive(self.every, "the time between two re-plannings"))
         set_(self, "last", read_positive(self.last, "the last part without re-planning", or_zero=True))
         set_(self, "latency", read_positive(self.latency, "the latency of a Replanner", or_zero=True))
-        self._check_plan()
+        self._require_replannable_plan()
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -217,7 +217,9 @@ class Replanner:
         (leg,) = self.plan.need_problem("solve again").phases.values()
         return leg.model
 
-    def check_law(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
+    def check_follows_plan(
+        self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]
+    ) -> None:
         """Raise an error if a controller does not follow the plan.
 
         Parameters
@@ -302,7 +304,7 @@ class Replanner:
             )
         return plan
 
-    def _check_plan(self) -> None:
+    def _require_replannable_plan(self) -> None:
         plan = self.plan
         expect(plan, Solution, "the plan of a Replanner", "write lambda: Resolver(solve(problem))")
         if len(plan.phases) != 1:

@@ -27,9 +27,11 @@ def read_variables(given: Any, what: str) -> list[DeclaredVariable]:
     Symbols without a mapping keep their names. ``what`` is the subject of the `ModelError`.
     """
     if isinstance(given, Mapping):
-        return [_describe_input(name, value, what) for name, value in given.items()]
+        return [_read_declared_variable(name, value, what) for name, value in given.items()]
     columns = given if isinstance(given, (list, tuple)) else [given]
-    return [entry for column in columns for entry in _named_variables(_stack_sequence(column, what))]
+    return [
+        entry for column in columns for entry in _iterate_named_variables(_stack_expressions(column, what))
+    ]
 
 
 def read_parameter_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
@@ -51,8 +53,8 @@ def read_derivative(
     arguments, symbols : mapping
         Symbols (n, 1) of t, x, u and p: of the model (SX), and of ``f``.
     """
-    function = f if isinstance(f, ca.Function) else _make_function(f, symbols, what)
-    _check_inputs(function, arguments, what)
+    function = f if isinstance(f, ca.Function) else _make_model_function(f, symbols, what)
+    _check_function_inputs(function, arguments, what)
     inputs = {name: arguments[name] for name in function.name_in()}
     names = function.name_out()
     if len(names) != 1 and "dx_dt" not in names:
@@ -63,7 +65,7 @@ def read_derivative(
     return value
 
 
-def _make_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
+def _make_model_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
     if any(symbol is None for stack in symbols.values() for symbol in stack):
         raise ModelError(f"{what} is an expression: give the symbols that it is written in, not their sizes.")
     names = [name for name, stack in symbols.items() if stack]
@@ -81,7 +83,7 @@ def _make_function(expression: Any, symbols: Mapping[str, list[Any]], what: str)
     return function
 
 
-def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> None:
+def _check_function_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> None:
     for i, name in enumerate(function.name_in()):
         if name not in arguments:
             raise ModelError(f"{what} has the input '{name}': name its inputs among {', '.join(arguments)}.")
@@ -92,20 +94,20 @@ def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> Non
             )
 
 
-def _describe_input(name: str, value: Any, what: str) -> DeclaredVariable:
+def _read_declared_variable(name: str, value: Any, what: str) -> DeclaredVariable:
     if isinstance(value, Integral):
         return DeclaredVariable(name, int(value))
-    column = _stack_sequence(value, what)
+    column = _stack_expressions(value, what)
     return DeclaredVariable(name, column.shape[0], column)
 
 
-def _stack_sequence(value: Any, what: str) -> Any:
+def _stack_expressions(value: Any, what: str) -> Any:
     if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
         raise ModelError(f"{what} are given as {quote(value)}: give columns of SX or MX symbols.")
     return value
 
 
-def _named_variables(column: Any) -> Iterator[DeclaredVariable]:
+def _iterate_named_variables(column: Any) -> Iterator[DeclaredVariable]:
     if isinstance(column, ca.MX):
         for part in column.primitives():
             yield DeclaredVariable(part.name(), part.shape[0], part)

@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.tolerances import EQUAL
 
 
-def list_nodes(expression: Any) -> Iterator[Any]:
+def list_expression_nodes(expression: Any) -> Iterator[Any]:
     """Yield every scalar node of an expression once, results before their operands."""
     seen: set[int] = set()
     waiting = list(reversed(ca.vertsplit(ca.densify(ca.vec(expression)))))
@@ -28,7 +28,7 @@ def list_nodes(expression: Any) -> Iterator[Any]:
             waiting += [node.dep(i) for i in range(node.n_dep())]
 
 
-def rebuild_node(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
+def rebuild_expression(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     """Return a column with nodes replaced by ``replacement(node)``; for None the operands of the node are visited."""
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
@@ -51,8 +51,8 @@ def rebuild_node(expression: Any, replacement: Callable[[Any], Any | None]) -> A
 
 
 def replace_nodes(expression: Any, instead: Mapping[int, Any]) -> Any:
-    """Return a column with nodes replaced according to their hashes, see `rebuild_node`."""
-    return rebuild_node(expression, lambda node: instead.get(node.element_hash()))
+    """Return a column with nodes replaced according to their hashes, see `rebuild_expression`."""
+    return rebuild_expression(expression, lambda node: instead.get(node.element_hash()))
 
 
 def _apply_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
@@ -61,8 +61,8 @@ def _apply_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
     return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
 
 
-def find_operations(expression: Any) -> set[int]:
-    """Return the operation codes (``casadi.OP_...``) in an expression; much faster than `list_nodes`."""
+def find_operation_codes(expression: Any) -> set[int]:
+    """Return the operation codes (``casadi.OP_...``) in an expression; much faster than `list_expression_nodes`."""
     function = ca.Function("operations", [ca.vertcat(*ca.symvar(expression))], [expression])
     return {function.instruction_id(i) for i in range(function.n_instructions())}
 
@@ -122,10 +122,10 @@ class NormNodes:
     @classmethod
     def from_expression(cls, expression: Any, vector: Any) -> NormNodes:
         """Return these nodes of an SX column."""
-        nodes = _find_smooth_nodes(expression, vector)
+        nodes = _find_nodes_smooth_in_vector(expression, vector)
         if not nodes:
             return cls(vector, {})
-        values = _evaluate_along_directions(ca.vertcat(*nodes), vector)
+        values = _evaluate_nodes_along_directions(ca.vertcat(*nodes), vector)
         degrees = {n.element_hash(): d for n, d in zip(nodes, _homogeneity_degrees(values), strict=True) if d}
         return cls(vector, degrees)
 
@@ -141,15 +141,15 @@ class NormNodes:
             factor = ca.substitute(node, self.vector, unit)
             return factor * (norm if degree == 1 else norm**2)
 
-        return rebuild_node(expression, replacement)
+        return rebuild_expression(expression, replacement)
 
 
-def _find_smooth_nodes(expression: Any, vector: Any) -> list[Any]:
+def _find_nodes_smooth_in_vector(expression: Any, vector: Any) -> list[Any]:
     leaves = {s.element_hash() for s in ca.vertsplit(vector)}
     depends: dict[int, bool] = {}
     smooth: dict[int, bool] = {}
     found = []
-    for node in _sort_operands_first(expression):
+    for node in _sort_nodes_operands_first(expression):
         place, operands = node.element_hash(), [node.dep(i).element_hash() for i in range(node.n_dep())]
         depends[place] = place in leaves or any(depends[o] for o in operands)
         jumps = depends[place] and node.op() in _JUMPS
@@ -159,8 +159,8 @@ def _find_smooth_nodes(expression: Any, vector: Any) -> list[Any]:
     return found
 
 
-def _sort_operands_first(expression: Any) -> list[Any]:
-    nodes = {node.element_hash(): node for node in list_nodes(expression)}
+def _sort_nodes_operands_first(expression: Any) -> list[Any]:
+    nodes = {node.element_hash(): node for node in list_expression_nodes(expression)}
     done: dict[int, Any] = {}
     for root in nodes.values():
         waiting = [root]
@@ -177,7 +177,7 @@ def _sort_operands_first(expression: Any) -> list[Any]:
     return list(done.values())
 
 
-def _evaluate_along_directions(nodes: Any, vector: Any) -> Array:
+def _evaluate_nodes_along_directions(nodes: Any, vector: Any) -> Array:
     """Return the values (n_nodes, n_directions, n_lengths, n_draws) for several directions and lengths of a vector."""
     own = {s.element_hash() for s in ca.vertsplit(vector)}
     others = [s for s in ca.symvar(nodes) if s.element_hash() not in own]

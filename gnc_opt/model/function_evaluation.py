@@ -134,7 +134,7 @@ def evaluate_function(
     return found if times.ndim else found[:, 0]
 
 
-def make_buffered_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
+def make_buffered_function(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
     """Return a function for the first output at one point, without conversion overhead, for integrators."""
     arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
     free = len(arguments) - len(constants)
@@ -198,7 +198,7 @@ def _map_function(function: Any, block: int) -> tuple[Any, Any, int]:
     return function.map(block) if block > 1 else function, pattern, pattern.nnz()
 
 
-def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
+def evaluate_recursion(function: Any, start: Array, inputs: Array) -> Array:
     """Return the states (n_states, n + 1) of the recursion ``state = function(state, input)``."""
     states, columns = np.empty((inputs.shape[1] + 1, start.size)), np.ascontiguousarray(inputs.T)
     state, following, given = np.array(start, dtype=float), np.empty(start.size), np.empty(inputs.shape[0])

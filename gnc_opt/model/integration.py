@@ -45,25 +45,25 @@ class CallLimit:
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
-    def limit_calls(self, rate: Rate) -> Rate:
+    def limit_rate_calls(self, rate: Rate) -> Rate:
         """Return the rate function with a counter; it raises `OdeError` when the limit is exceeded."""
 
         def counted(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
-                self._record_step(t, x, values)
-            self.spend_evaluations(t)
+                self._record_integration_step(t, x, values)
+            self.count_evaluations(t)
             return values
 
         return counted
 
-    def spend_evaluations(self, t: float, evaluations: int = 1) -> None:
+    def count_evaluations(self, t: float, evaluations: int = 1) -> None:
         """Count evaluations up to time t; raise `LimitError` when the limit is exceeded."""
         self.count += evaluations
         if self.count > self.most:
             raise LimitError(f"{self.most:,} evaluations of the dynamics reached only t = {t:.4g} s")
 
-    def _record_step(self, t: float, x: Array, values: Array) -> None:
+    def _record_integration_step(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
         if t < self.earliest and np.isfinite(x).all():
             i = int(np.argmin(np.isfinite(values)))
@@ -146,7 +146,7 @@ def integrate(
     try:
         with np.errstate(all="ignore"):
             run = scipy.integrate.solve_ivp(
-                budget.limit_calls(rate),
+                budget.limit_rate_calls(rate),
                 span,
                 x,
                 method="Radau" if tolerance.stiff else "DOP853",

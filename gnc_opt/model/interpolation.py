@@ -38,7 +38,7 @@ class AxisPolynomials:
     stride: int
 
     @property
-    def coefficient_windows(self) -> Indices:
+    def interval_coefficient_indices(self) -> Indices:
         """Indices of the coefficients of each interval, (n, window)."""
         n, window, _ = self.matrices.shape
         return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))
@@ -46,7 +46,7 @@ class AxisPolynomials:
     def to_power_basis(self, coefficients: Array) -> tuple[AxisPolynomials, Array]:
         """Return the same polynomials with coefficients (n_coefficients,) of the powers of u per interval."""
         n, _, powers = self.matrices.shape
-        own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.coefficient_windows])
+        own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.interval_coefficient_indices])
         return AxisPolynomials(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()
 
 

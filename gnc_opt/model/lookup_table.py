@@ -111,7 +111,7 @@ class Table(StrictAttributes):
             read_numbers(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
         ]
         if self.outside == "error":
-            self._refuse_outside(numbers)
+            self._require_inside_table(numbers)
         try:
             points = np.broadcast_arrays(*numbers)
         except ValueError:
@@ -130,7 +130,7 @@ class Table(StrictAttributes):
                 f"table '{self.name}' got {quote(argument)}: give SX expressions or numbers."
             ) from None
 
-    def _refuse_outside(self, numbers: Sequence[Array]) -> None:
+    def _require_inside_table(self, numbers: Sequence[Array]) -> None:
         for i, (given, grid) in enumerate(zip(numbers, self.grids, strict=True), 1):
             beyond = given[(given < grid[0]) | (given > grid[-1])]
             if beyond.size:
@@ -152,7 +152,7 @@ class Table(StrictAttributes):
             value, comparisons = self._interpolate(point)
             use = TableCall(self, point, comparisons, value)
             for symbol in find_declared_symbols(ca.symvar(point)):
-                symbol.table_uses.append(use)
+                symbol.table_calls.append(use)
             values.append(value)
         return ca.vertcat(*values)
 
@@ -162,7 +162,7 @@ class Table(StrictAttributes):
         return ca.Function("table", ca.vertsplit(point), [self._interpolate(point)[0]])
 
     @cached_property
-    def _axis_pieces(self) -> tuple[list[AxisPolynomials], Array]:
+    def _axis_polynomials(self) -> tuple[list[AxisPolynomials], Array]:
         axes, coefficients = [], self.values
         for k, grid in enumerate(self.grids):
             pieces, first = METHODS[self.method](grid, np.moveaxis(coefficients, k, 0))
@@ -175,12 +175,12 @@ class Table(StrictAttributes):
 
     def _interpolate(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
-        axes, coefficients = self._axis_pieces
-        found = [_LocatedInterval.locate(pieces, point[k]) for k, pieces in enumerate(axes)]
+        axes, coefficients = self._axis_polynomials
+        found = [_LocatedInterval.find_interval(pieces, point[k]) for k, pieces in enumerate(axes)]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
-            window, places = _axis_coefficient_window(window, places, k, pieces, here.inside)
+            window, places = _select_axis_coefficients(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
             weights = here.compute_weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
@@ -198,7 +198,7 @@ class _LocatedInterval:
     comparisons: Any
 
     @classmethod
-    def locate(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
+    def find_interval(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
         breaks = pieces.breaks
         below, above = x < breaks[0], x > breaks[-1]
         steps = [x >= b for b in breaks[1:-1]]
@@ -226,11 +226,11 @@ class _LocatedInterval:
         return ca.mtimes(matrix, row + ca.vertcat(*slopes) * self.beyond if continued else row)
 
 
-def _axis_coefficient_window(
+def _select_axis_coefficients(
     window: Any, places: Indices, axis: int, pieces: AxisPolynomials, inside: Any
 ) -> tuple[Any, Indices]:
     """Return the window of one axis and the indices of its coefficients, from those remaining."""
-    candidates = np.moveaxis(np.take(places, pieces.coefficient_windows, axis=axis), axis, 0)
+    candidates = np.moveaxis(np.take(places, pieces.interval_coefficient_indices, axis=axis), axis, 0)
     n, *shape = candidates.shape
     flat = candidates.reshape(n, -1)
     chosen = ca.mtimes(inside.T, ca.reshape(window[flat.ravel(order="F").tolist()], n, flat.shape[1]))

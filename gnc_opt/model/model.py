@@ -323,7 +323,7 @@ class Model(StrictAttributes):
         what = f"the equation of algebraic variable '{name}' of model '{self.name}'"
         if not callable(residual):
             raise ModelError(f"{what} is {quote(residual)}: give a function of the variable, lambda z: ...")
-        value = self._own_expression(residual(symbol), what, symbol.variable.size)
+        value = self._read_model_expression(residual(symbol), what, symbol.variable.size)
         if ca.sprank(ca.jacobian(value, symbol)) < symbol.variable.size:
             raise ModelError(
                 f"{what} does not determine it (index higher than 1): use '{name}' in every row, or "
@@ -362,13 +362,13 @@ class Model(StrictAttributes):
                 )
             size = self.states[name].size
             what = f"the time derivative of state '{name}' in model '{self.name}'"
-            self._equations[name] = self._own_expression(value, what, size)
+            self._equations[name] = self._read_model_expression(value, what, size)
 
     def output(self, name: str, expression: Any, *, unit: str = "") -> Any:
         """Declare an algebraic output y(t, x, u, p), evaluated later by name; returns the expression."""
         self._refuse_if_in_use("output")
         self._check_new_name(name)
-        value = self._own_expression(expression, f"output '{name}' of model '{self.name}'", None)
+        value = self._read_model_expression(expression, f"output '{name}' of model '{self.name}'", None)
         self._outputs[name] = (Variable(name, value.shape[0], unit), value)
         return value
 
@@ -526,9 +526,9 @@ class Model(StrictAttributes):
             )
         return ca.vertcat(*[self._equations[name] for name in self.states.names])
 
-    def table_uses(self) -> list[TableCall]:
+    def find_table_calls(self) -> list[TableCall]:
         """Return the table calls with expressions of the model's symbols."""
-        return [use for symbol in (self._time, *self._variables.symbols) for use in symbol.table_uses]
+        return [use for symbol in (self._time, *self._variables.symbols) for use in symbol.table_calls]
 
     def output_expression(self, name: str) -> Any:
         """Return the SX expression of a declared output."""
@@ -584,7 +584,7 @@ class Model(StrictAttributes):
         a, b = jacobians(*check_arguments(jacobians, t, x, u, self.parameter_values if p is None else p))
         return np.asarray(a.full()), np.asarray(b.full())
 
-    def mark_in_use(self, user: str) -> None:
+    def forbid_declarations(self, user: str) -> None:
         """Forbid further declarations, because a problem uses the model."""
         self._in_use_by = self._in_use_by or user
 
@@ -632,7 +632,7 @@ class Model(StrictAttributes):
             raise ModelError(f"{what} is {vector}: give finite numbers.")
         return vector
 
-    def _own_expression(self, value: Any, what: str, size: int | None) -> Any:
+    def _read_model_expression(self, value: Any, what: str, size: int | None) -> Any:
         expression = as_expression(value, what, size)
         foreign = find_foreign_symbols(expression, list(self.arguments()))
         if foreign:

@@ -140,7 +140,7 @@ def as_state_vector(value: ArrayLike, size: int, what: str, error: ErrorType = P
     return as_vector(value, size, what, error)
 
 
-def as_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+def read_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return typical magnitudes as `as_vector`; raise an error unless they are positive and finite."""
     vector = as_vector(value, size, what, error)
     if not np.all(np.isfinite(vector) & (vector > 0)):
@@ -156,7 +156,7 @@ class Symbol(ca.SX):  # type: ignore[misc]
     Attributes
     ----------
     variable : Variable
-    table_uses : list
+    table_calls : list
         Table calls with expressions of this symbol.
 
     Examples
@@ -169,7 +169,7 @@ class Symbol(ca.SX):  # type: ignore[misc]
     def __init__(self, variable: Variable) -> None:
         super().__init__(ca.SX.sym(variable.name, variable.size))
         self.variable = variable
-        self.table_uses: list[Any] = []
+        self.table_calls: list[Any] = []
         for element in ca.vertsplit(self):
             _OWNERS[element.element_hash()] = self
 
@@ -183,8 +183,8 @@ class Symbol(ca.SX):  # type: ignore[misc]
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         """Evaluate ``np.linalg.norm(v)`` and similar calls as for a plain SX."""
         return function(
-            *map(_replace_by_plain_symbols, args),
-            **{name: _replace_by_plain_symbols(value) for name, value in kwargs.items()},
+            *map(_strip_symbol_subclass, args),
+            **{name: _strip_symbol_subclass(value) for name, value in kwargs.items()},
         )
 
     __hash__ = object.__hash__
@@ -193,9 +193,9 @@ class Symbol(ca.SX):  # type: ignore[misc]
         return f"<{self.variable.name}[{self.variable.size}]>"
 
 
-def _replace_by_plain_symbols(value: Any) -> Any:
+def _strip_symbol_subclass(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
-        return type(value)(map(_replace_by_plain_symbols, value))
+        return type(value)(map(_strip_symbol_subclass, value))
     return ca.SX(value) if isinstance(value, Symbol) else value
 
 
@@ -227,11 +227,11 @@ class VectorSymbols(tuple[Any, Any]):
             f"{name}, magnitude = model.vector_control('{name}', ...)."
         )
 
-    def _refuse_symbols(self, *_: Any) -> Any:
+    def _raise_unpacking_error(self, *_: Any) -> Any:
         raise ModelError(f"an operand is {self.unpacking_remedy}")
 
-    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _refuse_symbols
-    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _refuse_symbols
+    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _raise_unpacking_error
+    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _raise_unpacking_error
 
 
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
@@ -309,7 +309,7 @@ class VariableSet:
         expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
         scale = None
         if nominal is not None:
-            scale = tuple(as_magnitudes(nominal, size, f"the nominal value of {what}", ModelError).tolist())
+            scale = tuple(read_magnitudes(nominal, size, f"the nominal value of {what}", ModelError).tolist())
         symbol = Symbol(Variable(name, size, unit, scale))
         self._symbols[kind][name] = symbol
         return symbol

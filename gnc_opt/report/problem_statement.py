@@ -229,7 +229,7 @@ def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
     names[model.time.element_hash()] = _TIME
     names |= component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)
-    for use in model.table_uses():
+    for use in model.find_table_calls():
         if use.value.numel() == 1 and writer.is_short_enough(use.arguments):
             arguments = ["".join(writer.split_terms(argument)) for argument in ca.vertsplit(use.arguments)]
             names[use.value.element_hash()] = function_call_mathml(use.table.name or "table", arguments)

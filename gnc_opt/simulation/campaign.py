@@ -151,7 +151,7 @@ class Campaign(StrictAttributes, PrintableResult):
             ``"integral(tilt)"``: of a quantity of the loop over the run. ``"replans"``, ``"failed replans"``:
             numbers of successful and of failed re-plannings. Or the name of a user-defined measure.
         """
-        return self._measures.measure_values(name)
+        return self._measures.compute_measure_values(name)
 
     def unit(self, name: str) -> str:
         """Return the unit of a measure."""

@@ -105,7 +105,7 @@ class Measures:
         again = REPLANS if self._runs.replans.any() else ()
         return (*states, *self._runs.measured, *costs, *times, *way, *again)
 
-    def measure_values(self, name: str) -> Array:
+    def compute_measure_values(self, name: str) -> Array:
         """Return a measure of every run, (m,)."""
         if name in self._runs.measured:
             return np.asarray(self._runs.measured[name])

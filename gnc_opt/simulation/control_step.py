@@ -34,11 +34,7 @@ class ControlStep:
         self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
         self.plant_p = stack_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
         self.measured = Layout("state", wiring.controller.states.variables)
-        groups = (
-            ("sensor", wiring.sensors),
-            ("actuator", wiring.actuators),
-            ("push", wiring.disturbances),
-        )
+        groups = (("sensor", wiring.sensors), ("actuator", wiring.actuators), ("push", wiring.disturbances))
         zero = {k: self._memory_sizes(links, k) for k, links in groups}
         m = wiring.minor_steps
         noises = {
@@ -241,20 +237,11 @@ class ControlStep:
         new["saturation"] += time * saturated
 
     def complete_step(
-        self,
-        new: dict[str, Any],
-        state: dict[str, Any],
-        t: Any,
-        told: dict[str, Any],
-        z: Any,
+        self, new: dict[str, Any], state: dict[str, Any], t: Any, told: dict[str, Any], z: Any
     ) -> Any:
         """Return the completed state after a control step, and its log."""
         y, u, mean = told["measured"], told["commands"], told["applied"]
-        new |= {
-            "memory": z,
-            "command": u,
-            "steps": state["steps"] + 1,
-        }
+        new |= {"memory": z, "command": u, "steps": state["steps"] + 1}
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
         seen = [*select_watched_measurements(self.wiring, y), u, mean, new["plant"]]
         if self.wiring.events:

@@ -14,7 +14,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
-from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_period_start
+from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_step_counter_zero
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
     Block,
@@ -158,7 +158,7 @@ class PiecewiseConstantNoise(Disturbance):
 
     def update(self, tick: StepContext, state: Any, p: Parameters, noise: Any) -> Any:
         size = state.shape[0] - 1
-        drawn = ca.if_else(is_period_start(state[size]), noise, state[:size])
+        drawn = ca.if_else(is_step_counter_zero(state[size]), noise, state[:size])
         return ca.vertcat(drawn, advance_step_counter(state[size], self._steps_per_value(tick.dt)))
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:

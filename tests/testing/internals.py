@@ -3,27 +3,27 @@
 
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.control.c_export.c_writer import FLOAT
-from gnc_opt.control.control_limits import clip, read_limits, saturate
+from gnc_opt.control.control_limits import clip, read_limits, saturate_command
 from gnc_opt.control.horizon_qp import QuadraticProgram, StepLimits
-from gnc_opt.control.input_output_linearization import PlantPair, error_expressions
+from gnc_opt.control.input_output_linearization import PlantPair, build_output_error_expressions
 from gnc_opt.control.loop_margins import stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_cost, read_weight
 from gnc_opt.control.reaching_laws import read_disturbance_bounds
 from gnc_opt.control.riccati import (
+    find_uncontrollable_modes,
     require_stabilizable,
     riccati_residual,
     solve_algebraic_riccati,
-    uncontrollable_modes,
 )
 from gnc_opt.control.sampled_data import (
     advance_step_counter,
-    count_started_periods,
+    compute_spectral_radius,
+    count_steps_started_within,
     count_whole_steps,
     discretize,
     discretize_time_varying,
-    is_period_start,
-    spectral_radius,
-    zero_order_hold,
+    discretize_zero_order_hold,
+    is_step_counter_zero,
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import compute_riccati_gains

@@ -63,23 +63,23 @@ class CFloatType:
         """Return C code with ``real_t`` replaced by the type."""
         return re.sub(r"\breal_t\b", self.type, text)
 
-    def nested_initializer(self, values: Array) -> str:
+    def format_initializer(self, values: Array) -> str:
         """Return the initializer of an array of any dimension."""
         if np.ndim(values) == 1:
-            return "{" + wrap_initializer(self.format_literal(float(v)) for v in values) + "}"
-        return "{" + ",\n".join(self.nested_initializer(row) for row in values) + "}"
+            return "{" + wrap_initializer_lines(self.format_literal(float(v)) for v in values) + "}"
+        return "{" + ",\n".join(self.format_initializer(row) for row in values) + "}"
 
-    def define_array(self, name: str, values: Array) -> str:
+    def write_array_definition(self, name: str, values: Array) -> str:
         """Return the definition of a constant array."""
         shape = "".join(f"[{n}]" for n in np.shape(values))
-        return f"static const {self.type} {name}{shape} = {self.nested_initializer(np.asarray(values))};"
+        return f"static const {self.type} {name}{shape} = {self.format_initializer(np.asarray(values))};"
 
 
 DOUBLE = CFloatType("double", "", np.float64, 1e-9, 1e-11)
 FLOAT = CFloatType("float", "f", np.float32, 1e-4, 1e-5)
 
 
-def wrap_initializer(entries: Iterable[str]) -> str:
+def wrap_initializer_lines(entries: Iterable[str]) -> str:
     return textwrap.fill(", ".join(entries), 110, subsequent_indent="    ", break_on_hyphens=False)
 
 

@@ -43,7 +43,7 @@ class CScheduleTable:
                 "",
             ]
         return [
-            numbers.define_array("schedule", self.rows),
+            numbers.write_array_definition("schedule", self.rows),
             "",
             f"static void look_up(long row, {numbers.type} *r)",
             "{",

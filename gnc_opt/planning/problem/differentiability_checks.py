@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.expressions import ROOTS, find_operations, list_nodes
+from gnc_opt.model.expressions import ROOTS, find_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
@@ -71,7 +71,7 @@ def warn_of_kinks(problem: ProblemData, leg: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not find_operations(stack_expressions(leg)) & _KINKS.keys():
+    if not find_operation_codes(stack_expressions(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.node_hashes for use in uses))
     for operation, (kind, where) in _find_first_kink_of_each_kind(problem, leg, looked_up):
@@ -108,7 +108,7 @@ def _find_first_kink_of_each_kind(
     told: set[str] = set()
     for what, labels, stacked in _collect_phase_expressions(leg):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
-            for node in list_nodes(expression):
+            for node in list_expression_nodes(expression):
                 operation = node.op()
                 if operation not in _KINKS or node.element_hash() in looked_up:
                     continue
@@ -133,7 +133,7 @@ def find_shifted_norms(leg: Phase) -> list[str]:
     """Return the integrands with a norm that is not differentiable at nonzero controls, such as ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
-        vectors = (_norm_vector(node) for node in list_nodes(integrand) if node.op() in ROOTS)
+        vectors = (_norm_vector(node) for node in list_expression_nodes(integrand) if node.op() in ROOTS)
         if any(
             v is not None and ca.depends_on(v, controls) and _is_shifted_norm(v, controls) for v in vectors
         ):

@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, suggest_symbol
-from gnc_opt.model.expressions import list_nodes
+from gnc_opt.model.expressions import list_expression_nodes
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model import Model
@@ -61,10 +61,10 @@ def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
     """Return the table calls in the expressions along a phase."""
 
     def find() -> tuple[TableCall, ...]:
-        known = [*leg.model.table_uses(), *problem.table_calls_in_parameters()]
+        known = [*leg.model.find_table_calls(), *problem.table_calls_in_parameters()]
         if not known:
             return ()
-        present = {node.element_hash() for node in list_nodes(stack_expressions(leg))}
+        present = {node.element_hash() for node in list_expression_nodes(stack_expressions(leg))}
         return tuple({id(use): use for use in known if use.node_hashes & present}.values())
 
     return problem.cache(("tables", leg.name), find)

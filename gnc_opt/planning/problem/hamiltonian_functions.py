@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.function_evaluation import VectorizedFunction, evaluate_function, make_buffered_call
+from gnc_opt.model.function_evaluation import VectorizedFunction, evaluate_function, make_buffered_function
 from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import (
     bind_parameters,
@@ -73,7 +73,7 @@ class PhaseFunctions:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
-        return make_buffered_call(function, costates, multipliers, self.weights, self.p, self.q)
+        return make_buffered_function(function, costates, multipliers, self.weights, self.p, self.q)
 
     def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""

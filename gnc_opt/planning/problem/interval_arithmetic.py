@@ -143,13 +143,7 @@ class SymbolRanges:
                 place = leg.model.parameters.slice(name)
                 values.lower[place], values.upper[place] = box.lower, box.upper
         time = Interval(initial.lower, final.upper)
-        boxes = (
-            time,
-            leg.numbers.states,
-            leg.numbers.controls,
-            values,
-            problem.parameter_interval(),
-        )
+        boxes = (time, leg.numbers.states, leg.numbers.controls, values, problem.parameter_interval())
         return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod

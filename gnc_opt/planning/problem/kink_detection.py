@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Mask
-from gnc_opt.model.expressions import find_operations, list_nodes
+from gnc_opt.model.expressions import find_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.expressions import build_phase_function, list_table_calls, stack_expressions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -44,7 +44,7 @@ class KinkFunctions:
 
 def has_kinks(expression: Any) -> bool:
     """Return whether an expression contains an operation with a jump or kink, which derivatives do not reveal."""
-    return bool(find_operations(expression) & _WORDS.keys())
+    return bool(find_operation_codes(expression) & _WORDS.keys())
 
 
 def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
@@ -57,7 +57,7 @@ def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
             return None
         looked_up = frozenset[int]().union(*(use.node_hashes for use in list_table_calls(problem, leg)))
         found: dict[int, tuple[str, Any]] = {}
-        for node in list_nodes(expression):
+        for node in list_expression_nodes(expression):
             operation = node.op()
             if operation in _WORDS and node.element_hash() not in looked_up:
                 argument = _switching_argument(node, operation)
@@ -80,7 +80,7 @@ def find_comparison_points(problem: ProblemData, leg: Phase) -> Any:
     def find() -> Any:
         t, x, _, _ = leg.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in list_nodes(stack_expressions(leg)):
+        for node in list_expression_nodes(stack_expressions(leg)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]

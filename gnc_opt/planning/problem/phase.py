@@ -16,7 +16,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
+from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, read_magnitudes
 from gnc_opt.planning.problem.bounds import (
     Interval,
     default_control_bounds,
@@ -300,7 +300,7 @@ class Phase(StrictAttributes):
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
             size = self._find_layout_of_variable(name, "scale")[name].size
-            scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
+            scales[name] = read_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
         self._replace_numbers(scales=scales)
 
     def rates(self, **ranges: Any) -> None:

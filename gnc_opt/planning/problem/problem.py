@@ -203,7 +203,7 @@ class Problem(ProblemData):
         for parameter in self.parameters.variables:
             check_parameter_size(parameter.name, parameter.size, model, self.name)
         model.derivative()
-        model.mark_in_use(f"problem '{self.name}'")
+        model.forbid_declarations(f"problem '{self.name}'")
         self.phases[name] = Phase(name, model, self)
         self.clear_cache()
         return self.phases[name]

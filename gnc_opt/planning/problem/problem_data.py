@@ -119,7 +119,7 @@ class ProblemData(StrictAttributes):
 
     def table_calls_in_parameters(self) -> list[TableCall]:
         """Return the calls of tables with expressions in the free parameters."""
-        return [use for symbol in self._parameters.values() for use in symbol.table_uses]
+        return [use for symbol in self._parameters.values() for use in symbol.table_calls]
 
     def parameter_interval(self) -> Interval:
         """Bounds of the stacked free parameters."""

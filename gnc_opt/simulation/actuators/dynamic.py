@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_integer, read_positive
 from gnc_opt.control.sampled_data import (
     advance_step_counter,
-    count_started_periods,
+    count_steps_started_within,
     count_whole_steps,
-    is_period_start,
+    is_step_counter_zero,
 )
 from gnc_opt.simulation.block import (
     Block,
@@ -161,7 +161,7 @@ class Delay(_InitializedActuator):
     def _delay_line_length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
-        return count_started_periods(longest, h)
+        return count_steps_started_within(longest, h)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.repmat(super().initial_memory(signal, p, tick), self._delay_line_length(tick.h), 1)
@@ -208,7 +208,7 @@ class ZeroOrderHold(Block):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        output = ca.if_else(is_period_start(state[size]), signal, state[:size])
+        output = ca.if_else(is_step_counter_zero(state[size]), signal, state[:size])
         return Step(
             output, ca.vertcat(output, advance_step_counter(state[size], self._steps_per_period(tick.h)))
         )

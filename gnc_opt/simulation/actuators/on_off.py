@@ -10,7 +10,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_period_start
+from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_step_counter_zero
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.actuators.dynamic import MIN_TIME_CONSTANT_S
 from gnc_opt.simulation.block import (
@@ -79,7 +79,7 @@ class Pwm(Block):
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size, count = signal.shape[0], self._steps_per_period(tick.h, tick.dt)
         held, phase = state[:size], state[size]
-        command = ca.if_else(is_period_start(phase), signal, held)
+        command = ca.if_else(is_step_counter_zero(phase), signal, held)
         on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)

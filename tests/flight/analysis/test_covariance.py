@@ -172,10 +172,11 @@ def test_a_covariance_that_moves_little_is_held():
     flight = go.Scenario(loop, **MISSION, dispersions=SPREAD).compiled_loop
     whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))
     assert (
-        len(part.fixed_indices) == 105 and len(part.linearized_indices) == len(whole.linearized_indices) - 105
+        len(part.fixed_covariance_indices) == 105
+        and len(part.linearized_entry_indices) == len(whole.linearized_entry_indices) - 105
     )
     a, b = (next(found.linearize_steps(found.linearize_initial_state()[0])).a for found in (whole, part))
-    kept = np.isin(whole.linearized_indices, part.linearized_indices)
+    kept = np.isin(whole.linearized_entry_indices, part.linearized_entry_indices)
     assert np.array_equal(a[np.ix_(kept, kept)], b)
 
 

@@ -38,7 +38,7 @@ from gnc_opt.control.c_export.c_code_export import (
     _read_identifier_prefix,
     _write_layout_comments,
 )
-from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer, write_c_statements
+from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer_lines, write_c_statements
 from gnc_opt.control.c_export.schedule_table import tabulate_schedule
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Model, Variable
@@ -245,7 +245,9 @@ def test_constants_and_texts_of_c():
         and _make_c_identifier("ä!") == "law_"
     )
     assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_literal(0.1) == "0.1"
-    assert wrap_initializer(["1"] * 3) == "1, 1, 1" and wrap_initializer(["1"] * 40).count("\n") >= 1
+    assert (
+        wrap_initializer_lines(["1"] * 3) == "1, 1, 1" and wrap_initializer_lines(["1"] * 40).count("\n") >= 1
+    )
     assert _write_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
         "[1] r[1], m",

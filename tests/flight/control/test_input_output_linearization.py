@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.controller_steps import decoupling_matrix
-from testing.internals import PlantPair, error_expressions
+from testing.internals import PlantPair, build_output_error_expressions
 
 from gnc_opt.control import Reference, lie_derivative, output_errors, zero_dynamics
 from gnc_opt.errors import DesignError, UnknownNameError
@@ -117,7 +117,7 @@ def test_states_with_a_difference_are_compared_by_it():
     q, w, torque = model.state("q", 4), model.state("w", 3), model.control("torque", 3)
     model.ode({q: quaternion_rate(q, w), w: torque})
     model.difference(q, quaternion_difference)
-    assert error_expressions(PlantPair.from_model(model), "q")["q"].shape == (3, 1)
+    assert build_output_error_expressions(PlantPair.from_model(model), "q")["q"].shape == (3, 1)
 
 
 def test_what_cannot_be_steered_is_refused_by_name():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize_scalar
-from testing.internals import spectral_radius, stability_margins, zero_order_hold
+from testing.internals import compute_spectral_radius, discretize_zero_order_hold, stability_margins
 
 NAN, INF = np.nan, np.inf
 
@@ -64,8 +64,10 @@ def test_a_loop_that_meets_the_positive_axis_alone_bears_any_gain():
 @pytest.mark.parametrize(("rate", "dt"), [(0.5, 0.01), (2.0, 0.005), (2.0, 0.02), (2.0, 0.5)])
 def test_loops_that_go_through_infinity_need_no_gain(rate, dt):
     """At an undamped mode of the plant L changes its sign through infinity; any small gain damps it."""
-    a, b = zero_order_hold(np.array([[0.0, 1.0], [-(rate**2), 0.0]]), np.array([[0.0], [2e-3]]), dt)
+    a, b = discretize_zero_order_hold(
+        np.array([[0.0, 1.0], [-(rate**2), 0.0]]), np.array([[0.0], [2e-3]]), dt
+    )
     x = solve_discrete_are(a, b, np.eye(2), np.eye(1))
     k = np.linalg.solve(1 + b.T @ x @ b, b.T @ x @ a)
-    assert spectral_radius(a - 1e-3 * b @ k) < 1
+    assert compute_spectral_radius(a - 1e-3 * b @ k) < 1
     assert stability_margins(a, b, k, dt).gain_down.tolist() == [0.0]

@@ -9,10 +9,10 @@ from scipy.optimize import bisect
 from testing.internals import (
     discretize,
     discretize_time_varying,
+    discretize_zero_order_hold,
+    find_uncontrollable_modes,
     solve_algebraic_riccati,
     stability_margins,
-    uncontrollable_modes,
-    zero_order_hold,
 )
 from testing.models import dynamics
 
@@ -319,7 +319,7 @@ def test_integrators_that_are_so_to_rounding_need_next_to_no_gain():
     a = mixing @ np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, -1]]) @ mixing.T
     b, k = mixing @ np.array([[0], [1.0], [0]]), np.array([[1.0, 1.5, 0]]) @ mixing.T
     assert stability_margins(a, b, k).gain_down < 1e-12
-    sampled = zero_order_hold(a, b, 0.1)
+    sampled = discretize_zero_order_hold(a, b, 0.1)
     assert stability_margins(*sampled, k, 0.1).gain_down < 1e-12
 
 
@@ -385,10 +385,10 @@ def test_defective_modes_out_of_reach_are_found():
     a[0, 1] = a[2, 3] = a[3, 4] = 1.0  # a triple integrator beside a double one that has the control
     mixing = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
     b = np.array([[0], [1.0], [0], [0], [0]])
-    modes = uncontrollable_modes(mixing @ a @ mixing.T, mixing @ b, tuple("abcde"))
+    modes = find_uncontrollable_modes(mixing @ a @ mixing.T, mixing @ b, tuple("abcde"))
     assert len(modes) == 3
     assert all(abs(mode.eigenvalue) < 1e-4 and mode.rank_gap < 1e-8 for mode in modes)
-    assert uncontrollable_modes(
+    assert find_uncontrollable_modes(
         formation().linearize(0.0, np.zeros(6), np.zeros(3))[0], np.eye(6)[:, [4]], tuple("xyzuvw")
     )
 

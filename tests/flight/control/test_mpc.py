@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
-from testing.internals import StepLimits, discretize, zero_order_hold
+from testing.internals import StepLimits, discretize, discretize_zero_order_hold
 from testing.models import dynamics
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
@@ -257,7 +257,7 @@ def predictive(**changes):
 def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme():
     """Against a general solver on the same three steps, with the cost to go at their end."""
     law = predictive(limits=(-1.0, 1.5), rate_limits=3.0)
-    a, b = zero_order_hold(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 0.2)
+    a, b = discretize_zero_order_hold(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 0.2)
     held = discretize(
         np.array([[0.0, 1.0], [0.0, 0.0]]),
         np.array([[0.0], [1.0]]),
@@ -372,7 +372,7 @@ def test_operations_of_a_programme_by_hand():
     """One control over two errors and one step: a sweep, there and back, is 2 * 3^2 products and 6 for 1 + 3 rows."""
     limits = StepLimits(np.full(1, -1.0), np.ones(1), None, (), (), np.zeros(0), np.zeros(0), np.zeros(0))
     code = QpCode(limits, np.zeros(0), (np.zeros((1, 2, 2)),) * 4, 1, 2)
-    assert code.n_unknowns == code.n_limits == 1
+    assert code.n_unknowns == code.n_qp_limits == 1
     sweep, tries = 2 * 3**2 + 6 * 4, programme_code._ITERATIONS_PER_UNKNOWN * 2
     row = 2 * sweep + 4
     assert code.max_operations == tries * (2 * sweep + 6 + 2 * 9 + row + 12) + 2 * 3

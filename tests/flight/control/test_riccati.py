@@ -9,11 +9,11 @@ import pytest
 from scipy.linalg import matrix_balance
 from testing.internals import (
     QuadraticCost,
+    discretize_zero_order_hold,
+    find_uncontrollable_modes,
     require_stabilizable,
     riccati_residual,
     solve_algebraic_riccati,
-    uncontrollable_modes,
-    zero_order_hold,
 )
 
 from gnc_opt.control import riccati
@@ -59,7 +59,7 @@ def test_a_solution_that_leaves_an_unstable_pole_is_refused(sampled, monkeypatch
 def test_a_residual_is_relative_and_detects_a_wrong_cost():
     cost = QuadraticCost(np.eye(2), np.eye(1), np.zeros((2, 1)))
     for is_sampled in (False, True):
-        plant = zero_order_hold(A, B, 0.1) if is_sampled else (A, B)
+        plant = discretize_zero_order_hold(A, B, 0.1) if is_sampled else (A, B)
         p = solve_algebraic_riccati(*plant, *cost, ("q", "v"), sampled=is_sampled).cost
         assert riccati_residual(*plant, *cost, p, sampled=is_sampled) < 1e-13
         wrong = riccati_residual(*plant, *cost, 1.001 * p, sampled=is_sampled)
@@ -77,7 +77,7 @@ def test_a_mode_is_named_by_the_states_that_have_a_part_in_it():
     """Of three integrators with two inputs across (1, 0.4, 0.02): the third has hardly a part."""
     direction = np.array([[1.0, 0.4, 0.02]])
     across = np.linalg.svd(direction)[2][1:].T
-    (mode,) = uncontrollable_modes(np.zeros((3, 3)), across, ("x", "y", "z"))
+    (mode,) = find_uncontrollable_modes(np.zeros((3, 3)), across, ("x", "y", "z"))
     assert mode.states == ("x", "y") and abs(mode.eigenvalue) < 1e-12
 
 

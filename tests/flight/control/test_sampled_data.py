@@ -2,7 +2,12 @@
 
 import casadi as ca
 import pytest
-from testing.internals import advance_step_counter, count_started_periods, count_whole_steps, is_period_start
+from testing.internals import (
+    advance_step_counter,
+    count_steps_started_within,
+    count_whole_steps,
+    is_step_counter_zero,
+)
 
 from gnc_opt.errors import ArgumentError
 
@@ -20,7 +25,7 @@ from gnc_opt.errors import ArgumentError
     ],
 )
 def test_steps_that_begin_within_a_duration(duration, step, count):
-    assert count_started_periods(duration, step) == count
+    assert count_steps_started_within(duration, step) == count
 
 
 def test_a_duration_must_be_whole_steps():
@@ -33,7 +38,7 @@ def test_a_duration_must_be_whole_steps():
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_phases_begin_anew(count):
     phase = ca.SX.sym("phase")
-    function = ca.Function("f", [phase], [is_period_start(phase), advance_step_counter(phase, count)])
+    function = ca.Function("f", [phase], [is_step_counter_zero(phase), advance_step_counter(phase, count)])
     at, seen = 0.0, []
     for _ in range(3 * count):
         first, after = (float(value) for value in function(at))

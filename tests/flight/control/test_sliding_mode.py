@@ -19,7 +19,11 @@ from gnc_opt.control import (
     SuperTwistingObserver,
     design_sliding_mode,
 )
-from gnc_opt.control.sliding_mode import SwitchingControl, _surface_coefficients, build_switching_control
+from gnc_opt.control.sliding_mode import (
+    SwitchingControl,
+    _compute_surface_coefficients,
+    build_switching_control,
+)
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
 
@@ -352,7 +356,7 @@ def switching(reaching, boundary, dt=None, bounds=(0.0,), limits=None):
 def test_slopes_that_make_no_surface_are_refused(slopes, message):
     errors = SimpleNamespace(labels=("a", "b"), relative_degrees=(1, 3), n_outputs=2)
     with pytest.raises((DesignError, UnknownNameError), match=message):
-        _surface_coefficients(errors, slopes)
+        _compute_surface_coefficients(errors, slopes)
 
 
 @pytest.mark.parametrize(
@@ -386,8 +390,8 @@ def chain_model(extra: float = 0.0) -> Model:
 def test_a_law_that_switches_at_once_has_no_alarm_of_a_strong_disturbance():
     """Without a layer and in continuous time nothing tells how far s may stray; a step of 0.1 s does."""
     s = ca.SX.sym("s")
-    assert switching(ConstantRate(3.0), SIGN, dt=None).alarm_memory(s) == []
-    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).alarm_memory(s)
+    assert switching(ConstantRate(3.0), SIGN, dt=None).create_alarm_memory(s) == []
+    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).create_alarm_memory(s)
     outside = ca.substitute(away.after, away.symbol, 0.0)
     found = [float(ca.DM(ca.evalf(ca.substitute(outside, s, v)))) for v in (0.59, 0.61, -0.59, -0.61)]
     assert found == [0.0, 1.0, 0.0, 1.0]

@@ -11,8 +11,8 @@ from gnc_opt.model.function_evaluation import (
     NUMPY_MAX_OPERATIONS,
     VectorizedFunction,
     evaluate_batch,
-    evaluate_chain,
     evaluate_function,
+    evaluate_recursion,
 )
 
 # Evaluating CasADi functions many times: the same numbers as one by one, whatever the blocks.
@@ -45,9 +45,9 @@ def test_a_chain_goes_on_from_what_it_gave() -> None:
     pair, added = ca.SX.sym("pair", 2), ca.SX.sym("added")
     step = ca.Function("step", [pair, added], [ca.vertcat(pair[1], pair[0] + pair[1] + added)])
     start = np.array([0.0, 1.0])
-    found = evaluate_chain(step, start, np.zeros((1, 10)))
+    found = evaluate_recursion(step, start, np.zeros((1, 10)))
     assert found[0].tolist() == [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
-    assert evaluate_chain(step, start, np.array([[0.0, 3.0]]))[1].tolist() == [1, 1, 5]
+    assert evaluate_recursion(step, start, np.array([[0.0, 3.0]]))[1].tolist() == [1, 1, 5]
     assert start.tolist() == [0.0, 1.0]
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.function_evaluation import make_buffered_call
+from gnc_opt.model.function_evaluation import make_buffered_function
 from gnc_opt.model.integration import CallLimit, Integration, LimitError, OdeError, Rate, Tolerance, integrate
 from gnc_opt.model.variables import as_expression, as_vector
 from gnc_opt.planning.problem.expressions import build_phase_function
@@ -115,7 +115,7 @@ def guess_from_simulation(
     law = _make_control_law(problem, leg, controls)
     q = problem.guessed_parameters()
     p, start = leg.model.parameter_values, _read_initial_state(leg, initial)
-    fast = make_buffered_call(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
+    fast = make_buffered_function(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
 
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
@@ -219,4 +219,4 @@ def _compile_expression(
         raise ProblemError(f"{what} uses controls of {leg.label}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
     function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind_parameters(leg, expression))])
-    return make_buffered_call(function, leg.model.parameter_values, problem.guessed_parameters())
+    return make_buffered_function(function, leg.model.parameter_values, problem.guessed_parameters())

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import find_operations, list_nodes, replace_nodes
+from gnc_opt.model.expressions import find_operation_codes, list_expression_nodes, replace_nodes
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.constraints import Constraint
@@ -122,7 +122,7 @@ Pieces: TypeAlias = list[Any]
 
 def is_smooth(expression: Any) -> bool:
     """Return whether an expression contains no operation of `KINKED`."""
-    return not any(node.op() in KINKED for node in list_nodes(expression))
+    return not any(node.op() in KINKED for node in list_expression_nodes(expression))
 
 
 def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: SymbolRanges) -> list[Any]:
@@ -259,7 +259,7 @@ def split_column(column: Any) -> Iterator[Any]:
 def has_endpoint_kinks(problem: ProblemData) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operations(ends)))
+    return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operation_codes(ends)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import ROOTS, find_operations
+from gnc_opt.model.expressions import ROOTS, find_operation_codes
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.angular_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
@@ -71,7 +71,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
     if not np.any(bounded):
         return turns
     if not _TURNING & problem.cache(
-        ("operations", leg.name), lambda: find_operations(stack_expressions(leg))
+        ("operations", leg.name), lambda: find_operation_codes(stack_expressions(leg))
     ):
         return turns
     probe = build_angle_invariance_test(problem, leg)
@@ -143,7 +143,7 @@ def _reformulate_boundary(problem: ProblemData, twin: ProblemData) -> tuple[Any,
 def _may_have_norms(problem: ProblemData, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
-    operations = problem.cache(("operations", leg.name), lambda: find_operations(stack_expressions(leg)))
+    operations = problem.cache(("operations", leg.name), lambda: find_operation_codes(stack_expressions(leg)))
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
@@ -193,5 +193,5 @@ def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -
 
 def _has_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> bool:
     return bool(
-        {*KINKED} & problem.cache(("operations", *key), lambda: find_operations(stack_expressions(leg)))
+        {*KINKED} & problem.cache(("operations", *key), lambda: find_operation_codes(stack_expressions(leg)))
     )

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
-from gnc_opt.model.expressions import ROOTS, NormNodes, list_nodes, rebuild_node
+from gnc_opt.model.expressions import ROOTS, NormNodes, list_expression_nodes, rebuild_expression
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, split_ranges_by_name, stack_intervals, stack_ranges
@@ -57,7 +57,7 @@ def index_control_symbols(leg: Phase) -> dict[int, int]:
 def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
     """Yield vectors (whole controls) whose norm is a square root, not differentiable at zero."""
     stated, controls = index_control_symbols(leg), leg.model.controls
-    for node in list_nodes(stack_expressions(leg)):
+    for node in list_expression_nodes(stack_expressions(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
             names = tuple(
@@ -143,17 +143,17 @@ def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
 
 def _remove_root(row: Any, limits: Interval) -> Any | None:
     """Return a row with an upper limit on a function of one root in the form without the root; else None."""
-    root = next((node for node in list_nodes(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
+    root = next((node for node in list_expression_nodes(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
     if root is None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
-    of_size = rebuild_node(row, lambda node: size if node.element_hash() == place else None)
+    of_size = rebuild_expression(row, lambda node: size if node.element_hash() == place else None)
     found = read_norm_limits(of_size, size, limits)
     if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _vanishes_at_origin(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
-    return rebuild_node(row, lambda node: tangent if node.element_hash() == place else None)
+    return rebuild_expression(row, lambda node: tangent if node.element_hash() == place else None)
 
 
 def _vanishes_at_origin(root: Any) -> bool:
