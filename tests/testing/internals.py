@@ -68,7 +68,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, phase
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, typical_phase_magnitudes
+from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, estimate_phase_magnitudes
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,

@@ -145,12 +145,12 @@ class MeshProblem:
             constraint_values=gradients.constraints,
             constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
             violations=find_violations(transcription, problem, result, scaling, phases, iterate.x[places]),
-            statistics=self._build_statistics(result),
+            statistics=self._build_solve_statistics(result),
             provenance=_software_versions(problem, transcription, self.options),
             problem=problem.frozen(),
         )
 
-    def _build_statistics(self, result: NlpResult) -> Statistics:
+    def _build_solve_statistics(self, result: NlpResult) -> Statistics:
         return Statistics(
             result.iterations,
             self.build_s,

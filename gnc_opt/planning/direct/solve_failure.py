@@ -11,7 +11,7 @@ from gnc_opt.planning.direct.solve_mesh import has_trajectory_guess
 from gnc_opt.planning.nlp import Status
 from gnc_opt.planning.problem.differentiability_checks import find_singular_norms
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_check import missing_bounds_text
+from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.solution.solution import Solution
 
 GUESS_HELPS = (Status.INFEASIBLE, Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
@@ -51,7 +51,7 @@ def format_failure(solution: Solution) -> str:
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"
         + (suggest_better_guess(problem) if problem and solution.status in GUESS_HELPS else "")
         + "".join(f" And {text}." for text in norms)
-        + (f" And {missing}" if problem and (missing := missing_bounds_text(problem)) else "")
+        + (f" And {missing}" if problem and (missing := describe_missing_bounds(problem)) else "")
     )
 
 

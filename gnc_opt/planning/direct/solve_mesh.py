@@ -224,27 +224,27 @@ class _SolveAttempts:
         """Solve from a point, then with other numerical options; with ``search`` also from other points."""
         options = self.attempt.solver.options
         ipopt = options.solver == "ipopt"
-        cold = ipopt and point.start_kind == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
+        cold = ipopt and point.warm_or_cold == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
         search = search and cold
-        first = self._solve_program(point, most=WARM_MAX_ITERATIONS if search else None)
+        first = self._solve_nonlinear_program(point, most=WARM_MAX_ITERATIONS if search else None)
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
             there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
-            self._solve_program(there, "careful", most=TRY_MAX_ITERATIONS)
+            self._solve_nonlinear_program(there, "careful", most=TRY_MAX_ITERATIONS)
         if self._is_finished or not (
             cold or (ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED))
         ):
             return
         lost = first.status is Status.ITERATION_LIMIT
         most = TRY_MAX_ITERATIONS if search else None
-        self._solve_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
+        self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
         if self._is_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
         for start in self._start_from_simulation():
-            self._solve_program(self.attempt.build_nlp_point(start), most=most)
+            self._solve_nonlinear_program(self.attempt.build_nlp_point(start), most=most)
         if not self._is_finished:
             self._solve_constraints_first()
         if lost and not self._is_finished:
-            self._solve_program(point)
+            self._solve_nonlinear_program(point)
 
     def select_result(self) -> NlpResult:
         """Return the solution; without one the first conclusive failure, or else the first failure.
@@ -253,12 +253,12 @@ class _SolveAttempts:
         """
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
-            return (last if last.status.solved else first).with_total_effort(self.spent)
+            return (last if last.status.solved else first).with_effort_of_attempts(self.spent)
         explained = [r for r in self.whole if r.status not in UNEXPLAINED]
         otherwise = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
         if last.status is Status.INTERRUPTED and not explained:
-            return last.with_total_effort(self.spent)
-        return (explained[0] if explained else otherwise).with_total_effort(self.spent)
+            return last.with_effort_of_attempts(self.spent)
+        return (explained[0] if explained else otherwise).with_effort_of_attempts(self.spent)
 
     @property
     def _is_finished(self) -> bool:
@@ -266,7 +266,7 @@ class _SolveAttempts:
         solved = self.spent[-1].status.solved or self.spent[0].status.solved
         return over or solved or self.spent[-1].status is Status.INTERRUPTED
 
-    def _solve_program(
+    def _solve_nonlinear_program(
         self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
     ) -> NlpResult:
         with self.attempt.show_progress(with_cost=with_cost) as self.allowance.show:
@@ -289,10 +289,10 @@ class _SolveAttempts:
         attempt = self.attempt
         for place in generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
             point = attempt.build_nlp_point(ProgramStart(place.variables), held=place.held, with_cost=False)
-            met = self._solve_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
+            met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
                 there = attempt.build_nlp_point(ProgramStart(met.x * attempt.scaling.variables))
-                self._solve_program(there, most=TRY_MAX_ITERATIONS)
+                self._solve_nonlinear_program(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return
             if self._is_finished:

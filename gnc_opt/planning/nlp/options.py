@@ -10,7 +10,7 @@ import casadi as ca
 
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.errors import unknown_name
-from gnc_opt.planning.nlp.program import NlpProblem, full_hessian, joint_jacobian
+from gnc_opt.planning.nlp.program import NlpProblem, build_full_hessian, build_joint_jacobian
 
 DIVERGING_MAGNITUDE = 1e15
 """Magnitude of a variable, or of a negative objective, above which the iterates diverge."""
@@ -113,11 +113,7 @@ class SolverOptions:
 
 def nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) -> dict[str, Any]:
     """Return all options of `nlpsol` except the callback; plugin options in dotted form."""
-    quiet = {
-        "print_time": options.verbose,
-        "show_eval_warnings": options.verbose,
-        "error_on_fail": False,
-    }
+    quiet = {"print_time": options.verbose, "show_eval_warnings": options.verbose, "error_on_fail": False}
     if options.solver in _WITHOUT_NLP_GRAD:
         quiet |= {"calc_lam_p": False, "no_nlp_grad": True}
     size = problem.n_variables + problem.n_constraints
@@ -136,7 +132,7 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
         "sb": "yes",
         "linear_solver": options.linear_solver,
         "tol": float(options.tolerance),
-        "compl_inf_tol": _complementarity_tolerance(options.tolerance),
+        "compl_inf_tol": _choose_complementarity_tolerance(options.tolerance),
         "max_iter": int(options.max_iterations),
         "bound_relax_factor": float(options.bound_relax),
         "diverging_iterates_tol": DIVERGING_MAGNITUDE,
@@ -157,14 +153,14 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
     return {f"ipopt.{name}": value for name, value in chosen.items()}
 
 
-def _complementarity_tolerance(tolerance: float) -> float:
+def _choose_complementarity_tolerance(tolerance: float) -> float:
     """Return IPOPT's `compl_inf_tol`, which also limits the final barrier parameter, for accurate multipliers."""
     return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
-def final_barrier_parameter(tolerance: float) -> float:
+def compute_final_barrier_parameter(tolerance: float) -> float:
     """Return the final barrier parameter of IPOPT, with its ``barrier_tol_factor`` of 10."""
-    return _complementarity_tolerance(tolerance) / (10.0 + 1.0)
+    return _choose_complementarity_tolerance(tolerance) / (10.0 + 1.0)
 
 
 def _plugin_options(options: SolverOptions) -> dict[str, Any]:
@@ -188,7 +184,7 @@ def _derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
     if solver in ("ipopt", "bonmin"):
         given = {name: getattr(problem, name) for name in ("grad_f", "jac_g", "hess_lag")}
     elif solver == "sqpmethod":
-        given = {"jac_fg": joint_jacobian(problem), "hess_lag": full_hessian(problem)}
+        given = {"jac_fg": build_joint_jacobian(problem), "hess_lag": build_full_hessian(problem)}
     else:
         given = {}
     return {name: function for name, function in given.items() if function is not None}

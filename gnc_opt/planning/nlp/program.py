@@ -80,7 +80,7 @@ class NlpProblem:
         return ca.Function("lagrangian", [x, p, lam_g], [f, g, ca.densify(total)])
 
 
-def joint_jacobian(problem: NlpProblem) -> Any:
+def build_joint_jacobian(problem: NlpProblem) -> Any:
     """Return `(x, p) -> (f, grad_f_x, g, jac_g_x)`, the `jac_fg` of sqpmethod; None without derivatives."""
     if problem.grad_f is None or problem.jac_g is None:
         return None
@@ -88,7 +88,7 @@ def joint_jacobian(problem: NlpProblem) -> Any:
     return ca.Function("nlp_jac_fg", [x, p], [*problem.grad_f(x, p), *problem.jac_g(x, p)])
 
 
-def full_hessian(problem: NlpProblem) -> Any:
+def build_full_hessian(problem: NlpProblem) -> Any:
     """Return `(x, p, lam_f, lam_g) -> (hess_gamma_x_x)`, both triangles, for sqpmethod; None without it."""
     if problem.hess_lag is None:
         return None

@@ -52,8 +52,8 @@ class PointFunction:
         value = ca.densify(expression)
         return cls(
             ca.Function(name, [z, d], [value]),
-            ca.Function(f"{name}_jacobian", [z, d], [value, _nonzero_entries(jacobian)]),
-            ca.Function(f"{name}_hessian", [z, d, multiplier], [_nonzero_entries(hessian)]),
+            ca.Function(f"{name}_jacobian", [z, d], [value, _stack_nonzeros(jacobian)]),
+            ca.Function(f"{name}_hessian", [z, d, multiplier], [_stack_nonzeros(hessian)]),
             _sparsity_pattern(jacobian),
             _sparsity_pattern(hessian),
         )
@@ -171,7 +171,7 @@ class SeparableProgram:
         linear = self.linear
         keys = [e.rows + self.n_rows * e.columns for e in entries]
         linear_keys = linear.row.astype(np.int64) + self.n_rows * linear.col.astype(np.int64)
-        unique = _merge_patterns([linear_keys, *keys])
+        unique = _merge_sparsity_keys([linear_keys, *keys])
         constant = np.zeros(unique.size)
         np.add.at(constant, np.searchsorted(unique, linear_keys), linear.data)
         scatters = [
@@ -185,7 +185,7 @@ class SeparableProgram:
     def _hessian_structure(self) -> tuple[tuple[Indices, Indices], list[Any]]:
         entries = [_hessian_entries(block, self.n_variables) for block in self.blocks]
         keys = [e.rows + self.n_variables * e.columns for e in entries]
-        unique = _merge_patterns(keys)
+        unique = _merge_sparsity_keys(keys)
         scatters = [
             e.scatter_matrix(np.searchsorted(unique, k), unique.size)
             for e, k in zip(entries, keys, strict=True)
@@ -241,7 +241,7 @@ def _hessian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     return _Nonzeros(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
 
 
-def _merge_patterns(keys: list[Indices]) -> Indices:
+def _merge_sparsity_keys(keys: list[Indices]) -> Indices:
     """Return the distinct keys in order; several times faster than numpy.unique."""
     ordered = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *keys]))
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
@@ -260,7 +260,7 @@ def _to_casadi_matrix(matrix: Any) -> Any:
     return ca.DM(pattern, csc.data.tolist())  # arrays are converted entry by entry
 
 
-def _nonzero_entries(expression: Any) -> Any:
+def _stack_nonzeros(expression: Any) -> Any:
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 
 

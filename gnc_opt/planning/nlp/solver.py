@@ -79,7 +79,7 @@ class NlpPoint:
     lam_g0: npt.ArrayLike | None = None
 
     @property
-    def start_kind(self) -> Start:
+    def warm_or_cold(self) -> Start:
         """Kind of start: warm with multipliers, else cold."""
         return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
 
@@ -128,7 +128,7 @@ class NlpResult:
     function_time: float
     linear_solver_time: float
 
-    def with_total_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
+    def with_effort_of_attempts(self, attempts: Sequence[NlpResult]) -> NlpResult:
         """Return this result with the iterations and times of all its attempts."""
         return replace(
             self,
@@ -194,11 +194,11 @@ class NlpSolver:
         box_g = Bounds.from_scalars("g", arguments["lbg"], arguments["ubg"])
         self.create_solver(point, way)  # the time limit excludes the setup
         end = self.solve_deadline() if deadline is None else deadline
-        return self._run_solver(way or point.start_kind, arguments, SolveWatch(box_x, box_g, callback, end))
+        return self._run_solver(way or point.warm_or_cold, arguments, SolveWatch(box_x, box_g, callback, end))
 
     def create_solver(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for this kind of start, unless it exists."""
-        self._solver_for_start(way or point.start_kind)
+        self._get_solver_for_start(way or point.warm_or_cold)
 
     def solve_deadline(self) -> float:
         """Return the end time of a solve that starts now, on the clock `time.perf_counter`."""
@@ -206,12 +206,12 @@ class NlpSolver:
         return math.inf if limit is None else time.perf_counter() + limit
 
     def _run_solver(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
-        solver = self._solver_for_start(start)
+        solver = self._get_solver_for_start(start)
         overdetermined = int(run.box_x.is_fixed.sum() + run.box_g.is_fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
         begin = time.perf_counter()
         try:
-            with stop_on_sigint(run), _swallow_stderr(overdetermined):
+            with stop_on_sigint(run), _suppress_stderr(overdetermined):
                 raw = solver(**arguments)
         finally:
             self._monitor.run = None
@@ -220,7 +220,7 @@ class NlpSolver:
             raise run.error
         return self._build_result(raw, solver.stats(), run, arguments, wall_time)
 
-    def _solver_for_start(self, start: Start) -> Any:
+    def _get_solver_for_start(self, start: Start) -> Any:
         """Return the `nlpsol` Function for a kind of start, created at first use."""
         key = start if self.options.solver == "ipopt" else "cold"
         if key not in self._instances:
@@ -245,15 +245,15 @@ class NlpSolver:
     ) -> NlpResult:
         status = _classify_stopped_status(status_from_stats(stats), run)
         started = run.count > 0 or status not in _NEVER_STARTED
-        x, lam_x, lam_g = (_flat_vector(raw[name]) for name in ("x", "lam_x", "lam_g"))
-        f, g = float(raw["f"]), _flat_vector(raw["g"])
+        x, lam_x, lam_g = (_flatten_to_vector(raw[name]) for name in ("x", "lam_x", "lam_g"))
+        f, g = float(raw["f"]), _flatten_to_vector(raw["g"])
         if not started:  # the outputs of the plugin are then undefined
             x, lam_x, lam_g = arguments["x0"].copy(), np.zeros_like(x), np.zeros_like(lam_g)
         fixed = run.box_x.is_fixed
         if fixed.any() or not status.solved:
             f_dm, g_dm, gradient = self.problem.lagrangian_function(x, arguments["p"], lam_g)
-            f, g = float(f_dm), _flat_vector(g_dm)
-            lam_x[fixed] = -_flat_vector(gradient)[fixed]
+            f, g = float(f_dm), _flatten_to_vector(g_dm)
+            lam_x[fixed] = -_flatten_to_vector(gradient)[fixed]
         doubtful = status in _MAY_HIDE_UNBOUNDED and _has_diverged(x, f, RUNAWAY)
         if started and (doubtful or (status is Status.ACCEPTABLE and _has_diverged(x, f, SUSPICIOUS))):
             status = Status.UNBOUNDED
@@ -274,7 +274,7 @@ class NlpSolver:
 
 
 @contextlib.contextmanager
-def _swallow_stderr(active: bool) -> Iterator[None]:
+def _suppress_stderr(active: bool) -> Iterator[None]:
     """Suppress CasADi's warning about overdetermined problems, which has no option."""
     if not active:
         yield
@@ -296,5 +296,5 @@ def _sum_timings(stats: Mapping[str, Any], prefix: str) -> float:
     return float(sum(value for name, value in stats.items() if name.startswith(prefix)))
 
 
-def _flat_vector(matrix: Any) -> Array:
+def _flatten_to_vector(matrix: Any) -> Array:
     return np.asarray(matrix.full(), dtype=np.float64).ravel()

@@ -39,7 +39,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import ACTIVE, NOTABLE, RANK, SMALL
 
 
-def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
+def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
     """Return, for every sample, an orthonormal basis (m, k) of the control directions along active constraints.
 
     Parameters
@@ -66,20 +66,20 @@ def free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Ar
 def undetermined_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
     """Return which free controls have a direction without curvature of H (m, n_samples), and where all directions do.
 
-    Arguments as in `free_control_directions`; curvatures up to ``flat`` count as zero. Without active constraints the
-    curvature is not evaluated.
+    Arguments as in `compute_free_control_directions`; curvatures up to ``flat`` count as zero. Without active
+    constraints the curvature is not evaluated.
     """
     if not _constraint_control_gradients(s).size:
         return free, np.ones(s.times.size, dtype=bool)
-    bases = free_control_directions(s, free, unit)
+    bases = compute_free_control_directions(s, free, unit)
     whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
     hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     for j in np.flatnonzero(~whole):
-        bases[j] = _directions_without_curvature(bases[j], hessian[:, :, j], flat)
+        bases[j] = _select_flat_directions(bases[j], hessian[:, :, j], flat)
     return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), whole
 
 
-def _directions_without_curvature(basis: Array, hessian: Array, flat: float) -> Array:
+def _select_flat_directions(basis: Array, hessian: Array, flat: float) -> Array:
     """Return the directions of a basis in which a quadratic form is flat or not finite."""
     reduced = basis.T @ hessian @ basis
     if not reduced.size or not np.all(np.isfinite(reduced)):
@@ -150,7 +150,7 @@ def add_touch_points(solution: Solution) -> Problem:
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
-            problem = _constrain_touches_and_arcs(
+            problem = _constrain_touch_points_and_arcs(
                 problem, s, _find_touch_points(problem, s, StateConstraints(problem, s)), []
             )
     return problem
@@ -165,7 +165,7 @@ def add_constraint_contacts(solution: Solution) -> Problem:
             ends = {(arc.row, k) for arc in arcs for k in (arc.first, arc.last)}
             touches = _find_touch_points(problem, s, StateConstraints(problem, s))
             alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
-            problem = _constrain_touches_and_arcs(problem, s, alone, arcs)
+            problem = _constrain_touch_points_and_arcs(problem, s, alone, arcs)
     return problem
 
 
@@ -194,7 +194,7 @@ def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_
     return [_ActiveArc(row, arc.kind, order, first, last)]
 
 
-def _constrain_touches_and_arcs(
+def _constrain_touch_points_and_arcs(
     problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[_ActiveArc]
 ) -> Problem:
     leg, n_paths = s.leg, len(s.leg.path_labels)
@@ -266,10 +266,10 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
                 found.append(Junction(int(row), boundaries[k], kind, 2))
             elif order == 1 and (side := _find_constraint_exit_side(rows, int(row), boundaries[k])):
                 found.append(Junction(int(row), boundaries[k], kind, 0, side))
-    return tuple(found) + _find_limit_changes(problem, rows)
+    return tuple(found) + _find_limit_exchanges(problem, rows)
 
 
-def _find_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_limit_exchanges(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
     s, leg = rows.samples, rows.samples.leg
     orders = [constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]

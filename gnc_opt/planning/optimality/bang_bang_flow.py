@@ -164,7 +164,7 @@ def integrate_bang_bang(
     rates = problem.cache(("flow", leg.name), lambda: _StepFunctions.build_functions(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
-    inputs, widths = _integration_step_inputs(s, pieces, n_times, refinement, steps)
+    inputs, widths = _build_step_inputs(s, pieces, n_times, refinement, steps)
     n_clock = start.size - q.size - 1
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
@@ -174,7 +174,7 @@ def integrate_bang_bang(
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 
-def _integration_step_inputs(
+def _build_step_inputs(
     s: PhaseSamples, pieces: PiecewiseControl, n_times: int, refinement: int, steps: int
 ) -> tuple[Array, Array]:
     """Return the inputs of all steps (n_inputs, n_steps), and derivatives of their lengths (n_steps, n_times)."""

@@ -48,12 +48,12 @@ class Switches:
         leg = s.leg
         times, channels = find_inner_switches(s)
         ends = leg.breaks[[0, -1]]
-        at_start, at_end = _controls_with_vanishing_switching(s, 0), _controls_with_vanishing_switching(s, -1)
+        at_start, at_end = _find_zero_switching_controls(s, 0), _find_zero_switching_controls(s, -1)
         times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
         channels = np.concatenate([at_start, channels, at_end])
         order = np.argsort(times, kind="stable")
         times, channels = (
-            _merge_equal_times(times[order], GONE * (ends[1] - ends[0]), ends),
+            _equalise_nearby_times(times[order], GONE * (ends[1] - ends[0]), ends),
             channels[order],
         )
         bounds, after_start = leg.control_bounds, leg.applied(leg.breaks[0])
@@ -78,7 +78,7 @@ class Switches:
         return found
 
     @property
-    def time_order(self) -> tuple[int, ...]:
+    def switch_time_order(self) -> tuple[int, ...]:
         return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
 
     @property
@@ -106,7 +106,7 @@ class Switches:
         times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
         return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
 
-    def order_constraints(self, order: tuple[int, ...]) -> Array:
+    def build_order_constraints(self, order: tuple[int, ...]) -> Array:
         """Return the combinations of unknowns that must be >= 0 for the order to hold, (n_conditions, n + 2)."""
         pieces = self.piecewise_control(order)
         rows = []
@@ -130,13 +130,13 @@ def find_inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     return breaks[k], i
 
 
-def _controls_with_vanishing_switching(s: PhaseSamples, sample: int) -> Indices:
+def _find_zero_switching_controls(s: PhaseSamples, sample: int) -> Indices:
     bounds = s.leg.control_bounds
     worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
     return np.flatnonzero((worth < NEGLIGIBLE) & (bounds.upper > bounds.lower))
 
 
-def _merge_equal_times(times: Array, near: float, ends: Array) -> Array:
+def _equalise_nearby_times(times: Array, near: float, ends: Array) -> Array:
     """Return sorted times with nearly equal ones made equal, including the ends."""
     times = times.copy()
     for k in range(1, times.size):

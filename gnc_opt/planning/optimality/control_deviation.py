@@ -27,14 +27,14 @@ BESIDE = 1.3
 def compute_control_deviation(s: PhaseSamples) -> Array:
     """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
     lasts, u = max(float(np.sum(s.weights)), TINY), s.u
-    about = replace_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
-    size = np.max(np.abs(replace_nonfinite(u)), axis=1, initial=0.0)
+    about = zero_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
+    size = np.max(np.abs(zero_nonfinite(u)), axis=1, initial=0.0)
     mean = about @ s.weights / lasts
     moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), NOTABLE * np.max(about, axis=1, initial=0.0))
-    bends = np.sqrt(replace_nonfinite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
+    bends = np.sqrt(zero_nonfinite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
     bounds = s.leg.control_bounds
     extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
-    slope = np.abs(replace_nonfinite(s.switching_functions))
+    slope = np.abs(zero_nonfinite(s.switching_functions))
     pull = np.where(slope > 0, np.inf, 0.0)
     pull = np.minimum(np.divide(slope, bends[:, None], out=pull, where=bends[:, None] > 0), extent[:, None])
     moves = moved > SPAN_MIN_SHARE * size
@@ -68,7 +68,7 @@ def _deviation_of_zero_controls(s: PhaseSamples, size: Array) -> Array:
     # A control whose effect vanishes only at its value, such as an angle of 180 degrees, is not at rounding level.
     own, beside = (
         np.max(
-            np.abs(replace_nonfinite(s.functions.input_jacobian(s.times, s.x, factor * s.u))),
+            np.abs(zero_nonfinite(s.functions.input_jacobian(s.times, s.x, factor * s.u))),
             axis=(0, 2),
             initial=0.0,
         )
@@ -80,9 +80,9 @@ def _deviation_of_zero_controls(s: PhaseSamples, size: Array) -> Array:
     return np.asarray(np.where(asked > rounding, STILL_STATE_SHARE * asked, s.control_span))
 
 
-def limit_deviation_from_below(s: PhaseSamples, deviation: Array, cost: float) -> Array:
+def raise_to_least_deviation(s: PhaseSamples, deviation: Array, cost: float) -> Array:
     """Return deviations of controls with curvature of H, at least those with the smallest relevant cost."""
-    bends = np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    bends = np.abs(zero_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     least = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     return np.fmax(deviation, least[:, None])
 
@@ -93,12 +93,12 @@ def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, cost: flo
     if not np.any(idle):
         return deviation
     lasts = max(float(np.sum(s.weights)), TINY)
-    bends = np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    bends = np.abs(zero_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
     equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     extent = s.leg.control_bounds.upper - s.leg.control_bounds.lower
     other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)
     return np.where(idle[:, None], other[:, None], deviation)
 
 
-def replace_nonfinite(values: Array) -> Array:
+def zero_nonfinite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, 0.0)

@@ -40,10 +40,10 @@ def average_over_time(times: Array, violation: Array) -> Array:
 
 def mask_interior_controls(times: Array, inside: Mask) -> Mask:
     """Return where controls are between their bounds (m, n_times) for longer than an interpolated switch."""
-    return lasts_for_share_of_phase(times, inside, SMEARED)
+    return mask_lasting_intervals(times, inside, SMEARED)
 
 
-def lasts_for_share_of_phase(times: Array, here: Mask, share: float) -> Mask:
+def mask_lasting_intervals(times: Array, here: Mask, share: float) -> Mask:
     """Return where a condition is true (m, n_times) for longer than a share of the phase."""
     arcs = here.copy()
     for row in arcs:
@@ -53,7 +53,7 @@ def lasts_for_share_of_phase(times: Array, here: Mask, share: float) -> Mask:
     return arcs
 
 
-def index_of_lasting_minimum(times: Array, values: Array) -> int:
+def find_lasting_minimum(times: Array, values: Array) -> int:
     """Return the sample of the smallest values (n_times,) that last for more than the share `SMEARED`.
 
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
@@ -91,7 +91,7 @@ class LargestChanges:
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
             values += [np.atleast_1d(v) for v in leg.endpoint_arguments]
             spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
-            spans += [integral_variation_scales(s), np.zeros(leg.parameters.size)]
+            spans += [compute_integral_scales(s), np.zeros(leg.parameters.size)]
         values.append(solution.parameter_values)
         spans.append(compute_parameter_scales(solution))
         moves = [
@@ -102,7 +102,7 @@ class LargestChanges:
         ]
         columns = [np.tile(v[:, None], 1 + len(moves)) for v in values]
         for j, (k, i, step) in enumerate(moves, 1):
-            columns[k][i, j] = _clip_to_trajectory(columns[k][i, j] + step, boxes.get(k), i)
+            columns[k][i, j] = _clip_to_trajectory_range(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
         found = evaluate_batch(boundary_function(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
@@ -113,7 +113,7 @@ class LargestChanges:
         return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1])
 
 
-def integral_variation_scales(s: PhaseSamples) -> Array:
+def compute_integral_scales(s: PhaseSamples) -> Array:
     """Return the variation scale of each integral of a phase (n_integrals,).
 
     An integrand contributes its variation along the phase; its magnitude if the duration is free; and the share
@@ -131,14 +131,14 @@ def integral_variation_scales(s: PhaseSamples) -> Array:
         for i, step in enumerate(steps):
             for moved in (step, -step):
                 other = rows.copy()
-                other[i] = _clip_to_trajectory(other[i] + moved, box, i)
+                other[i] = _clip_to_trajectory_range(other[i] + moved, box, i)
                 at = (other, s.u) if rows is s.x else (s.x, other)
                 change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
                 spans = np.fmax(spans, NOTABLE * np.where(np.isfinite(change), change, 0.0))
     return np.where(np.isfinite(spans), spans, 0.0)
 
 
-def _clip_to_trajectory(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
+def _clip_to_trajectory_range(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
     """Return values clipped to the range of the trajectory, outside which the cost may be undefined or excessive."""
     return values if box is None else np.clip(values, box[0][i], box[1][i])
 

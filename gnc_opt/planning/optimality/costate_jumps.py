@@ -54,7 +54,7 @@ class StateConstraintSides:
         lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
         pure = s.pure_paths
         if pure.size:
-            by_state, by_time, _ = path_gradients(s.functions, len(leg.path_labels), times, x, u)
+            by_state, by_time, _ = evaluate_path_gradients(s.functions, len(leg.path_labels), times, x, u)
             gradients.append(by_state[:, pure])
             drifts.append(by_time[pure])
             values.append(s.functions.paths(times, x, u)[pure])
@@ -72,7 +72,7 @@ class StateConstraintSides:
         )
 
 
-def path_gradients(
+def evaluate_path_gradients(
     functions: PhaseFunctions, n_paths: int, times: Array, x: Array, u: Array
 ) -> tuple[Array, Array, Array]:
     """Return dc/dx (n_states, n_paths, n_times), dc/dt (n_paths, n_times), dc/dq (n_parameters, n_paths, n_times)."""
@@ -109,7 +109,7 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = StateConstraintSides.evaluate_at(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
     rest, every = jumps.copy(), np.zeros(pushers.active.shape)
-    scale, spare = s.state_scale, _impulses_at_boundaries(s)
+    scale, spare = s.state_scale, _integrate_boundary_impulses(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
         least = -spare[pushers.active[:, k], k]
@@ -184,7 +184,7 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
     return np.asarray(np.where(upper > -lower, upper, lower))
 
 
-def _impulses_at_boundaries(s: PhaseSamples) -> Array:
+def _integrate_boundary_impulses(s: PhaseSamples) -> Array:
     """Return the integrals by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = integrate_nearby_multipliers(
         s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])

@@ -217,7 +217,7 @@ class NullSpace:
         """
         held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
         if unit is None:
-            unit = unit_variation_matrix(variation_norm_weights(point.transcription))
+            unit = build_unit_variation_matrix(variation_norm_weights(point.transcription))
         unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
@@ -319,7 +319,7 @@ def _normalise_rows(rows: Any) -> tuple[Any, Array]:
     return scipy.sparse.diags_array(1 / norms) @ rows, norms
 
 
-def unit_variation_matrix(squares: Array) -> Any:
+def build_unit_variation_matrix(squares: Array) -> Any:
     """Return a unit variation for each scaled variable (n_variables, n_variables), sparse."""
     return scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")
 

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.optimality.costate_jumps import path_gradients
+from gnc_opt.planning.optimality.costate_jumps import evaluate_path_gradients
 from gnc_opt.planning.optimality.reachable_set import matrix_exponentials
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
 from gnc_opt.planning.problem.bounds import Interval
@@ -68,7 +68,7 @@ class CostateJumpCandidates:
         near: float,
     ) -> CostateJumpCandidates:
         """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
-        found = [cls._no_candidates(transcription.n_variables)]
+        found = [cls._without_candidates(transcription.n_variables)]
         for name, part in transcription.parts.items():
             leg, functions, phase = (problem.phases[name], phase_functions_at(problem, name, q), fitted[name])
             orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
@@ -101,7 +101,7 @@ class CostateJumpCandidates:
         )
 
     @classmethod
-    def _no_candidates(cls, n_variables: int) -> CostateJumpCandidates:
+    def _without_candidates(cls, n_variables: int) -> CostateJumpCandidates:
         nowhere = np.zeros(0, dtype=bool)
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
@@ -126,10 +126,10 @@ def path_gradients_at_boundaries(
     gradients : array (k, n_paths, K + 1)
     """
     collocation, n = part.collocation, at[0].size
-    by_state, by_time, by_parameter = path_gradients(functions, collocation.n_paths, *at)
+    by_state, by_time, by_parameter = evaluate_path_gradients(functions, collocation.n_paths, *at)
     free = part.times < transcription.n_variables
     others = np.concatenate([part.times[free], transcription.parameter_places])
-    moved = _boundary_time_derivatives(collocation.mesh)[free]
+    moved = _differentiate_path_by_time(collocation.mesh)[free]
     return (
         np.vstack([collocation.boundary_states, np.repeat(others[:, None], n, axis=1)]),
         np.concatenate([by_state, moved[:, None] * by_time, by_parameter]),
@@ -145,7 +145,7 @@ def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
     return np.asarray(active & ~beside)
 
 
-def _boundary_time_derivatives(mesh: Mesh) -> Array:
+def _differentiate_path_by_time(mesh: Mesh) -> Array:
     """Return the derivatives of the boundary times in the anchor times (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
     anchors = fractions[list(mesh.anchor_breaks)]
@@ -178,8 +178,8 @@ def estimate_multipliers(
     near : float
         Distance from a limit, relative to the scale, up to which it may be active.
     """
-    x = _fill_program_variables(transcription, problem, fitted, q)
-    scales = _estimate_variable_spans(transcription, problem, fitted, x)
+    x = _sample_program_variables(transcription, problem, fitted, q)
+    scales = _estimate_variable_scales(transcription, problem, fitted, x)
     values, gradient, nonzeros = transcription.evaluate_derivatives(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
     steepest = np.zeros(transcription.n_constraints)
@@ -201,13 +201,16 @@ def estimate_multipliers(
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
     pushing = row_limits.append_limits(_LimitSet(atoms.at_lower, atoms.at_upper))
-    restarts = {name: _find_restart_boundaries(problem, name, phase, q) for name, phase in fitted.items()}
-    exact, determined = _adjoint_rows(transcription, restarts), _basis_columns(transcription, restarts)
+    restarts = {name: _find_costate_restarts(problem, name, phase, q) for name, phase in fitted.items()}
+    exact, determined = (
+        _mask_adjoint_rows(transcription, restarts),
+        _mask_basis_columns(transcription, restarts),
+    )
     basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
     scaled = _fit_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
-    return NlpIterate(x, np.where(limits.at_any_limit, -residual, 0.0), lam_g)
+    return NlpIterate(x, np.where(limits.is_at_any_limit, -residual, 0.0), lam_g)
 
 
 class _LimitSet:
@@ -224,13 +227,13 @@ class _LimitSet:
         return _LimitSet(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
 
     @property
-    def at_any_limit(self) -> Mask:
+    def is_at_any_limit(self) -> Mask:
         return self.lower | self.upper
 
-    def wrong_signs(self, multipliers: Array, size: float) -> Mask:
+    def has_wrong_sign(self, multipliers: Array, size: float) -> Mask:
         """Return which multipliers have an inadmissible sign."""
         sign = np.where(np.abs(multipliers) > _WRONG * size, np.sign(multipliers), 0.0)
-        return self.at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
+        return self.is_at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,8 +264,8 @@ class _CostateFit:
         cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, pushing: _LimitSet
     ) -> _CostateFit | None:
         """Return the reduced problem; None if the adjoint equation is numerically singular."""
-        loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.at_any_limit & ~basis)
-        freed, rows = np.flatnonzero(limits.at_any_limit & exact), np.flatnonzero(exact)
+        loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.is_at_any_limit & ~basis)
+        freed, rows = np.flatnonzero(limits.is_at_any_limit & exact), np.flatnonzero(exact)
         kept = np.flatnonzero(basis)
         matrix = scipy.sparse.csr_array(matrix)
         above, below = matrix[rows], matrix[loose]
@@ -297,7 +300,7 @@ class _CostateFit:
             unknowns[used] = found / sizes
         return unknowns
 
-    def row_residuals(self, unknowns: Array, n_rows: int) -> Array:
+    def compute_row_residuals(self, unknowns: Array, n_rows: int) -> Array:
         """Return the residuals of all rows (n_rows,); for freed rows the negative multiplier."""
         left = np.zeros(n_rows)
         left[self._loose] = self.right + self.matrix @ unknowns
@@ -318,18 +321,20 @@ def _fit_multipliers(
     form = _CostateFit.eliminate_adjoint_rows(matrix, gradient, exact, basis, limits, row_limits)
     if form is None:  # no multipliers explain the trajectory
         return np.zeros(matrix.shape[1])
-    imposed, pushing = ~limits.at_any_limit, row_limits.at_any_limit.copy()
+    imposed, pushing = ~limits.is_at_any_limit, row_limits.is_at_any_limit.copy()
     unknowns = np.zeros(form.matrix.shape[1])
     size = float(np.max(np.abs(form.right), initial=TINY))
     for _ in range(_ROUNDS):
         unknowns = form.solve_least_squares(imposed, pushing)
         found = np.zeros(matrix.shape[1])
         found[form.columns] = unknowns[: form.columns.size]
-        pulling = limits.wrong_signs(-form.row_residuals(unknowns, gradient.size), size) & ~imposed
-        wrong = row_limits.wrong_signs(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
+        pulling = limits.has_wrong_sign(-form.compute_row_residuals(unknowns, gradient.size), size) & ~imposed
+        wrong = (
+            row_limits.has_wrong_sign(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
+        )
         if not (np.any(pulling) or np.any(wrong)):
             break
-        if not np.any(imposed & limits.at_any_limit) and np.all(pushing == row_limits.at_any_limit):
+        if not np.any(imposed & limits.is_at_any_limit) and np.all(pushing == row_limits.is_at_any_limit):
             right = _fit_multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
             if right is not None:
                 return form.expand_multipliers(right)
@@ -341,14 +346,14 @@ def _fit_multipliers_with_right_signs(
     form: _CostateFit, first: Array, limits: _LimitSet, row_limits: _LimitSet, size: float
 ) -> Array | None:
     """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
-    n_rows = limits.at_any_limit.size
-    left, imposed = form.row_residuals(first, n_rows), ~limits.at_any_limit
+    n_rows = limits.is_at_any_limit.size
+    left, imposed = form.compute_row_residuals(first, n_rows), ~limits.is_at_any_limit
     if not np.max(np.abs(left[imposed]), initial=0.0) <= _WRONG * size:  # the sign does not matter
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
     matrix[form._loose], right[form._loose] = form.matrix, form.right
     matrix[form.freed, form.columns.size + np.arange(form.freed.size)] = -1.0
-    bound = limits.at_any_limit
+    bound = limits.is_at_any_limit
     # At an active limit the residual -(g + A y) is the multiplier: >= 0 at upper, <= 0 at lower limits.
     only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
     one_sided = np.vstack([matrix[only_upper], -matrix[only_lower]])
@@ -370,7 +375,7 @@ def _fit_multipliers_with_right_signs(
     return None if found.status != 0 else np.asarray(found.x[:-1])
 
 
-def _fill_program_variables(
+def _sample_program_variables(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
 ) -> Array:
     x = np.zeros(transcription.n_variables)
@@ -387,7 +392,7 @@ def _fill_program_variables(
     return set_integral_variables(transcription, problem, x)
 
 
-def _adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+def _mask_adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
     """Return the rows of the adjoint equation between restarts, which hold exactly for any costates there."""
     rows = np.zeros(transcription.n_variables, dtype=bool)
     for name, part in transcription.parts.items():
@@ -397,7 +402,7 @@ def _adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices])
     return rows
 
 
-def _basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+def _mask_basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
     """Return the multipliers of the dynamics that these rows determine: all but those at phase ends and restarts."""
     columns = np.zeros(transcription.n_constraints, dtype=bool)
     for name, part in transcription.parts.items():
@@ -412,7 +417,7 @@ def _basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]
     return columns
 
 
-def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
+def _find_costate_restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
     breaks = phase.x.breaks
     middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
@@ -431,7 +436,7 @@ def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q:
     return np.array(found[::-1], dtype=int)
 
 
-def _estimate_variable_spans(
+def _estimate_variable_scales(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
     """Return the variations of the variables along the trajectory, independent of origin and guess."""

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.control_deviation import replace_nonfinite
+from gnc_opt.planning.optimality.control_deviation import zero_nonfinite
 from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -62,13 +62,13 @@ class Ellipsoid:
     def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) relative to the ellipsoid (...)."""
         parts = np.tensordot(self.axes.T, _divide_by_scale(moved, self.radius), 1)
-        return np.asarray(np.linalg.norm(parts / _broadcast_scale(self.shares, parts), axis=0))
+        return np.asarray(np.linalg.norm(parts / _broadcast_scale_over_times(self.shares, parts), axis=0))
 
     def largest_change(self, gradient: Array) -> Array:
         """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
-        scaled = np.asarray(gradient) * _broadcast_scale(self.radius, gradient)
+        scaled = np.asarray(gradient) * _broadcast_scale_over_times(self.radius, gradient)
         parts = np.tensordot(self.axes.T, scaled, 1)
-        return np.asarray(np.linalg.norm(parts * _broadcast_scale(self.shares, parts), axis=0))
+        return np.asarray(np.linalg.norm(parts * _broadcast_scale_over_times(self.shares, parts), axis=0))
 
     @property
     def semi_axes(self) -> Array:
@@ -117,19 +117,19 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
     n, n_integrals = start.shape[0], leg.integrals.size
-    edges, parts = compute_cell_edges(leg.breaks), -(-CELLS // leg.mesh.segments)
+    edges, parts = divide_segments_into_cells(leg.breaks), -(-CELLS // leg.mesh.segments)
     middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     x, u = leg.x(middles), leg.applied(middles)
     with np.errstate(all="ignore"):
         by_state = np.moveaxis(s.functions.state_jacobian(middles, x, u), 2, 0)
         by_control = np.moveaxis(s.functions.input_jacobian(middles, x, u), 2, 0)
         integrands = [_integrand_gradients(s, middles, x, u, i) for i in range(n_integrals)]
-    by_state, by_control = replace_nonfinite(by_state), replace_nonfinite(by_control)
+    by_state, by_control = zero_nonfinite(by_state), zero_nonfinite(by_control)
     if n_integrals:  # integrals are states without influence on others
         slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
-        by_state = np.concatenate([by_state, replace_nonfinite(slopes[0])], axis=1)
+        by_state = np.concatenate([by_state, zero_nonfinite(slopes[0])], axis=1)
         by_state = np.concatenate([by_state, np.zeros((*by_state.shape[:2], n_integrals))], axis=2)
-        by_control = np.concatenate([by_control, replace_nonfinite(slopes[1])], axis=1)
+        by_control = np.concatenate([by_control, zero_nonfinite(slopes[1])], axis=1)
         start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
     half = matrix_exponentials(0.5 * widths[:, None, None] * by_state)
     pushes = s.segment_integrals(deviation)
@@ -153,9 +153,9 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
     return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, decay)
 
 
-def final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
+def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
-    edges = compute_cell_edges(s.leg.breaks)
+    edges = divide_segments_into_cells(s.leg.breaks)
     times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     at = times, s.leg.x(times), s.leg.applied(times)
     by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
@@ -176,7 +176,7 @@ def matrix_exponentials(matrices: Array) -> Array:
     return np.asarray(scipy.linalg.expm(matrices * reduced[:, None, None]))
 
 
-def compute_cell_edges(breaks: Array) -> Array:
+def divide_segments_into_cells(breaks: Array) -> Array:
     """Return the cell edges of a phase with given mesh breaks: segments divided into equal parts."""
     parts = -(-CELLS // (breaks.size - 1))
     shares = np.arange(parts) / parts
@@ -189,10 +189,10 @@ def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: i
     return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T
 
 
-def compute_phase_reach(s: PhaseSamples, gramian: _Gramian) -> Reach:
+def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian) -> Reach:
     """Return the reach at the start, along the phase, at the end, and at the end with the integrals."""
-    size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
-    moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1, initial=0.0)
+    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     along, end, start = (
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
@@ -222,10 +222,10 @@ def _initial_state_gramian(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
-    size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
-    moved = np.max(np.abs(replace_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1, initial=0.0)
+    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
-    size = np.where(size > 0, size, s.leg.state_bounds.finite_width)
+    size = np.where(size > 0, size, s.leg.state_bounds.width_or_zero)
     own = left * np.where(size > 0, size, 1.0)
     covariance = own @ own.T
     for name, response in links.items():
@@ -233,15 +233,15 @@ def _initial_state_gramian(
     return covariance
 
 
-def link_initial_states(
+def differentiate_initial_states(
     problem: Problem, solution: Solution, samples: list[PhaseSamples]
 ) -> dict[str, dict[str, Array]]:
     """Return the derivatives of the start of each phase in the ends of earlier ones (n, n_other)."""
-    jacobians, found = boundary_constraint_jacobians(problem, solution), {}
+    jacobians, found = evaluate_boundary_jacobians(problem, solution), {}
     for k, s in enumerate(samples):
         leg = s.leg
         free = np.flatnonzero(~leg.initial_bounds.is_fixed)
-        size = np.max(np.abs(replace_nonfinite(s.x)), axis=1, initial=0.0)
+        size = np.max(np.abs(zero_nonfinite(s.x)), axis=1, initial=0.0)
         unit = np.where(size > 0, size, 1.0)[free]
         own = jacobians[leg.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)
@@ -264,16 +264,16 @@ def link_initial_states(
     return found
 
 
-def boundary_constraint_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
+def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return the boundary Jacobians in initial and final states (n_constraints, n), by phase."""
-    function = problem.cache("end jacobians", lambda: _boundary_jacobian_function(problem))
+    function = problem.cache("end jacobians", lambda: _build_boundary_jacobian(problem))
     arguments = [value for leg in solution.phases.values() for value in leg.endpoint_arguments]
     found = function(*arguments, solution.parameter_values)
     found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
     return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}
 
 
-def _boundary_jacobian_function(problem: Problem) -> Any:
+def _build_boundary_jacobian(problem: Problem) -> Any:
     ends = boundary_function(problem)
     arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
     column = ends(*arguments)[:-1]
@@ -281,12 +281,12 @@ def _boundary_jacobian_function(problem: Problem) -> Any:
     return ca.Function("end_jacobians", arguments[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
 
 
-def _broadcast_scale(scale: Array, values: Array) -> Array:
+def _broadcast_scale_over_times(scale: Array, values: Array) -> Array:
     return scale.reshape(-1, *([1] * (np.ndim(values) - 1)))
 
 
 def _divide_by_scale(values: Array, scale: Array) -> Array:
     """Return values (n, ...) divided by a scale (n,); 0/0 is 0, anything else over zero is infinite."""
-    column = np.broadcast_to(_broadcast_scale(scale, values), np.shape(values))
+    column = np.broadcast_to(_broadcast_scale_over_times(scale, values), np.shape(values))
     nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)
     return np.divide(values, column, out=nothing, where=column > 0)

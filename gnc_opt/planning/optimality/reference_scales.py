@@ -38,18 +38,18 @@ from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.control_deviation import (
     add_inactive_control_deviations,
     compute_control_deviation,
-    limit_deviation_from_below,
-    replace_nonfinite,
+    raise_to_least_deviation,
+    zero_nonfinite,
 )
 from gnc_opt.planning.optimality.reachable_set import (
     Ellipsoid,
     Reach,
-    boundary_constraint_jacobians,
-    compute_cell_edges,
     compute_control_gramians,
-    compute_phase_reach,
-    final_state_response,
-    link_initial_states,
+    compute_final_state_response,
+    compute_phase_reachable_sets,
+    differentiate_initial_states,
+    divide_segments_into_cells,
+    evaluate_boundary_jacobians,
 )
 from gnc_opt.planning.problem.hamiltonian_functions import boundary_function, endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
@@ -128,55 +128,55 @@ class Scales:
             EndPoints.from_solution(solution, samples),
             sorted(samples, key=lambda s: s.leg.initial_time),
         )
-        links = link_initial_states(problem, solution, order)
+        links = differentiate_initial_states(problem, solution, order)
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
         gramians = compute_control_gramians(links, order, deviations, {})
-        reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
+        reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
         changed = sum(
-            np.max(np.abs(_second_differences_of_h(s, reach[s.leg.name][1].semi_axes)), initial=0.0)
+            np.max(np.abs(_compute_second_differences_of_h(s, reach[s.leg.name][1].semi_axes)), initial=0.0)
             for s in lasting
         )
-        changed += sum(float(np.sum(_cost_of_each_control(s, deviations[s.leg.name]))) for s in samples)
-        changed += ends.end_cost_curvature(reach)
+        changed += sum(float(np.sum(_compute_cost_per_control(s, deviations[s.leg.name]))) for s in samples)
+        changed += ends.compute_end_cost_curvature(reach)
         least = EQUAL * changed
         costs, resolved = {}, {}
         for s in samples:
-            resolved[s.leg.name] = limit_deviation_from_below(s, deviations[s.leg.name], least)
-            costs[s.leg.name] = _cost_of_each_control(s, resolved[s.leg.name])
+            resolved[s.leg.name] = raise_to_least_deviation(s, deviations[s.leg.name], least)
+            costs[s.leg.name] = _compute_cost_per_control(s, resolved[s.leg.name])
         flat = sum(float(np.sum(c)) for c in costs.values())
         for s in lasting:
             resolved[s.leg.name] = add_inactive_control_deviations(s, resolved[s.leg.name], flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             gramians = compute_control_gramians(links, order, deviations, {})
-            reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
-        cost = sum(_cost_of_controls(s, deviations[s.leg.name]) for s in samples)
+            reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
+        cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
         cost += sum(map(_cost_of_free_duration, samples, [ends.cost_of_end_times(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
-        cost += ends.end_cost_curvature(reach, constrained=not controlled)
+        cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost only through the states.
             cost = changed + sum(
-                np.sum(np.abs(_second_differences_of_h(s, np.diag(reach[s.leg.name][1].radius))))
+                np.sum(np.abs(_compute_second_differences_of_h(s, np.diag(reach[s.leg.name][1].radius))))
                 for s in lasting
             )
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
-        curvatures = _parameter_curvatures(problem, solution, samples)
+        curvatures = _compute_parameter_curvatures(problem, solution, samples)
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, EQUAL * abs(solution.objective), least)
         parameters = _parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
-            columns = {s.leg.name: _rate_parameter_derivatives(s) * parameters for s in lasting}
+            columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             gramians = compute_control_gramians(links, order, deviations, columns)
-            reach = {s.leg.name: compute_phase_reach(s, gramians[s.leg.name]) for s in samples}
+            reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         return cls(
             phases, cost, changed, parameters, ends, reach, links, ends.constraint_changes(reach, parameters)
         )
 
-    def estimate_cheap_control_error(self, s: PhaseSamples, gap: Array) -> float:
+    def estimate_costate_gap_effect(self, s: PhaseSamples, gap: Array) -> float:
         """Return the change of low-cost controls due to a costate gap (n,) at the end of a phase, in deviations.
 
         Relative to the cost scale of all controls, errors of low-cost controls are not visible.
@@ -186,7 +186,7 @@ class Scales:
         cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & find_cost_curvature(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
-        times, response = final_state_response(s)
+        times, response = compute_final_state_response(s)
         moved = np.einsum("i,imt->mt", gap, response) * s.span / np.where(cheap, bends, 1.0)[:, None]
         deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation])
         share = np.divide(np.abs(moved), deviation, out=np.zeros_like(moved), where=deviation > 0)
@@ -194,21 +194,21 @@ class Scales:
         return miss if miss > NOTABLE else 0.0
 
 
-def _cost_of_each_control(s: PhaseSamples, deviation: Array) -> Array:
+def _compute_cost_per_control(s: PhaseSamples, deviation: Array) -> Array:
     """Return the cost of the deviations of each control alone (m,), to first and second order."""
-    first = np.abs(replace_nonfinite(s.switching_functions)) * deviation
-    second = 0.5 * np.abs(replace_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
+    first = np.abs(zero_nonfinite(s.switching_functions)) * deviation
+    second = 0.5 * np.abs(zero_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
     return np.asarray((first + second) @ s.weights)
 
 
-def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
+def _compute_cost_of_all_controls(s: PhaseSamples, deviation: Array) -> float:
     """Return the cost of the deviations of all controls; if slope and curvature of H vanish, the size of its terms."""
-    bends = np.abs(replace_nonfinite(s.control_hessian))
-    first = np.sum(np.abs(replace_nonfinite(s.switching_functions)) * deviation, axis=0) @ s.weights
+    bends = np.abs(zero_nonfinite(s.control_hessian))
+    first = np.sum(np.abs(zero_nonfinite(s.switching_functions)) * deviation, axis=0) @ s.weights
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
     slopes = (
-        np.abs(replace_nonfinite(s.cost_gradient)),
-        np.abs(replace_nonfinite(s.switching_functions - s.cost_gradient)),
+        np.abs(zero_nonfinite(s.cost_gradient)),
+        np.abs(zero_nonfinite(s.switching_functions - s.cost_gradient)),
     )
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
@@ -222,20 +222,20 @@ def find_cost_curvature(s: PhaseSamples) -> Mask:
     return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
 
 
-def _second_differences_of_h(s: PhaseSamples, moves: Array) -> Array:
+def _compute_second_differences_of_h(s: PhaseSamples, moves: Array) -> Array:
     """Return half second differences of the integral of H along moves (n,), for two small steps.
 
     At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.
     """
     steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
     coarse, fine = (
-        replace_nonfinite(hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps
+        zero_nonfinite(compute_hamiltonian_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps
     )
     smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
     return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
 
-def hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
+def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:
     """Return the central first and half the second difference per step of the integral of H along moves (2, n).
 
     Every n-th sample is used.
@@ -262,19 +262,19 @@ def _cost_of_free_duration(s: PhaseSamples, slope: float) -> float:
 
 def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
-    size, found = _parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
+    size, found = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
     return np.asarray(np.where(np.isfinite(equal), equal, size))
 
 
-def _parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), problem.parameter_interval().finite_width
+def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
+    size, extent = np.abs(solution.parameter_values), problem.parameter_interval().width_or_zero
     return np.asarray(np.where(size > 0, size, np.where(extent > 0, extent, 1.0)))
 
 
-def _parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
+def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
     """Return the second derivatives of the Lagrangian in the free parameters (n,), by differences."""
-    values, size = solution.parameter_values, _parameter_magnitudes(problem, solution)
+    values, size = solution.parameter_values, _compute_parameter_magnitudes(problem, solution)
     bends = np.zeros(values.size)
     for i in range(values.size):
         step = np.zeros(values.size)
@@ -297,10 +297,10 @@ def _parameter_gradient(problem: Problem, solution: Solution, samples: list[Phas
     return slope + endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
 
 
-def _rate_parameter_derivatives(s: PhaseSamples) -> Array:
+def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
     """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
-    edges = compute_cell_edges(leg.breaks)
+    edges = divide_segments_into_cells(leg.breaks)
     middles = 0.5 * (edges[:-1] + edges[1:])
     x, u = leg.x(middles), leg.applied(middles)
     mu = np.zeros((len(leg.path_labels), middles.size))
@@ -313,7 +313,7 @@ def _rate_parameter_derivatives(s: PhaseSamples) -> Array:
     for i in range(leg.integrals.size):
         alone = replace(s.functions, weights=np.eye(leg.integrals.size)[i])
         rows.append(alone.parameter_gradient(middles, x, u, np.zeros_like(x), mu))
-    return np.moveaxis(replace_nonfinite(np.stack(rows)), 2, 0)
+    return np.moveaxis(zero_nonfinite(np.stack(rows)), 2, 0)
 
 
 # --- ends -------------------------------------------------------------------------------------------------
@@ -350,12 +350,12 @@ class EndPoints:
         name = s.leg.name
         return float(abs(self.gradients.initial_time[name]) + abs(self.gradients.final_time[name]))
 
-    def end_cost_curvature(self, reach: Mapping[str, Reach], *, constrained: bool = False) -> float:
+    def compute_end_cost_curvature(self, reach: Mapping[str, Reach], *, constrained: bool = False) -> float:
         """Return the largest half second difference of the end cost over the reach of the ends.
 
         With ``constrained``, the boundary constraints and their multipliers are included.
         """
-        found = self._difference_cost_and_constraints(self._principal_displacements(reach))
+        found = self._difference_cost_and_constraints(self._list_principal_displacements(reach))
         if found is None:
             return 0.0
         change = found[1][-1]
@@ -369,13 +369,13 @@ class EndPoints:
         n = self.solution.constraint_multipliers.size
         if not n:
             return np.zeros(0), np.zeros(0), np.zeros(0)
-        moves = self._principal_displacements(reach)
-        moves += self._parameter_displacements(parameters)
+        moves = self._list_principal_displacements(reach)
+        moves += self._list_parameter_displacements(parameters)
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
-                moves += self._time_shift_displacements(k, s)
+                moves += self._list_time_shift_displacements(k, s)
         found = self._difference_cost_and_constraints(moves)
-        jacobians = boundary_constraint_jacobians(self.solution.need_problem("verify"), self.solution)
+        jacobians = evaluate_boundary_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.zeros(n)
         for k, name in enumerate(self.solution.phases):
             for by_state, place in zip(jacobians[name], (6 * k, 6 * k + 1), strict=True):
@@ -386,7 +386,7 @@ class EndPoints:
         first, second = (np.sqrt(np.sum(v[:-1] ** 2, axis=1)) for v in found)
         return first, second, terms
 
-    def _principal_displacements(
+    def _list_principal_displacements(
         self, reach: Mapping[str, Reach], *, still: bool = False
     ) -> list[list[Array]]:
         """Return moves of the ends along their principal axes; with ``still``, zero axes have length 1."""
@@ -397,18 +397,18 @@ class EndPoints:
             for column in (
                 (start.nonzero_semi_axes if still else start.semi_axes)[:, free] * free[:, None]
             ).T:
-                moves.append(self._pad_displacement({6 * k: column}))
+                moves.append(self._fill_missing_displacements({6 * k: column}))
             for column in (end.nonzero_semi_axes if still else end.semi_axes).T:
-                moves.append(self._pad_displacement({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
+                moves.append(self._fill_missing_displacements({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
         return moves
 
-    def _pad_displacement(self, changes: Mapping[int, Array]) -> list[Array]:
+    def _fill_missing_displacements(self, changes: Mapping[int, Array]) -> list[Array]:
         return [changes.get(k, np.zeros_like(v)) for k, v in enumerate(self.values)]
 
-    def _parameter_displacements(self, deviations: Array) -> list[list[Array]]:
-        return [self._pad_displacement({len(self.values) - 1: row}) for row in np.diag(deviations)]
+    def _list_parameter_displacements(self, deviations: Array) -> list[list[Array]]:
+        return [self._fill_missing_displacements({len(self.values) - 1: row}) for row in np.diag(deviations)]
 
-    def _time_shift_displacements(self, k: int, s: PhaseSamples) -> list[list[Array]]:
+    def _list_time_shift_displacements(self, k: int, s: PhaseSamples) -> list[list[Array]]:
         """Return moves of the ends of a phase along its flow, together with their times, over its duration."""
         moves = []
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
@@ -417,20 +417,20 @@ class EndPoints:
                 rate = s.functions.rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
                 step = SECOND_DIFFERENCE_STEP_SHARE * s.span
                 moves.append(
-                    self._pad_displacement(
-                        {place: replace_nonfinite(rate) * step, place + 2: np.array([step])}
+                    self._fill_missing_displacements(
+                        {place: zero_nonfinite(rate) * step, place + 2: np.array([step])}
                     )
                 )
         return moves
 
     def difference_end_lagrangian(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
-        moves = self._principal_displacements(reach, still=True)
-        moves += self._parameter_displacements(parameters)
+        moves = self._list_principal_displacements(reach, still=True)
+        moves += self._list_parameter_displacements(parameters)
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.is_fixed[0]:
-                    moves.append(self._pad_displacement({place: np.array([s.span])}))
+                    moves.append(self._fill_missing_displacements({place: np.array([s.span])}))
         found = self._difference_cost_and_constraints([[step * v for v in move] for move in moves])
         if found is None:
             return np.zeros((2, 0))
@@ -452,4 +452,4 @@ class EndPoints:
             found = evaluate_batch(boundary_function(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
-        return replace_nonfinite(first), replace_nonfinite(second)
+        return zero_nonfinite(first), zero_nonfinite(second)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.problem.kink_detection import find_comparison_points
+from gnc_opt.planning.problem.kink_detection import build_comparison_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
@@ -44,7 +44,7 @@ def bisect_sign_changes(
 
 def find_edges_near_constants(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
-    centres = find_comparison_points(problem, problem.phases[s.leg.name])
+    centres = build_comparison_function(problem, problem.phases[s.leg.name])
     if centres is None or not s.has_duration:
         return np.zeros(0)
 

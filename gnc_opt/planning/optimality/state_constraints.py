@@ -50,7 +50,7 @@ class StateConstraints:
         """Variation of each row along the phase."""
         return np.concatenate([self.samples.path_scale, self.samples.state_scale])
 
-    def row_order(self, row: int) -> int:
+    def row_constraint_order(self, row: int) -> int:
         """Return the order of a row with possible contacts, else 0."""
         if not self.row_bounds.lower[row] < self.row_bounds.upper[row]:
             return 0
@@ -75,7 +75,7 @@ class StateConstraints:
 
     def _control_effect(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
-        s, order = self.samples, self.row_order(row)
+        s, order = self.samples, self.row_constraint_order(row)
         distance = np.min(
             [np.abs(self.evaluate_rows(s.times, s.x, s.u)[row] - at) for _, at in self.row_limits(row)],
             axis=0,

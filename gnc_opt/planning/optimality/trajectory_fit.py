@@ -112,12 +112,12 @@ def fit_trajectory(samples: SampledPhase, rates: Rates) -> FittedPhase:
         _Jump(int(i), float(samples.t[i]), every, of_slope=not _is_control_jump(samples, int(i)))
         for i in twice
     ]
-    unmarked = _find_unmarked_jumps(samples, twice)
+    unmarked = _find_jumps_between_samples(samples, twice)
     jumps += unmarked
     jumps += _find_kinks(samples, jumps)
     jumps.sort(key=lambda jump: jump.after)
     controls = _ControlFit(samples, jumps)
-    controls.choose_interpolation(samples, rates)
+    controls.choose_control_interpolation(samples, rates)
     for interval in sorted({jump.after for jump in unmarked}):
         _locate_jump_times(samples, controls, [j for j in unmarked if j.after == interval], rates)
     return _fit_polynomials(samples, controls, sorted(jumps, key=lambda jump: jump.time), rates)
@@ -139,7 +139,7 @@ def _is_control_jump(samples: SampledPhase, i: int) -> bool:
     return bool(np.any(size > SMALL * np.ptp(samples.u, axis=1)))
 
 
-def _find_unmarked_jumps(samples: SampledPhase, twice: Indices) -> list[_Jump]:
+def _find_jumps_between_samples(samples: SampledPhase, twice: Indices) -> list[_Jump]:
     t, u = samples.t, samples.u
     size = np.abs(np.diff(u, axis=1))
     size[:, twice] = 0.0
@@ -225,7 +225,7 @@ class _ControlFit:
                     values[c, here] = interpolant(times[here])
         return values
 
-    def choose_interpolation(self, samples: SampledPhase, rates: Rates) -> None:
+    def choose_control_interpolation(self, samples: SampledPhase, rates: Rates) -> None:
         """Select Akima splines where the states agree better with them."""
         long = np.flatnonzero(np.diff(samples.t) > 0)
         size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]

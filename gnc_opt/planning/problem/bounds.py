@@ -17,7 +17,9 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_vector
 
 
-def with_ranges(old: Interval, layout: Layout, values: Mapping[str, Any], what: str, where: str) -> Interval:
+def replace_ranges(
+    old: Interval, layout: Layout, values: Mapping[str, Any], what: str, where: str
+) -> Interval:
     """Return an interval with changed ranges of some names; ``what`` and ``where`` are for messages."""
     lower, upper = old.lower.copy(), old.upper.copy()
     for name, value in values.items():
@@ -55,7 +57,7 @@ def default_control_bounds(model: Model) -> Interval:
     return box
 
 
-def ranges_of_control_parts(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
+def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return ranges in which split controls are replaced by their two parts: u = plus - minus."""
     parts: dict[str, Any] = {}
     for name, value in ranges.items():
@@ -124,7 +126,7 @@ class Interval:
         return np.asarray(0.5 * (low + high))
 
     @property
-    def finite_width(self) -> Array:
+    def width_or_zero(self) -> Array:
         """Width of each component (n,); 0 where it is unbounded."""
         return np.nan_to_num(self.upper - self.lower, posinf=0.0)
 
@@ -168,7 +170,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     if size == 1 and _is_number_pair(value):
         value = tuple(value)
     if not isinstance(value, tuple):
-        fixed = Interval(_range_limit(value, -np.inf, size, what), _range_limit(value, np.inf, size, what))
+        fixed = Interval(_parse_limit(value, -np.inf, size, what), _parse_limit(value, np.inf, size, what))
         if np.any(np.isnan(fixed.lower)):
             raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
         return check_interval(fixed, what)
@@ -177,18 +179,18 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
             f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
             "a list."
         )
-    check_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
+    reject_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
     return read_range(value[0], value[1], size, what)
 
 
 def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
     """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
-    low = _range_limit(lower, -np.inf, size, f"the lower limit of {what}")
-    high = _range_limit(upper, np.inf, size, f"the upper limit of {what}")
+    low = _parse_limit(lower, -np.inf, size, f"the lower limit of {what}")
+    high = _parse_limit(upper, np.inf, size, f"the upper limit of {what}")
     return check_interval(Interval(low, high), what)
 
 
-def _range_limit(value: Any, none: float, size: int, what: str) -> Array:
+def _parse_limit(value: Any, none: float, size: int, what: str) -> Array:
     if value is None:
         value = none
     elif isinstance(value, (list, tuple)):
@@ -196,7 +198,7 @@ def _range_limit(value: Any, none: float, size: int, what: str) -> Array:
     return as_vector(value, size, what)
 
 
-def check_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+def reject_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
     """Raise `ProblemError` for a tuple of two numbers for a 2-vector: it may be a value or a range."""
     if (
         size == 2

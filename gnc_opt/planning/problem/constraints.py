@@ -52,7 +52,7 @@ def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: 
     if any(row.op() in _COMPARISONS for row in ca.vertsplit(value)):
         if not (lower is equals is upper is None):
             raise ProblemError(f"{what} is a comparison and has another limit: give one or the other.")
-        return _read_comparisons(name, value, what)
+        return _read_comparison_constraint(name, value, what)
     if equals is not None and (lower is not None or upper is not None):
         raise ProblemError(f"{what} has both equals and lower/upper: give one or the other.")
     if equals is None and lower is None and upper is None:
@@ -66,7 +66,7 @@ def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: 
 _COMPARISONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
 
 
-def _read_comparisons(name: str, value: Any, what: str) -> Constraint:
+def _read_comparison_constraint(name: str, value: Any, what: str) -> Constraint:
     """Return the constraint of rows ``a <= b``, ``a < b`` (equivalent) or ``a == b``; numbers become limits."""
     rows, ends = [], []
     for row in ca.vertsplit(value):

@@ -89,7 +89,7 @@ def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> No
         leg.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
 
 
-def add_phase_fraction(leg: StatedPhase) -> Any:
+def add_phase_fraction_state(leg: StatedPhase) -> Any:
     """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
         fraction, rate = _new_variable(leg, FRACTION, 1, ""), _new_variable(leg, FRACTION_RATE, 1, "1/s")

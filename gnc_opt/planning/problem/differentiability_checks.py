@@ -17,15 +17,15 @@ from gnc_opt.planning.problem.expressions import (
     bind_parameters,
     endpoint_arguments,
     endpoint_symbols,
-    find_table_exits,
+    find_points_outside_tables,
     list_table_calls,
     stack_expressions,
 )
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
-from gnc_opt.planning.problem.interval_arithmetic import draw_values
+from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.typical_magnitudes import typical_phase_magnitudes
+from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 
 _IN_PHASES = "let a phase end there and link() the next one to it"
 _KINKS: dict[int, tuple[str, str]] = {
@@ -74,7 +74,7 @@ def warn_of_kinks(problem: ProblemData, leg: Phase) -> None:
     if not find_operation_codes(stack_expressions(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.node_hashes for use in uses))
-    for operation, (kind, where) in _find_first_kink_of_each_kind(problem, leg, looked_up):
+    for operation, (kind, where) in _find_first_kink_by_type(problem, leg, looked_up):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:
             remedy = _REMEDIES.get(kind, remedy)
@@ -89,7 +89,7 @@ def check_guess_in_tables(problem: ProblemData, leg: Phase, *, warn: bool) -> No
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()
     p = leg.model.parameter_values
-    for found in find_table_exits(problem, leg, times, start.states, start.controls, p, q):
+    for found in find_points_outside_tables(problem, leg, times, start.states, start.controls, p, q):
         if found.table.outside == "error":
             raise ProblemError(
                 f"the guess leaves a table ({found}): give another guess(), or a larger table."
@@ -98,7 +98,7 @@ def check_guess_in_tables(problem: ProblemData, leg: Phase, *, warn: bool) -> No
             warn_user(f"the guess leaves a table ({found}), which is extrapolated ('{found.table.outside}').")
 
 
-def _find_first_kink_of_each_kind(
+def _find_first_kink_by_type(
     problem: ProblemData, leg: Phase, looked_up: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield the first operation of each kind of nonsmoothness, with kind and name of its expression."""
@@ -147,7 +147,7 @@ def find_shifted_norms(leg: Phase) -> list[str]:
 def _is_shifted_norm(vector: Any, controls: Any) -> bool:
     """Return whether a vector that depends on controls is nonzero at zero controls."""
     rest = ca.substitute(vector, controls, ca.SX.zeros(controls.numel()))
-    return bool(np.any(draw_values(rest) != 0))
+    return bool(np.any(evaluate_at_draws(rest) != 0))
 
 
 def _norm_vector(root: Any) -> Any | None:
@@ -173,9 +173,9 @@ def find_singular_norms(problem: ProblemData, leg: Phase) -> list[str]:
     q = problem.guessed_parameters()
     box = leg.numbers.controls
     still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
-    guessed = evaluate_functions(problem, leg, times, start.states, start.controls, q)
+    guessed = evaluate_phase_functions(problem, leg, times, start.states, start.controls, q)
     texts = []
-    for kind, tried in evaluate_functions(problem, leg, times, start.states, still, q).items():
+    for kind, tried in evaluate_phase_functions(problem, leg, times, start.states, still, q).items():
         for row, what in _find_undefined_values(leg, tried, guessed[kind]):
             texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.label} has {what}: {_REMEDY}")
     return texts
@@ -218,7 +218,7 @@ _BOUND_OFFSET = 1e-2
 """Scaled distance by which the guess is moved inside its bounds before the evaluation, as by IPOPT."""
 
 
-def check_finite(problem: ProblemData) -> None:
+def check_functions_finite_at_guess(problem: ProblemData) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess."""
     ends: list[Any] = []
     for leg in problem.phases.values():
@@ -273,7 +273,7 @@ def find_nonfinite_function(
     problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NonfiniteValue | None:
     """Return the first function along a trajectory (columns are times) that is not finite or has such a derivative."""
-    for tried in evaluate_functions(problem, leg, times, states, controls, parameters).values():
+    for tried in evaluate_phase_functions(problem, leg, times, states, controls, parameters).values():
         bad = tried.find_nonfinite()
         if bad:
             labels = (*leg.model.states.labels, *leg.model.controls.labels)
@@ -282,7 +282,7 @@ def find_nonfinite_function(
     return None
 
 
-def evaluate_functions(
+def evaluate_phase_functions(
     problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, FunctionValues]:
     """Return functions along a phase and their derivatives by kind; arguments as in `find_nonfinite_function`."""
@@ -311,7 +311,7 @@ class _GuessSamples:
     def from_phase(cls, leg: Phase) -> _GuessSamples:
         # The end points are included, since messages there name the user's functions.
         start = build_phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
-        scales, control_scales = typical_phase_magnitudes(leg)
+        scales, control_scales = estimate_phase_magnitudes(leg)
         states = _move_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
         controls = _move_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
@@ -328,10 +328,10 @@ def _check_phase_functions(problem: ProblemData, leg: Phase) -> list[Any]:
     bad = guessed.find_nonfinite(problem, leg)
     if bad:
         when = f"t = {bad.time:.4g} {problem.time_unit}"
-        raise _nonfinite_error(f"{bad.what} at the guess in {leg.label} at {when}", bad.point)
+        raise _make_nonfinite_error(f"{bad.what} at the guess in {leg.label} at {when}", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
-        integrands = evaluate_functions(problem, leg, *guessed.along, problem.guessed_parameters())[
+        integrands = evaluate_phase_functions(problem, leg, *guessed.along, problem.guessed_parameters())[
             "integral"
         ]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
@@ -348,7 +348,7 @@ def _check_end_functions(problem: ProblemData, ends: list[Any]) -> None:
         tried = FunctionValues.evaluate(what, rows, columns, function(*ends, problem.guessed_parameters()))
         bad = tried.find_nonfinite()
         if bad:
-            raise _nonfinite_error(f"{bad[0]} at the end points of the guess", {})
+            raise _make_nonfinite_error(f"{bad[0]} at the end points of the guess", {})
 
 
 def _move_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
@@ -425,7 +425,7 @@ def _function_with_jacobian(expression: Any, variables: Any, arguments: list[Any
     return ca.Function("check", arguments, [ca.densify(expression), ca.vec(jacobian)])
 
 
-def _nonfinite_error(what: str, point: Mapping[str, float]) -> ProblemError:
+def _make_nonfinite_error(what: str, point: Mapping[str, float]) -> ProblemError:
     shown = ", ".join(f"{name} = {value:.4g}" for name, value in point.items()) if len(point) <= 12 else ""
     return ProblemError(
         f"{what}{f' ({shown})' if shown else ''}: give another guess(), or bounds that keep away from the "

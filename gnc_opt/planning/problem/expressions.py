@@ -70,7 +70,7 @@ def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
     return problem.cache(("tables", leg.name), find)
 
 
-def find_table_exits(
+def find_points_outside_tables(
     problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
 ) -> list[OutsideTable]:
     """Return where a trajectory is outside of tables: times (N,), states and controls by columns, parameters."""
@@ -102,7 +102,7 @@ def _build_table_arguments(problem: ProblemData, leg: Phase, uses: tuple[TableCa
 def endpoint_arguments(problem: ProblemData) -> list[Any]:
     """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
     legs = problem.phases.values()
-    own = zip(map(endpoint_symbols, legs), model_parameter_arguments(legs), strict=True)
+    own = zip(map(endpoint_symbols, legs), list_model_parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
@@ -113,7 +113,7 @@ def bind_parameters(problem: ProblemData, expression: Any) -> Any:
     return expression
 
 
-def model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
+def list_model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
     """Return the model parameters of each phase as function arguments; repeated models get placeholders."""
     taken: set[int] = set()
     arguments = []

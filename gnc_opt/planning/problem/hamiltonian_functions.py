@@ -69,7 +69,7 @@ class PhaseFunctions:
         """dx/dt, shape of x."""
         return self._evaluate_function("rates", t, x, u)
 
-    def fast_rates(self) -> Callable[[float, Array, Array], Array]:
+    def buffered_rates(self) -> Callable[[float, Array, Array], Array]:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
@@ -134,7 +134,7 @@ class PhaseFunctions:
         return ~coupled
 
     @property
-    def has_jumping_rates(self) -> bool:
+    def has_discontinuous_rates(self) -> bool:
         """Whether dx/dt contains a discontinuous operation."""
         function = self.functions["rates"]
         return any(function.instruction_id(i) in _JUMPS for i in range(function.n_instructions()))

@@ -192,7 +192,7 @@ class SymbolRanges:
             return 0
         for symbol in ca.symvar(expression):  # intervals overestimate repeated factors: v / 0.8 - 0.8 v
             if is_affine(expression, symbol) and not np.any(
-                draw_values(ca.substitute(expression, symbol, 0.0))
+                evaluate_at_draws(ca.substitute(expression, symbol, 0.0))
             ):
                 return self.expression_sign(symbol) * self.expression_sign(ca.jacobian(expression, symbol))
         return 0
@@ -202,7 +202,7 @@ def is_affine(column: Any, symbol: Any) -> bool:
     return not any(ca.which_depends(column, symbol, 2, True))
 
 
-def draw_values(column: Any) -> Array:
+def evaluate_at_draws(column: Any) -> Array:
     """Return the values of a column, (n, n_draws), for several values of its symbols."""
     symbols = ca.vertcat(*ca.symvar(column))
     rng = np.random.default_rng(20)

@@ -71,7 +71,7 @@ def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
     return problem.cache(("kinks", leg.name), find)
 
 
-def find_comparison_points(problem: ProblemData, leg: Phase) -> Any:
+def build_comparison_function(problem: ProblemData, leg: Phase) -> Any:
     """Return ``(t, x, u, p, q)`` -> differences of time or a state and a constant that are compared; None if none are.
 
     Narrow features such as gusts or time windows are at their zeros.

@@ -22,17 +22,17 @@ from gnc_opt.planning.problem.bounds import (
     default_control_bounds,
     intersect,
     magnitude_ranges,
-    ranges_of_control_parts,
     read_interval,
+    replace_ranges,
+    split_control_ranges,
     split_ranges_by_name,
     stack_intervals,
     stack_ranges,
     unbounded,
-    with_ranges,
 )
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
 from gnc_opt.planning.problem.controls_as_states import (
-    add_phase_fraction,
+    add_phase_fraction_state,
     limit_control_rates,
     make_polynomial_controls,
     split_time_bounds,
@@ -170,7 +170,7 @@ class Phase(StrictAttributes):
         duration : tuple (lower, upper), optional
             Range of ``final - initial``; the default lower end is 0.
         """
-        self._replace_numbers(
+        self._update_numbers(
             initial_time=read_interval(initial, 1, f"the initial time of {self.label}"),
             final_time=read_interval(final, 1, f"the final time of {self.label}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.label),
@@ -179,11 +179,11 @@ class Phase(StrictAttributes):
 
     def initial(self, **values: Any) -> None:
         """Set initial values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._replace_numbers(initial=self._replace_end_values(self.numbers.initial, values, "initial value"))
+        self._update_numbers(initial=self._replace_end_values(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
         """Set final values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._replace_numbers(final=self._replace_end_values(self.numbers.final, values, "final value"))
+        self._update_numbers(final=self._replace_end_values(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
         """Set bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
@@ -193,11 +193,13 @@ class Phase(StrictAttributes):
         """
         ranges = split_time_bounds(self, ranges)
         states, controls = self._split_states_and_controls(
-            ranges_of_control_parts(self.model, ranges, self.label), "bounds"
+            split_control_ranges(self.model, ranges, self.label), "bounds"
         )
-        self._replace_numbers(
-            states=with_ranges(self.numbers.states, self.model.states, states, "bounds", self.label),
-            controls=with_ranges(self.numbers.controls, self.model.controls, controls, "bounds", self.label),
+        self._update_numbers(
+            states=replace_ranges(self.numbers.states, self.model.states, states, "bounds", self.label),
+            controls=replace_ranges(
+                self.numbers.controls, self.model.controls, controls, "bounds", self.label
+            ),
         )
 
     def norm_bounds(self, **ranges: Any) -> None:
@@ -290,7 +292,7 @@ class Phase(StrictAttributes):
             name: (known.get(name) or self._find_layout_of_variable(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._replace_numbers(guess=guess.join_guess_values(time, values, sizes, self.label))
+        self._update_numbers(guess=guess.join_guess_values(time, values, sizes, self.label))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling by typical magnitudes > 0 of states or controls by name.
@@ -301,7 +303,7 @@ class Phase(StrictAttributes):
         for name, magnitude in magnitudes.items():
             size = self._find_layout_of_variable(name, "scale")[name].size
             scales[name] = read_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
-        self._replace_numbers(scales=scales)
+        self._update_numbers(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
         """Set ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
@@ -332,7 +334,7 @@ class Phase(StrictAttributes):
     @property
     def fraction(self) -> Any:
         """Symbol of the elapsed share of the phase, from 0 to 1, for bounds and expressions along the phase."""
-        return add_phase_fraction(self)
+        return add_phase_fraction_state(self)
 
     def add_states(
         self,
@@ -348,7 +350,7 @@ class Phase(StrictAttributes):
             **split_ranges_by_name(box.states, old.states),
             **split_ranges_by_name(box.controls, old.controls),
         }
-        self._replace_numbers(
+        self._update_numbers(
             states=stack_ranges(bounds, model.states),
             controls=stack_ranges(bounds, model.controls),
             initial=stack_ranges(split_ranges_by_name(box.initial, old.states), model.states),
@@ -364,13 +366,13 @@ class Phase(StrictAttributes):
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
         final, none = self.numbers.final, unbounded(self.model.states.size)
-        self._replace_numbers(final=none)
+        self._update_numbers(final=none)
         found = [self.clone() for _ in names]
         for name, twin in zip(names, found, strict=True):
             twin.name = name
-            twin._replace_numbers(initial=none)
+            twin._update_numbers(initial=none)
             twin._create_boundary_symbols()
-        found[-1]._replace_numbers(final=final)
+        found[-1]._update_numbers(final=final)
         return found
 
     def hold(
@@ -399,7 +401,7 @@ class Phase(StrictAttributes):
             Controls that are one polynomial over several segments; mesh breaks at which a state reaches its bound.
         """
         if arcs is None:
-            self._replace_numbers(arcs=None)
+            self._update_numbers(arcs=None)
             return
         model, box = self.model, self.numbers
         rows = {
@@ -412,7 +414,7 @@ class Phase(StrictAttributes):
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
-        self._replace_numbers(arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
+        self._update_numbers(arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -511,7 +513,7 @@ class Phase(StrictAttributes):
         """All phases of the problem, including this one."""
         return tuple(self._owner.phases.values())
 
-    def find_state_source(self, state: str) -> tuple[Phase, Array] | None:
+    def find_linked_phase(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a state is linked to, and the jump (n,); None without a link."""
         if state not in self.handed:
             return None
@@ -529,7 +531,7 @@ class Phase(StrictAttributes):
         twin._owner = owner or self._owner
         return twin
 
-    def _replace_numbers(self, **numbers: Any) -> None:
+    def _update_numbers(self, **numbers: Any) -> None:
         self._owner.require_mutable()
         self.numbers = replace(self.numbers, **numbers)
 
@@ -540,7 +542,7 @@ class Phase(StrictAttributes):
                 f"the {what} of control '{jumping}' in {self.label} has no effect, because a control may jump there: "
                 f"limit its rate before, rates({jumping}=(-1.0, 1.0)), or remove it."
             )
-        return with_ranges(old, self.model.states, values, what, self.label)
+        return replace_ranges(old, self.model.states, values, what, self.label)
 
     def _get_boundary_symbol(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name

@@ -362,8 +362,8 @@ class Problem(ProblemData):
         for leg, span in zip(chain, spans, strict=True):
             end = Interval(begin.lower + span.lower, begin.upper + span.upper)
             leg.time(
-                initial=_stated_time_range(begin),
-                final=_stated_time_range(end),
+                initial=_format_time_range_argument(begin),
+                final=_format_time_range_argument(end),
                 duration=(span.lower[0], span.upper[0]),
             )
             begin = end
@@ -568,7 +568,7 @@ class Problem(ProblemData):
         self.clear_cache()
 
 
-def _stated_time_range(interval: Interval) -> Any:
+def _format_time_range_argument(interval: Interval) -> Any:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower

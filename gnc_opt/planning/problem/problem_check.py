@@ -11,7 +11,7 @@ from gnc_opt.errors import ProblemError, did_you_mean, warn_user
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.differentiability_checks import (
-    check_finite,
+    check_functions_finite_at_guess,
     check_guess_in_tables,
     warn_of_kinks,
     warn_of_norms,
@@ -48,9 +48,9 @@ def check_problem(problem: ProblemData) -> None:
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
     try:
-        check_finite(solved)
+        check_functions_finite_at_guess(solved)
     except ProblemError:
-        check_finite(
+        check_functions_finite_at_guess(
             with_curved_guess(solved)
         )  # the same guess as the solver: most straight lines need no curvature
     if first:
@@ -125,7 +125,7 @@ def _check_paths_at_ends(problem: ProblemData, leg: Phase) -> None:
     ):
         arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
         reached = compute_ranges(function, arguments)
-        for k in _rows_beyond_limits(reached, box):
+        for k in _find_rows_beyond_limits(reached, box):
             raise ProblemError(
                 f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.label}: it is "
                 f"{_range_text(reached, k)} there, outside its limits {_range_text(box, k)}: correct one of the two."
@@ -154,7 +154,7 @@ def _warn_of_duplicate_bounds(problem: ProblemData, leg: Phase) -> None:
             )
 
 
-def _rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
+def _find_rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
     slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
     outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
     return [int(i) for i in np.flatnonzero(outside)]
@@ -195,7 +195,7 @@ def _check_constraints(problem: ProblemData) -> None:
 
     function = problem.cache("constraints", build)
     reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
-    for k in _rows_beyond_limits(reached, box):
+    for k in _find_rows_beyond_limits(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
             f"and end values of the phases: it is {_range_text(reached, k)} there, outside its limits "
@@ -271,7 +271,7 @@ def _check_unused_parameters(problem: ProblemData) -> None:
                 )
 
 
-def missing_bounds_text(problem: ProblemData) -> str:
+def describe_missing_bounds(problem: ProblemData) -> str:
     """Return which controls lack bounds in a minimum-time problem; "" if none does."""
     times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))

@@ -77,11 +77,11 @@ def find_implied_bounds(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
     for places in _group_vector_states(leg):
-        length = _find_boundary_length(leg, places)
+        length = _find_vector_length_at_end(leg, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
-        if length > 0 and np.any(lower | upper) and _conserves_length(problem, leg, places, length):
+        if length > 0 and np.any(lower | upper) and _is_vector_length_constant(problem, leg, places, length):
             idle[0, places], idle[1, places] = lower, upper
     return idle[0], idle[1]
 
@@ -99,7 +99,7 @@ def _group_vector_states(leg: Phase) -> list[Indices]:
     return found + [np.array(places) for places in alike.values() if len(places) > 1]
 
 
-def _find_boundary_length(leg: Phase, places: Indices) -> float:
+def _find_vector_length_at_end(leg: Phase, places: Indices) -> float:
     """Return the length of a vector at a fixed end of the phase; NaN if neither end is fixed."""
     for value in (leg.numbers.initial, leg.numbers.final):
         if np.all(value.is_fixed[places]):
@@ -107,7 +107,7 @@ def _find_boundary_length(leg: Phase, places: Indices) -> float:
     return np.nan
 
 
-def _conserves_length(problem: ProblemData, leg: Phase, places: Indices, length: float) -> bool:
+def _is_vector_length_constant(problem: ProblemData, leg: Phase, places: Indices, length: float) -> bool:
     """Return whether the length of a vector is constant for all values of the other variables."""
 
     def build() -> Any:

@@ -28,7 +28,7 @@ GUESS_OFFSET_SHARE = 0.01
 """Displacement from the guess, as a share of the magnitude of each state."""
 
 
-def typical_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
+def estimate_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
     The first available of: the user's scale, the nominal value, finite bounds, the guess. States may be larger by the
@@ -40,10 +40,10 @@ def typical_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Ar
         numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0)
     )
     if overridden:
-        _apply_given_scales(controls, leg.model.controls, numbers.scales)
+        _overwrite_with_user_scales(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
-    drift = _estimate_state_motion(leg, start, controls)
-    beside = _estimate_state_motion(
+    drift = _estimate_state_changes(leg, start, controls)
+    beside = _estimate_state_changes(
         leg, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls
     )
     drift = np.where(drift > ROUNDING * beside, drift, beside)
@@ -52,11 +52,11 @@ def typical_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Ar
     )
     states = choose_typical_magnitudes(numbers.states, reach)
     if overridden:
-        _apply_given_scales(states, leg.model.states, numbers.scales)
+        _overwrite_with_user_scales(states, leg.model.states, numbers.scales)
     return states, controls
 
 
-def _estimate_state_motion(leg: Phase, start: SampledGuess, magnitudes: Array) -> Array:
+def _estimate_state_changes(leg: Phase, start: SampledGuess, magnitudes: Array) -> Array:
     """Return the motion of each state with controls at their bounds, at the guess, or at their magnitudes."""
     bounds = leg.numbers.controls
     times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
@@ -97,7 +97,7 @@ def choose_typical_magnitudes(interval: Interval, reach: Array) -> Array:
     return np.where(scales > 0, scales, 1.0)
 
 
-def _apply_given_scales(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
+def _overwrite_with_user_scales(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
     for variable in layout.variables:
         if variable.name in user:
             scales[layout.slice(variable.name)] = user[variable.name]

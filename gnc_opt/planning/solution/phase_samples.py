@@ -115,7 +115,7 @@ class PhaseSamples:
 
         The value at a jump due to a final state, such as friction at rest, must not depend on rounding.
         """
-        if not self.functions.has_jumping_rates:
+        if not self.functions.has_discontinuous_rates:
             return self.times
         starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
         return np.clip(self.times, starts + GONE * (ends - starts), ends - GONE * (ends - starts))

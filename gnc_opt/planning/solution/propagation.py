@@ -121,7 +121,7 @@ def _integrate_pieces(
 
 def _build_controlled_rates(functions: PhaseFunctions, controls: Controls) -> Callable[[float, Array], Array]:
     """Return dx/dt (n,) as a function of time and state for given controls."""
-    rates = functions.fast_rates()
+    rates = functions.buffered_rates()
     return lambda t, x: rates(t, x, controls(np.array([t]))[:, 0])
 
 

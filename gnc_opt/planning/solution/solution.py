@@ -20,7 +20,7 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angular_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.expressions import OutsideTable, find_table_exits, list_table_calls
+from gnc_opt.planning.problem.expressions import OutsideTable, find_points_outside_tables, list_table_calls
 from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, phase_functions
 from gnc_opt.planning.problem.phase import Phase
@@ -262,7 +262,7 @@ class Solution(PrintableResult):
         for name, leg in problem.phases.items():
             if list_table_calls(problem, leg):
                 s = self._samples[name]
-                found += find_table_exits(
+                found += find_points_outside_tables(
                     problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
                 )
         return found

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.expressions import OutsideTable
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_check import missing_bounds_text
+from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
@@ -214,7 +214,7 @@ def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
         yield _labelled_line("what to do", REMEDIES.get(c.name, c.meaning))
     if also := ", ".join(c.name for c in solution.verdict.open_conditions[1:]):
         yield _labelled_line("also open", also)
-    if solution.problem is not None and (missing := missing_bounds_text(solution.problem)):
+    if solution.problem is not None and (missing := describe_missing_bounds(solution.problem)):
         yield _labelled_line("what to do", missing)
 
 

@@ -90,7 +90,7 @@ def compute_state_spans(
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
     return _choose_fallback_span(
-        _choose_fallback_span(spans, *(box.finite_width for box in boxes)), size, np.ones(size.size)
+        _choose_fallback_span(spans, *(box.width_or_zero for box in boxes)), size, np.ones(size.size)
     )
 
 
@@ -110,7 +110,7 @@ def compute_control_spans(
         Controls required for the motion of the trajectory (`estimate_required_controls`): the scale of a constant
         control without range, or its own magnitude if that is smaller.
     """
-    extent, size = leg.control_bounds.finite_width, np.max(np.abs(flown), axis=1, initial=0.0)
+    extent, size = leg.control_bounds.width_or_zero, np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)

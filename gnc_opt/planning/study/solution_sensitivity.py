@@ -444,11 +444,11 @@ def _differentiate_phase(
     controls = interpolate_points(
         leg.breaks, leg.collocation_rules, response.variables[collocation.point_controls]
     )
-    shifts = _boundary_time_derivatives(transcription, part, anchors)
+    shifts = _differentiate_boundary_times(transcription, part, anchors)
     return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
 
 
-def _boundary_time_derivatives(transcription: Transcription, part: PhaseIndices, anchors: Array) -> Array:
+def _differentiate_boundary_times(transcription: Transcription, part: PhaseIndices, anchors: Array) -> Array:
     mesh = part.collocation.mesh
     starts = anchors[mesh.segment_arcs] + mesh.arc_starts * np.diff(anchors)[mesh.segment_arcs]
     return np.append(starts, anchors[-1])

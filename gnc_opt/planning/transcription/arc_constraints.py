@@ -72,7 +72,7 @@ def _find_states_on_linked_arcs(leg: Phase, held: FixedArcs) -> set[int]:
     """Return the states that the previous phase links from an arc on the same bound."""
     found = set()
     for name in leg.model.states.names:
-        before, jump = leg.find_state_source(name) or (None, np.zeros(0))
+        before, jump = leg.find_linked_phase(name) or (None, np.zeros(0))
         ours = range(leg.model.states.size)[leg.model.states.slice(name)]
         if before is None or np.any(jump) or before.numbers.arcs is None or not before.numbers.arcs.states:
             continue

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import (
     SAMPLES,
     choose_typical_magnitudes,
-    typical_phase_magnitudes,
+    estimate_phase_magnitudes,
 )
 from gnc_opt.planning.transcription.transcription import Transcription
 
@@ -44,7 +44,7 @@ def choose_variable_scales(
     """Return the typical magnitudes of the variables, shape (n_variables,), optionally overridden by the user."""
     scales = np.ones(transcription.n_variables)
     for name, part in transcription.parts.items():
-        states, controls = typical_phase_magnitudes(problem.phases[name], overridden=overridden)
+        states, controls = estimate_phase_magnitudes(problem.phases[name], overridden=overridden)
         collocation = part.collocation
         scales[collocation.boundary_states] = states[:, None]
         scales[collocation.point_states] = states[:, None]

@@ -17,7 +17,7 @@ from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.problem.bounds import Interval, unbounded
 from gnc_opt.planning.problem.constraint_derivatives import constraint_order
-from gnc_opt.planning.problem.expressions import model_parameter_arguments
+from gnc_opt.planning.problem.expressions import list_model_parameter_arguments
 from gnc_opt.planning.problem.fixed_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -237,7 +237,7 @@ class Transcription(ProgramNumbering):
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
         for leg in phases:
             outputs = self.problem.bind_parameters(leg, outputs)
-        data = ca.vertcat(*model_parameter_arguments(self.problem.phases.values()))
+        data = ca.vertcat(*list_model_parameter_arguments(self.problem.phases.values()))
         return PointFunction.differentiate("ends", ca.vertcat(*arguments), data, outputs)
 
     def _constant_coefficients(self) -> Any:

@@ -297,7 +297,7 @@ def _switch_order_constraints(
     """Return the combinations of unknowns that must be >= 0 for the order of the switches to hold (k, n)."""
     rows = [np.zeros((0, unknowns.scale.size))]
     for name, order in orders.items():
-        own = switches[name].order_constraints(order)
+        own = switches[name].build_order_constraints(order)
         block = np.zeros((own.shape[0], unknowns.scale.size))
         block[:, unknowns.places[name][: own.shape[1]]] = own
         rows.append(block)

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.active_set import free_control_directions, undetermined_controls
+from gnc_opt.planning.optimality.active_set import compute_free_control_directions, undetermined_controls
 from gnc_opt.planning.optimality.cost_scale import (
     average_over_time,
-    index_of_lasting_minimum,
+    find_lasting_minimum,
     mask_interior_controls,
 )
 from gnc_opt.planning.optimality.reference_scales import (
@@ -230,7 +230,7 @@ def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) ->
     unit = s.control_span / np.sqrt(s.control_gain)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)
     least = np.full(s.times.size, np.inf)
-    bases = free_control_directions(s, _mask_interior_controls(s) & among, unit)
+    bases = compute_free_control_directions(s, _mask_interior_controls(s) & among, unit)
     sizes = np.array([basis.shape[1] for basis in bases])
     for size in np.unique(sizes[sizes > 0]):
         here = np.flatnonzero(sizes == size)
@@ -239,15 +239,12 @@ def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) ->
         finite = np.all(np.isfinite(reduced), axis=(1, 2))  # LAPACK fails for non-finite numbers
         symmetric = 0.5 * (reduced + np.swapaxes(reduced, 1, 2))[finite]
         least[here[finite]], least[here[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
-    j = index_of_lasting_minimum(s.times, least)
+    j = find_lasting_minimum(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
 
 def check_singular_arcs(
-    samples: list[PhaseSamples],
-    tolerance: float,
-    singular: Sequence[Mask],
-    determined: Sequence[Mask] = (),
+    samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask], determined: Sequence[Mask] = ()
 ) -> Condition:
     """Return the condition that H or the second derivative of the switching function determines interior controls."""
     meaning = (

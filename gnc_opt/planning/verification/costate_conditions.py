@@ -166,7 +166,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
             left = np.copysign(_multipliers_of_wrong_sign(left, s.x[:, at], push.limits, s.state_scale), left)
             violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
-                violation = max(violation, scales.estimate_cheap_control_error(s, left))
+                violation = max(violation, scales.estimate_costate_gap_effect(s, left))
             i = int(np.argmax(np.abs(left) * ellipsoid.radius))
             place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
             worst = worst.select_worse(Worst(violation, place))

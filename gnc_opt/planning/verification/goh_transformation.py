@@ -28,9 +28,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Indices, Mask
-from gnc_opt.planning.optimality.active_set import free_control_directions
+from gnc_opt.planning.optimality.active_set import compute_free_control_directions
 from gnc_opt.planning.optimality.bang_bang_switches import find_inner_switches
-from gnc_opt.planning.optimality.kkt_system import unit_variation_matrix, variation_norm_weights
+from gnc_opt.planning.optimality.kkt_system import build_unit_variation_matrix, variation_norm_weights
 from gnc_opt.planning.problem.hamiltonian_functions import endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -72,7 +72,7 @@ def mask_singular_samples(s: PhaseSamples) -> Mask:
     singular = mask_zero_curvature(s) & inside & ~s.inactive_controls
     if not np.any(singular):
         return singular
-    bases = free_control_directions(s, inside, s.control_span)
+    bases = compute_free_control_directions(s, inside, s.control_span)
     left = np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
     return np.asarray(singular & left)
 
@@ -119,7 +119,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
             blocks.append(block)
     if not blocks:
         return cone
-    own = unit_variation_matrix(squares)[:, np.flatnonzero(itself)]
+    own = build_unit_variation_matrix(squares)[:, np.flatnonzero(itself)]
     unit = scipy.sparse.csc_array(scipy.sparse.hstack([own, *blocks]))
     return replace(cone, strong=strong, unit=unit)
 

@@ -14,7 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.cost_scale import SMEARED
-from gnc_opt.planning.optimality.reference_scales import Scales, hamiltonian_differences
+from gnc_opt.planning.optimality.reference_scales import Scales, compute_hamiltonian_differences
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
 from gnc_opt.planning.problem.problem import Problem
@@ -110,11 +110,11 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         return KinkPoint(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
     for s in samples:
         principal = scales.phases[s.leg.name].along.nonzero_semi_axes
-        coarse = hamiltonian_differences(s, principal, STEPS[0])
+        coarse = compute_hamiltonian_differences(s, principal, STEPS[0])
         if not np.any(_is_concave(coarse, scales.cost)):
             continue
         share = _largest_cost_decrease_at_kink(
-            coarse, hamiltonian_differences(s, principal, STEPS[1]), scales.cost
+            coarse, compute_hamiltonian_differences(s, principal, STEPS[1]), scales.cost
         )
         if share > 0:
             return KinkPoint(

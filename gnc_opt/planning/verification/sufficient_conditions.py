@@ -32,11 +32,11 @@ from gnc_opt.planning.optimality.cost_scale import (
     AVERAGING_SHARE_OF_PHASE,
     SMEARED,
     LargestChanges,
-    lasts_for_share_of_phase,
+    mask_lasting_intervals,
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.expressions import model_parameter_arguments
+from gnc_opt.planning.problem.expressions import list_model_parameter_arguments
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
@@ -102,8 +102,8 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
 def controls_determined_by_slope(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = lasts_for_share_of_phase(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = lasts_for_share_of_phase(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
+    opens = mask_lasting_intervals(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
+    between = mask_lasting_intervals(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 
 
@@ -308,7 +308,7 @@ def _integrand_function(problem: Problem, leg: Phase) -> Any:
 def _build_boundary_function(problem: Problem, expressions: Sequence[Any]) -> Any:
     column, arguments = ca.vertcat(*expressions), []
     legs = problem.phases.values()
-    for leg, parameters in zip(legs, model_parameter_arguments(legs), strict=True):
+    for leg, parameters in zip(legs, list_model_parameter_arguments(legs), strict=True):
         column = problem.bind_parameters(leg, column)
         arguments += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
         arguments += [leg.integral_symbols(), parameters]

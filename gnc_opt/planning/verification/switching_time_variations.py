@@ -22,7 +22,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.reachable_set import compute_cell_edges, final_state_response
+from gnc_opt.planning.optimality.reachable_set import compute_final_state_response, divide_segments_into_cells
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
@@ -231,7 +231,7 @@ class _ShiftedPhase:
     @cached_property
     def cell_edges(self) -> Array:
         """Mesh cell edges outside the windows around jumps, in which columns have different times."""
-        cells = compute_cell_edges(self.samples.leg.breaks)
+        cells = divide_segments_into_cells(self.samples.leg.breaks)
         windows = [(np.min(own), np.max(own)) for own in self.times]
         for jump, _ in self.jumps:
             step = (1 + SMALL) * SHIFT_STEP_SHARE * jump.shorter_arc
@@ -339,7 +339,7 @@ def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
 def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
     """Return variations of unconstrained controls that move the end of a phase in each of its directions."""
     leg, own = s.leg, scales.phases[s.leg.name]
-    times, response = final_state_response(s)
+    times, response = compute_final_state_response(s)
     u = leg.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1, initial=0.0)

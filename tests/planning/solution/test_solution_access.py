@@ -28,7 +28,7 @@ from gnc_opt.planning import (
 )
 from gnc_opt.planning.direct import solve_mesh as tries
 from gnc_opt.planning.direct.solve_failure import format_failure
-from gnc_opt.planning.problem.problem_check import missing_bounds_text
+from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.solution.violation_diagnosis import Violation, find_violations
 from gnc_opt.planning.study import kkt_sensitivity as again
@@ -392,18 +392,18 @@ def test_missing_bounds_in_least_time_are_named() -> None:
     problem, leg = least_time()
     assert (
         "neither bounds nor path constraints limit 'a' on both sides: give bounds()"
-        in missing_bounds_text(problem)
+        in describe_missing_bounds(problem)
     )
-    assert "limit 'a' on both sides" in missing_bounds_text(problem.with_bounds(a=(None, 1.0)))
-    assert missing_bounds_text(problem.with_bounds(a=(-1.0, 1.0))) == ""
+    assert "limit 'a' on both sides" in describe_missing_bounds(problem.with_bounds(a=(None, 1.0)))
+    assert describe_missing_bounds(problem.with_bounds(a=(-1.0, 1.0))) == ""
     leg.path("thrust", leg.model.symbol("a") ** 2, upper=1.0)
-    assert missing_bounds_text(problem) == ""
+    assert describe_missing_bounds(problem) == ""
     problem, leg = least_time()
     problem.constrain("effort", leg.integral(leg.model.symbol("a") ** 2), upper=1.0)
-    assert missing_bounds_text(problem) == ""
+    assert describe_missing_bounds(problem) == ""
     problem, leg = least_time()
     problem.cost = leg.final_time + leg.final_state("w")
-    assert missing_bounds_text(problem) == ""
+    assert describe_missing_bounds(problem) == ""
 
 
 def test_missing_bounds_are_named_where_the_least_time_is_its_own_limit() -> None:

@@ -20,8 +20,8 @@ from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_scale import (
     LargestChanges,
     average_over_time,
+    compute_integral_scales,
     compute_parameter_scales,
-    integral_variation_scales,
 )
 from gnc_opt.planning.optimality.costate_jumps import (
     StateConstraintSides,
@@ -30,9 +30,9 @@ from gnc_opt.planning.optimality.costate_jumps import (
 )
 from gnc_opt.planning.optimality.kkt_system import variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
-    _adjoint_rows,
-    _fill_program_variables,
+    _mask_adjoint_rows,
     _quadrature_weights,
+    _sample_program_variables,
 )
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
@@ -162,10 +162,10 @@ def test_spans_of_integrals() -> None:
         signals = (lambda t, k: np.array([t]), lambda t, k: np.array([1 + 0 * t]), lambda t, k: np.array([t]))
         return by_hand.samples(problem, *signals, weights=(1.0,) * 4, breaks=(0.0, 0.5, 2.0), **changes)
 
-    spans = dict(zip(problem.get_phase().integrands, integral_variation_scales(samples()), strict=True))
+    spans = dict(zip(problem.get_phase().integrands, compute_integral_scales(samples()), strict=True))
     assert list(spans.values()) == pytest.approx([2.0, 8 / 3, 0.0, 8 / 3], abs=1e-9)
     longer = samples(final_time_bounds=by_hand.interval(1.0, 3.0))
-    assert integral_variation_scales(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
+    assert compute_integral_scales(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
 
 
 def test_magnitudes_of_cost_constraints_and_parameters() -> None:
@@ -353,7 +353,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
         SampledPhase(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
     transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
-    x = _fill_program_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
+    x = _sample_program_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
     (part,) = transcription.parts.values()
     collocation = part.collocation
     points = 0.5 + 2 * collocation.point_fractions
@@ -364,7 +364,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
     exact, weights = (
-        _adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}),
+        _mask_adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}),
         _quadrature_weights(transcription),
     )
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])

@@ -17,7 +17,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.optimality.active_set import free_control_directions
+from gnc_opt.planning.optimality.active_set import compute_free_control_directions
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
@@ -248,7 +248,7 @@ def test_directions_that_constraints_take_are_measured_in_the_controls_units() -
         breaks=(0.0, 0.5, 2.0),
     )
     every = np.ones((2, s.times.size), dtype=bool)
-    for j, basis in enumerate(free_control_directions(s, every, np.array([2.0, 0.5]))):
+    for j, basis in enumerate(compute_free_control_directions(s, every, np.array([2.0, 0.5]))):
         if s.segments[j] == 0:  # the limit is half away
             np.testing.assert_allclose(basis, np.eye(2))
         else:
@@ -257,7 +257,7 @@ def test_directions_that_constraints_take_are_measured_in_the_controls_units() -
             assert np.linalg.norm(basis) == pytest.approx(1.0) and abs(row @ basis[:, 0]) < 1e-12
     alone = every.copy()
     alone[0] = False
-    assert [b.shape for b in free_control_directions(s, alone, np.ones(2))] == [
+    assert [b.shape for b in compute_free_control_directions(s, alone, np.ones(2))] == [
         (2, 1 - k) for k in s.segments
     ]
 
@@ -305,13 +305,13 @@ def test_a_state_limit_takes_its_control_where_it_pushes_for_a_while(
         (1.1 * least, 1.1 * moved, False),
     ):
         s = samples(push, off)
-        for j, basis in enumerate(free_control_directions(s, every, np.ones(2))):
+        for j, basis in enumerate(compute_free_control_directions(s, every, np.ones(2))):
             if told and s.segments[j] == 1:
                 assert basis.shape == (2, 1) and abs(basis[channel, 0]) < 1e-12
             else:
                 np.testing.assert_allclose(basis, np.eye(2))
     touched = samples(5.0, 0.0, segment=0)  # it pushes at the end of the first segment only, where it touches
-    assert all(b.shape == (2, 2) for b in free_control_directions(touched, every, np.ones(2)))
+    assert all(b.shape == (2, 2) for b in compute_free_control_directions(touched, every, np.ones(2)))
 
 
 # --- what the controls miss -------------------------------------------------------------------------------

@@ -18,11 +18,11 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, _controls_with_vanishing_switching
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_zero_switching_controls
 from gnc_opt.planning.optimality.cost_scale import (
     LargestChanges,
     average_over_time,
-    integral_variation_scales,
+    compute_integral_scales,
 )
 from gnc_opt.planning.optimality.kkt_system import (
     LANCZOS_RESIDUAL_TOLERANCE,
@@ -132,12 +132,12 @@ def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
                 return np.array([0.7 - t, level + 1.2 * away(t), -1 + 0 * t])
 
             s = bang(cost=cost, unit=unit, lam=lam)
-            assert _controls_with_vanishing_switching(s, sample).tolist() == ([1] if vanishes else [])
+            assert _find_zero_switching_controls(s, sample).tolist() == ([1] if vanishes else [])
     still = bang(lam=lambda t: np.array([0.7 - t, 1.2 - t, 0 * t]))
-    assert _controls_with_vanishing_switching(still, 0).tolist() == [2]
+    assert _find_zero_switching_controls(still, 0).tolist() == [2]
     given = replace(still.leg, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
     assert (
-        _controls_with_vanishing_switching(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
+        _find_zero_switching_controls(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
     )  # it has no range
 
 
@@ -436,7 +436,7 @@ def test_integrals_without_integrands_have_no_span() -> None:
     problem, leg = one_phase("one", model, 0.0, 1.0)
     problem.minimize(leg.final_state("x"))
     one = (lambda t, k: np.array([t]),) * 3
-    assert integral_variation_scales(by_hand.samples(problem, *one, weights=())).shape == (0,)
+    assert compute_integral_scales(by_hand.samples(problem, *one, weights=())).shape == (0,)
 
 
 def test_a_trajectory_without_controls_needs_none() -> None:

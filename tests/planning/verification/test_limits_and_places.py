@@ -17,7 +17,7 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import bang_bang, double_integrator, energy, moved, scaled, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.active_set import free_control_directions
+from gnc_opt.planning.optimality.active_set import compute_free_control_directions
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -261,11 +261,11 @@ def test_order_of_a_state_constraint_is_found(order: int, by_path: bool) -> None
     solution = scaled(scaled(solution, "x", 0.0), "u", 0.0)
     s = PhaseSamples.from_phase(with_pushes(solution, by_path, 1.0).phase(), solution.phase_functions("leg"))
     inside = np.ones((1, s.times.size), dtype=bool)
-    assert all(basis.shape == (1, 0) for basis in free_control_directions(s, inside, np.ones(1)))
+    assert all(basis.shape == (1, 0) for basis in compute_free_control_directions(s, inside, np.ones(1)))
     idle = PhaseSamples.from_phase(
         with_pushes(solution, by_path, 0.0).phase(), solution.phase_functions("leg")
     )
-    assert all(basis.shape == (1, 1) for basis in free_control_directions(idle, inside, np.ones(1)))
+    assert all(basis.shape == (1, 1) for basis in compute_free_control_directions(idle, inside, np.ones(1)))
 
 
 def with_pushes(solution: go.Solution, by_path: bool, size: float) -> go.Solution:

@@ -145,10 +145,10 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     limits = _LimitSet.from_values(box, values, 1e-5 * scales)
     np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
     np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
-    np.testing.assert_array_equal(limits.at_any_limit, [True, True, False, True, False])
-    np.testing.assert_array_equal(limits.wrong_signs(np.ones(5), 1.0), [True, False, False, False, False])
-    np.testing.assert_array_equal(limits.wrong_signs(-np.ones(5), 1.0), [False, True, False, False, False])
-    assert not np.any(limits.wrong_signs(np.ones(5), 1e8))
+    np.testing.assert_array_equal(limits.is_at_any_limit, [True, True, False, True, False])
+    np.testing.assert_array_equal(limits.has_wrong_sign(np.ones(5), 1.0), [True, False, False, False, False])
+    np.testing.assert_array_equal(limits.has_wrong_sign(-np.ones(5), 1.0), [False, True, False, False, False])
+    assert not np.any(limits.has_wrong_sign(np.ones(5), 1e8))
 
 
 def none_at(n: int, lower: bool = False, upper: bool = False) -> _LimitSet:

@@ -18,7 +18,7 @@ from testing.internals import (
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.costate_jumps import path_gradients
+from gnc_opt.planning.optimality.costate_jumps import evaluate_path_gradients
 from gnc_opt.tolerances import ACTIVE
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ def test_gradients_and_sides_of_paths() -> None:
     )  # fmt: skip
     times = np.array([0.0, 1.0])
     x, u = s.leg.x(times), s.leg.applied(times)
-    found, _, by_parameter = path_gradients(s.functions, len(s.leg.path_labels), times, x, u)
+    found, _, by_parameter = evaluate_path_gradients(s.functions, len(s.leg.path_labels), times, x, u)
     assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])

@@ -26,8 +26,8 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
     PiecewiseControl,
     integrate_bang_bang,
 )
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, _merge_equal_times
-from gnc_opt.planning.optimality.cost_scale import index_of_lasting_minimum, mask_interior_controls
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_times
+from gnc_opt.planning.optimality.cost_scale import find_lasting_minimum, mask_interior_controls
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.external_trajectory import _find_bound_arcs
 from gnc_opt.planning.verification.goh_transformation import (
@@ -275,21 +275,21 @@ def test_orders_pieces_and_precedences() -> None:
     np.testing.assert_allclose(pieces.controls[0], [1, -1, -1, 1, 1])
     np.testing.assert_allclose(pieces.controls[1], [-2, -2, 3, 3, -2])
     np.testing.assert_allclose(
-        switches.order_constraints((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]]
+        switches.build_order_constraints((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]]
     )
     np.testing.assert_allclose(
-        switches.order_constraints((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]]
+        switches.build_order_constraints((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]]
     )
     single = Switches.from_samples(
         flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), (line(-7.0, 3.0),) * 3, (U[0], (-2.0,) * 3))
     )
-    assert single.order_constraints((0, 1)).shape == (0, 4)
+    assert single.build_order_constraints((0, 1)).shape == (0, 4)
 
 
 def test_times_that_are_nearly_equal_are_made_equal() -> None:
     times = np.array([5e-8, 0.3, 0.3 + 6e-8, 0.3 + 1.2e-7, 0.5, 1 - 5e-8])
     before = times.copy()
-    joined = _merge_equal_times(times, 1e-7, np.array([0.0, 1.0]))
+    joined = _equalise_nearby_times(times, 1e-7, np.array([0.0, 1.0]))
     np.testing.assert_array_equal(joined, [0.0, 0.3, 0.3, 0.3 + 1.2e-7, 0.5, 1.0])
     np.testing.assert_array_equal(times, before)
 
@@ -403,7 +403,7 @@ class Case:
         times, start = np.split(unknowns, [self.times.size])
         y = np.concatenate([self.leg.x(self.times[0]), np.zeros(self.leg.integrals.size)])
         y[self.free_start] = start
-        n, rates = self.leg.states.size, self.functions.fast_rates()
+        n, rates = self.leg.states.size, self.functions.buffered_rates()
         for k, (left, right) in enumerate(pairwise(times)):
 
             def rate(t: float, y: Array, u: Array = self.controls[:, k]) -> Array:
@@ -726,13 +726,13 @@ def test_a_dip_counts_if_it_lasts() -> None:
     values[(times > 0.3) & (times < 0.30005)] = -2.0
     lasting = np.abs(times - 0.7) < 1e-3
     values[lasting] = -1.0 + 100.0 * np.abs(times[lasting] - 0.7)
-    k = index_of_lasting_minimum(times, values)
+    k = find_lasting_minimum(times, values)
     # Half of 1e-4 to either side of the trough it has risen by 0.005.
     assert values[k] == pytest.approx(-0.995, abs=1e-3) and times[k] == pytest.approx(0.7, abs=1e-4)
     coarse = np.linspace(0.0, 1.0, 11)
-    assert index_of_lasting_minimum(coarse, np.cos(2 * np.pi * coarse)) == 5
-    assert times[index_of_lasting_minimum(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
-    assert times[index_of_lasting_minimum(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
+    assert find_lasting_minimum(coarse, np.cos(2 * np.pi * coarse)) == 5
+    assert times[find_lasting_minimum(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
+    assert times[find_lasting_minimum(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
 
 
 # Second order along singular arcs: conjugate times, ends and alternating controls in closed form.

@@ -228,13 +228,13 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
     u, x = np.maximum(t - s, 0.0), np.maximum(t - s, 0.0) ** 2 / 2
     samples = SampledPhase(t, np.array([x, t]), u[None])  # time says nothing of either
     controls = _ControlFit(samples, [])
-    controls.choose_interpolation(samples, lambda t, x, u: np.array([u[0], 1 + 0 * t]))
+    controls.choose_control_interpolation(samples, lambda t, x, u: np.array([u[0], 1 + 0 * t]))
     at = np.array([0.2, 0.6])
     assert np.max(np.abs(_build_interpolants(t, u)[0](at))) > 1e-3  # the ripples
     np.testing.assert_allclose(controls(at, at)[0], 0.0, atol=1e-12)
     smooth = SampledPhase(t, np.array([t**4 / 4]), (t**3)[None])
     controls = _ControlFit(smooth, [])
-    controls.choose_interpolation(smooth, lambda t, x, u: u + 0 * x)
+    controls.choose_control_interpolation(smooth, lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(controls(at, at)[0], at**3, atol=1e-12)
 
 

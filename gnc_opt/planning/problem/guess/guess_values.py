@@ -12,7 +12,7 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.variables import as_vector
-from gnc_opt.planning.problem.bounds import check_ambiguous_pair
+from gnc_opt.planning.problem.bounds import reject_ambiguous_pair
 
 GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
 
@@ -31,19 +31,19 @@ def resample_guesses(
     old: Mapping[str, GuessValue], old_times: Array, new: Mapping[str, GuessValue], times: Array
 ) -> tuple[dict[str, GuessValue], Array]:
     """Return two guesses with different times on the union of their times, within the span of the second."""
-    if not any(_is_time_table(value, old_times) for value in old.values()):
+    if not any(_is_table_over_times(value, old_times) for value in old.values()):
         return {**old, **new}, times
     shared = np.union1d(old_times, times)
     shared = shared[(shared >= times[0]) & (shared <= times[-1])]
     resampled = {
-        name: _interpolate_guess(value, given, shared) if _is_time_table(value, given) else value
+        name: _interpolate_guess(value, given, shared) if _is_table_over_times(value, given) else value
         for values, given in ((old, old_times), (new, times))
         for name, value in values.items()
     }
     return resampled, shared
 
 
-def _is_time_table(value: GuessValue, times: Array) -> bool:
+def _is_table_over_times(value: GuessValue, times: Array) -> bool:
     return not callable(value) and not isinstance(value, tuple) and np.shape(value)[-1:] == times.shape
 
 
@@ -73,7 +73,7 @@ def _sample_straight_line(value: tuple[ArrayLike, ...], size: int, fractions: Ar
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."
         )
-    check_ambiguous_pair((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
+    reject_ambiguous_pair((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
     first, last = (
         as_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True)
     )

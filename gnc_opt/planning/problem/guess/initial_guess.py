@@ -34,7 +34,7 @@ class SampledGuess:
 
 
 def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> SampledGuess:
-    """Return the guess of a phase at fractions of its duration, optionally with `control_perturbation`."""
+    """Return the guess of a phase at fractions of its duration, optionally with `build_control_perturbation`."""
     times = guess_phase_times(leg)
     at = times[0] + fractions * (times[1] - times[0])
     model, numbers = leg.model, leg.numbers
@@ -44,14 +44,14 @@ def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -
     for vector in leg.vector_controls:
         _set_constant_vector_control(leg, vector, times, (first, last), controls)
     if perturbed:
-        controls += control_perturbation(numbers.controls, fractions)
+        controls += build_control_perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         what = f"the guess of '{name}' in {leg.label}"
         values = sample_guess(value, leg.guessable_names[name].size, at, fractions, numbers.guess.time, what)
         if name in model.states:
             states[model.states.slice(name)] = values
         else:
-            set_control_values(model, controls, name, values)
+            fill_control_rows(model, controls, name, values)
     return SampledGuess(times, states, controls)
 
 
@@ -65,7 +65,7 @@ def _set_constant_vector_control(
     if duration <= 0 or controls.shape[1] == 0:
         return
     rate, place = (last - first) / duration, layout.slice(vector.magnitude)
-    found = trim_vector_control(
+    found = find_vector_control_for_rate(
         leg, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate
     )
     box = leg.numbers.controls
@@ -75,7 +75,7 @@ def _set_constant_vector_control(
         controls[layout.slice(vector.direction)] = found[1][:, None]
 
 
-def set_control_values(model: Model, controls: Array, name: str, values: Array) -> None:
+def fill_control_rows(model: Model, controls: Array, name: str, values: Array) -> None:
     """Write values (size, N) of a control to all controls (m, N); a composed control sets its parts."""
     composed = model.composed_controls.get(name)
     if composed is None:
@@ -86,7 +86,7 @@ def set_control_values(model: Model, controls: Array, name: str, values: Array) 
         controls[place] = np.where(np.isnan(own), controls[place], own)
 
 
-def control_perturbation(bounds: Interval, fractions: Array) -> Array:
+def build_control_perturbation(bounds: Interval, fractions: Array) -> Array:
     """Return the control perturbation, shape (m, N)."""
     ranges = bounds.upper - bounds.lower
     amplitude = PERTURBATION * np.where(np.isfinite(ranges), ranges, 1.0)
@@ -129,7 +129,7 @@ def record_known_states(
             leg.told[end, name] = known_end
 
 
-def trim_vector_control(
+def find_vector_control_for_rate(
     leg: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
 ) -> tuple[float, Array] | None:
     r"""Return magnitude and direction of the vector that best produces a given rate; None if undetermined.
@@ -165,22 +165,22 @@ def guess_phase_times(leg: Phase) -> Array:
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
     initial, final = leg.time_ranges()
-    before, after = _find_time_links(leg)
+    before, after = _find_phases_linked_in_time(leg)
     if before is not None and np.isnan(wanted[0]):
         wanted[0] = guess_phase_times(before)[1]
-    t0 = _choose_guess_time(initial, wanted[0], default=0.0)
+    t0 = _choose_boundary_time_guess(initial, wanted[0], default=0.0)
     span = leg.numbers.duration
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
     if np.isnan(wanted[1]) and after is not None and not _has_bounded_time(final):
         usual = _divide_time_equally(after, t0) or usual
-    tf = _choose_guess_time(final, wanted[1], default=t0 + usual)
+    tf = _choose_boundary_time_guess(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.is_fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
 
 
-def _find_time_links(leg: Phase) -> tuple[Phase | None, Phase | None]:
+def _find_phases_linked_in_time(leg: Phase) -> tuple[Phase | None, Phase | None]:
     place = next(k for k, phase in enumerate(leg.all_phases) if phase.name == leg.name)
     before = (phase for phase in leg.all_phases[:place] if phase.name == leg.follows)
     after = (phase for phase in leg.all_phases[place + 1 :] if phase.follows == leg.name)
@@ -200,11 +200,11 @@ def _divide_time_equally(leg: Phase | None, start: float) -> float:
         if own is not None or _has_bounded_time(final):
             end = float(own[-1]) if own is not None else float(final.midpoint[0])
             return max(end - start, 0.0) / phases
-        leg = _find_time_links(leg)[1]
+        leg = _find_phases_linked_in_time(leg)[1]
     return 0.0
 
 
-def _choose_guess_time(interval: Interval, wanted: float, default: float) -> float:
+def _choose_boundary_time_guess(interval: Interval, wanted: float, default: float) -> float:
     lower, upper = float(interval.lower[0]), float(interval.upper[0])
     if lower == upper:
         return lower
@@ -224,7 +224,7 @@ def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
     first, last = np.zeros((2, leg.model.states.size))
     for name in leg.model.states.names:
         rows = leg.model.states.slice(name)
-        first[rows], last[rows] = _guess_chain_states(_find_linked_phases(leg, name), leg)
+        first[rows], last[rows] = _guess_linked_states(_find_linked_phases(leg, name), leg)
     return first, last
 
 
@@ -257,24 +257,24 @@ class _ChainState:
             told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
             open_end = np.where(np.isnan(guessed), told, guessed)
             known.append(np.where(limited, intersect(here, box).midpoint, open_end))
-        handed = leg.find_state_source(name)
+        handed = leg.find_linked_phase(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
 def _find_linked_phases(leg: Phase, name: str) -> list[_ChainState]:
     chain = [leg]
-    while handed := chain[0].find_state_source(name):
+    while handed := chain[0].find_linked_phase(name):
         chain.insert(0, handed[0])
-    while following := [p for p in leg.all_phases if (p.find_state_source(name) or (None,))[0] is chain[-1]]:
+    while following := [p for p in leg.all_phases if (p.find_linked_phase(name) or (None,))[0] is chain[-1]]:
         chain.append(following[0])
     return [_ChainState.from_phase(phase, name) for phase in chain]
 
 
-def _guess_chain_states(chain: list[_ChainState], leg: Phase) -> tuple[Array, Array]:
+def _guess_linked_states(chain: list[_ChainState], leg: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
-        ahead, time = _find_next_known_value(chain[index:])
+        ahead, time = _find_next_known_state(chain[index:])
         begin = np.where(np.isnan(last), ahead, last + link.jump)
         begin = np.where(np.isnan(begin), link.box.midpoint, np.clip(begin, link.box.lower, link.box.upper))
         first = np.where(np.isnan(link.start), begin, link.start)
@@ -287,7 +287,7 @@ def _guess_chain_states(chain: list[_ChainState], leg: Phase) -> tuple[Array, Ar
     return first, last
 
 
-def _find_next_known_value(chain: list[_ChainState]) -> tuple[Array, Array]:
+def _find_next_known_state(chain: list[_ChainState]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps before it, and the time to it."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):

@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, gues
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_invariance_test
-from gnc_opt.planning.problem.typical_magnitudes import typical_phase_magnitudes
+from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 
 DURATION_MAX_RATIO = 10.0
 """Largest factor between a random and the guessed duration; log-uniform over two decades, within bounds."""
@@ -64,7 +64,7 @@ def with_random_guess(
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
         states, controls = start.states + _draw_angle_turns(problem, leg, rng, ratio, turned), start.controls
         if known is not None or not keeps_guess_shape(index):
-            magnitudes = typical_phase_magnitudes(leg)
+            magnitudes = estimate_phase_magnitudes(leg)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)

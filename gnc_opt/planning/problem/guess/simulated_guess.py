@@ -18,9 +18,9 @@ from gnc_opt.model.variables import as_expression, as_vector
 from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
+    fill_control_rows,
     guess_boundary_states,
     guess_phase_times,
-    set_control_values,
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -198,7 +198,7 @@ def _make_control_law(
             values[name] = as_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
         u = box.midpoint[:, None].copy()
         for name, value in values.items():
-            set_control_values(model, u, name, value[:, None])
+            fill_control_rows(model, u, name, value[:, None])
         return np.clip(u[:, 0], box.lower, box.upper)
 
     return law

@@ -33,7 +33,7 @@ from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm
 from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.reformulation.unit_vectors import find_bounds_beyond_length
+from gnc_opt.planning.problem.reformulation.unit_vectors import find_nonimplied_bounds
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 
 P = TypeVar("P", bound=ProblemData)
@@ -84,7 +84,7 @@ class AlgebraicForm:
         """Make the variable a state of a phase."""
         t, x, _, _ = leg.model.arguments()
         constraint = leg.paths[self.constraint]
-        leg.numbers = replace(leg.numbers, controls=find_bounds_beyond_length(problem, leg))
+        leg.numbers = replace(leg.numbers, controls=find_nonimplied_bounds(problem, leg))
         leg.add_states({self.symbol: self.rate}, ends=self.ends)
         leg.drop_path(self.constraint)
         name = f"{self.constraint} at the start of {leg.name}"

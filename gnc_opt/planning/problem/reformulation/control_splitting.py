@@ -19,13 +19,13 @@ from gnc_opt.model.expressions import replace_nodes
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.bounds import Interval, intersect, split_ranges_by_name, stack_ranges, unbounded
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, draw_values, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
-    find_costed_kinks,
+    find_integrand_kinks,
     solve_affine_equation,
     split_kinked_constraint,
 )
@@ -57,7 +57,7 @@ class ControlKink:
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
                 corners, sign = (
-                    draw_values(solve_affine_equation(gap, u))[0],
+                    evaluate_at_draws(solve_affine_equation(gap, u))[0],
                     kink.sense * domain.expression_sign(slope),
                 )
                 corner = float(np.median(corners))
@@ -71,7 +71,7 @@ BoundsByHand: TypeAlias = dict[str, Interval]
 """Bounds of all controls, by the path constraint that states them."""
 
 
-def find_constraint_bounds(leg: Phase, domain: SymbolRanges) -> BoundsByHand:
+def find_equivalent_control_bounds(leg: Phase, domain: SymbolRanges) -> BoundsByHand:
     """Return the control bounds that are equivalent to path constraints with kinks."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
     controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
@@ -84,7 +84,7 @@ def find_constraint_bounds(leg: Phase, domain: SymbolRanges) -> BoundsByHand:
     return {name: box for name, box in found.items() if box is not None}
 
 
-def apply_constraint_bounds(leg: Phase, found: BoundsByHand) -> None:
+def replace_paths_by_control_bounds(leg: Phase, found: BoundsByHand) -> None:
     """Replace path constraints by the equivalent control bounds."""
     box = leg.numbers.controls
     for own in found.values():
@@ -102,7 +102,9 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
         place = next((k for k, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
         if place is None or not is_affine(row, own[0]):
             return None
-        rest, slope = draw_values(ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0])))[:, 0]
+        rest, slope = evaluate_at_draws(
+            ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
+        )[:, 0]
         limits = constraint.interval.component_interval(i)
         lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
         box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
@@ -125,7 +127,7 @@ class ControlKinks:
             name: [
                 bend for kink in kinks if (bend := ControlKink.from_kink(kink, controls, domain)) is not None
             ]
-            for name, kinks in find_costed_kinks(problem, leg, domain).items()
+            for name, kinks in find_integrand_kinks(problem, leg, domain).items()
         }
         corners: dict[int, float] = {}
         for v in layout.variables:
@@ -165,7 +167,7 @@ class SplitForm(PhaseForm):
                 for what in ("plus", "minus")
             )
             split = SplitControl(
-                v, (plus.variable.name, minus.variable.name), _find_kink_corners(bends, places)
+                v, (plus.variable.name, minus.variable.name), _select_kink_corners(bends, places)
             )
             splits.append(split)
             controls += [plus, minus]
@@ -201,7 +203,7 @@ class SplitForm(PhaseForm):
                 stated,
                 replace_nodes(stated, instead),
                 ca.vertcat(*values),
-                tuple(map(_split_text, splits)),
+                tuple(map(_describe_control_split, splits)),
             ),
             tuple(splits),
         )
@@ -222,12 +224,12 @@ class SplitForm(PhaseForm):
         self.apply_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
-def _find_kink_corners(bends: ControlKinks, places: range) -> tuple[float, ...]:
+def _select_kink_corners(bends: ControlKinks, places: range) -> tuple[float, ...]:
     corners = tuple(bends.corners[i] for i in places)
     return corners if any(corners) else ()
 
 
-def _split_text(control: SplitControl) -> str:
+def _describe_control_split(control: SplitControl) -> str:
     plus, minus = control.parts
     corner = f"{', '.join(f'{c:g}' for c in control.corners)} + " if control.corners else ""
     return f"{control.name} is replaced by {corner}{plus} - {minus}, split at the kinks of its cost"

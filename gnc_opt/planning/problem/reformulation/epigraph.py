@@ -19,7 +19,7 @@ from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import list_table_calls
-from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, draw_values, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -40,9 +40,9 @@ class Extremum:
     pieces: Pieces
 
 
-def find_costed_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
+def find_integrand_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex in the sense of the cost, by the names of their integrals."""
-    ignored, found = _table_node_hashes(problem, leg), {}
+    ignored, found = _collect_table_node_hashes(problem, leg), {}
     wanted = find_integral_cost_signs(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
@@ -51,7 +51,7 @@ def find_costed_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) ->
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
-def find_limit_side(constraint: Constraint, row: int) -> int:
+def find_sign_of_only_limit(constraint: Constraint, row: int) -> int:
     """Return 1 for a row with an upper limit only, -1 with a lower limit only, else 0."""
     below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
     return int(above) - int(below)
@@ -63,7 +63,7 @@ def find_convex_kinks(
     """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
     for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
         own = sense * direction
-        found = find_kink_pieces(node, own, domain) if own else None
+        found = find_extremum_arguments(node, own, domain) if own else None
         if found is not None and len(found) > 1 and not _is_smoothed(expression, Extremum(node, own, found)):
             yield Extremum(node, own, found)
 
@@ -79,7 +79,9 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
             return False
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
-        slopes, here, *others = draw_values(ca.substitute(column, symbol, solve_affine_equation(gap, symbol)))
+        slopes, here, *others = evaluate_at_draws(
+            ca.substitute(column, symbol, solve_affine_equation(gap, symbol))
+        )
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
         if np.any(largest & ~np.isfinite(slopes)):
             return True
@@ -105,7 +107,7 @@ def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]
     return senses
 
 
-def _table_node_hashes(problem: ProblemData, leg: Phase) -> frozenset[int]:
+def _collect_table_node_hashes(problem: ProblemData, leg: Phase) -> frozenset[int]:
     return frozenset[int]().union(
         *(use.node_hashes for use in list_table_calls(problem, problem.phases[leg.name]))
     )
@@ -120,7 +122,7 @@ KINK_MAX_PIECES = 16
 Pieces: TypeAlias = list[Any]
 
 
-def is_smooth(expression: Any) -> bool:
+def is_free_of_kinks(expression: Any) -> bool:
     """Return whether an expression contains no operation of `KINKED`."""
     return not any(node.op() in KINKED for node in list_expression_nodes(expression))
 
@@ -143,14 +145,14 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Symbo
     return list(found.values())
 
 
-def find_kink_pieces(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+def find_extremum_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a node; None if there are none."""
-    found = _find_smooth_pieces(node, sense, domain)
+    found = _find_nested_arguments(node, sense, domain)
     return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated_constants(found, sense)
 
 
-def _find_smooth_pieces(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
-    if is_smooth(node):
+def _find_nested_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+    if is_free_of_kinks(node):
         return [node]
     extremum = _read_extremum(node, domain)
     if extremum is not None:
@@ -159,40 +161,40 @@ def _find_smooth_pieces(node: Any, sense: int, domain: SymbolRanges) -> Pieces |
             return None
         if node.op() == ca.OP_FABS and domain.expression_sign(operands[0]) > 0:
             operands = operands[:1]
-        return _merge_smooth_pieces([_find_smooth_pieces(operand, sense, domain) for operand in operands])
+        return _merge_arguments([_find_nested_arguments(operand, sense, domain) for operand in operands])
     operation = node.op()
     if operation == ca.OP_NEG:
-        return _scale_smooth_pieces(_find_smooth_pieces(node.dep(0), -sense, domain), -1)
+        return _scale_arguments(_find_nested_arguments(node.dep(0), -sense, domain), -1)
     if operation == ca.OP_TWICE:
-        return _scale_smooth_pieces(_find_smooth_pieces(node.dep(0), sense, domain), 2)
+        return _scale_arguments(_find_nested_arguments(node.dep(0), sense, domain), 2)
     if operation in (ca.OP_ADD, ca.OP_SUB):
         sign = 1 if operation == ca.OP_ADD else -1
         left, right = (
-            _find_smooth_pieces(node.dep(0), sense, domain),
-            _find_smooth_pieces(node.dep(1), sign * sense, domain),
+            _find_nested_arguments(node.dep(0), sense, domain),
+            _find_nested_arguments(node.dep(1), sign * sense, domain),
         )
         if left is None or right is None or len(left) * len(right) > KINK_MAX_PIECES:
             return None
         return [a + sign * b for a, b in product(left, right)]
     if operation in (ca.OP_MUL, ca.OP_DIV):
-        return _find_product_pieces(node, sense, domain)
+        return _find_product_arguments(node, sense, domain)
     return None
 
 
-def _find_product_pieces(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+def _find_product_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return the pieces of a product or quotient of a kink and a smooth factor of known sign."""
     kink, factor = node.dep(0), node.dep(1)
-    if node.op() == ca.OP_MUL and not is_smooth(factor):
+    if node.op() == ca.OP_MUL and not is_free_of_kinks(factor):
         kink, factor = factor, kink
-    sign = domain.expression_sign(factor) if is_smooth(factor) else 0
+    sign = domain.expression_sign(factor) if is_free_of_kinks(factor) else 0
     if sign == 0:
         return None
-    return _scale_smooth_pieces(
-        _find_smooth_pieces(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
+    return _scale_arguments(
+        _find_nested_arguments(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
     )
 
 
-def _merge_smooth_pieces(lists: list[Pieces | None]) -> Pieces | None:
+def _merge_arguments(lists: list[Pieces | None]) -> Pieces | None:
     found: dict[int, Any] = {}
     for one in lists:
         if one is None:
@@ -201,7 +203,7 @@ def _merge_smooth_pieces(lists: list[Pieces | None]) -> Pieces | None:
     return list(found.values())
 
 
-def _scale_smooth_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
+def _scale_arguments(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
@@ -214,10 +216,10 @@ def _read_extremum(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
         return -1, [node.dep(0), node.dep(1)]
-    return _find_choice_pieces(node, domain) if operation == ca.OP_ADD else None
+    return _find_if_else_arguments(node, domain) if operation == ca.OP_ADD else None
 
 
-def _find_choice_pieces(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
+def _find_if_else_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
     """Return the pieces of a continuous ``if_else(a < b, ...)`` with a kink at a = b."""
     first, second = node.dep(0), node.dep(1)
     if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
@@ -232,7 +234,7 @@ def _find_choice_pieces(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] |
         if not is_affine(ca.vertcat(gap, rise), symbol):
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
-        left = draw_values(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
+        left = evaluate_at_draws(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
         sense = domain.expression_sign(across) * domain.expression_sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
@@ -245,13 +247,13 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
 
 
 def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
-    values = draw_values(ca.vertcat(*found))
+    values = evaluate_at_draws(ca.vertcat(*found))
     opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
     keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]
     return [e for e, kept in zip(found, keep, strict=True) if kept]
 
 
-def split_column(column: Any) -> Iterator[Any]:
+def iterate_rows(column: Any) -> Iterator[Any]:
     """Yield the rows of a column, which may be empty."""
     yield from ca.vertsplit(column) if column.numel() else ()
 
@@ -322,7 +324,7 @@ class KinkedTerms:
     @classmethod
     def from_phase(cls, problem: ProblemData, leg: Phase, domain: SymbolRanges) -> KinkedTerms:
         _, x, u, _ = leg.model.arguments()
-        found = find_costed_kinks(problem, leg, domain)
+        found = find_integrand_kinks(problem, leg, domain)
         costs = {
             name: [k for k in own if ca.depends_on(k.node, ca.vertcat(x, u))] for name, own in found.items()
         }
@@ -343,9 +345,9 @@ def split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Con
     """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False
-    for i, row in enumerate(split_column(constraint.expression)):
-        sense = find_limit_side(constraint, i)
-        own = find_kink_pieces(row, sense, domain) if sense and not is_smooth(row) else None
+    for i, row in enumerate(iterate_rows(constraint.expression)):
+        sense = find_sign_of_only_limit(constraint, i)
+        own = find_extremum_arguments(row, sense, domain) if sense and not is_free_of_kinks(row) else None
         changed |= own is not None
         kept = [
             e for e in own or [row] if own is None or not _is_constant_within(e, box.lower[i], box.upper[i])

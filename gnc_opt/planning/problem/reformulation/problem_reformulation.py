@@ -21,8 +21,8 @@ from gnc_opt.planning.problem.reformulation.algebraic_variables import with_alge
 from gnc_opt.planning.problem.reformulation.control_splitting import (
     ControlKinks,
     SplitForm,
-    apply_constraint_bounds,
-    find_constraint_bounds,
+    find_equivalent_control_bounds,
+    replace_paths_by_control_bounds,
 )
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
@@ -31,7 +31,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     KinkedTerms,
     has_endpoint_kinks,
 )
-from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_bounds_beyond_length
+from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_nonimplied_bounds
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
 
 FULL_TURN_BOUND_TOLERANCE = 1e-6
@@ -55,7 +55,7 @@ def _without_redundant_phase_bounds(problem: ProblemData, leg: Phase) -> PhaseNu
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if leg.numbers.arcs is not None:
         return leg.numbers
-    old, box = leg.numbers.controls, find_bounds_beyond_length(problem, leg)
+    old, box = leg.numbers.controls, find_nonimplied_bounds(problem, leg)
     turns = _find_unrestricted_angles(problem, leg, box)
     free = turns.unbounded_controls
     lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
@@ -75,7 +75,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
     ):
         return turns
     probe = build_angle_invariance_test(problem, leg)
-    if not np.all(np.any(np.isfinite(probe.sampled_values), axis=1)):
+    if not np.all(np.any(np.isfinite(probe.function_samples), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
         period = probe.find_period(int(i), [*PERIODS, width[i]])
@@ -118,7 +118,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
     for leg in twin.phases.values():
         rootless = problem.cache(("rootless", leg.name), lambda leg=leg: remove_norm_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
-        box = find_bounds_beyond_length(problem, leg)
+        box = find_nonimplied_bounds(problem, leg)
         signs, free = np.sign(leg.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
         key: tuple[Any, ...] = (leg.name, np.concatenate([signs, free]).tobytes(), *rootless)
         while (form := _find_next_norm_form(problem, leg, key)) is not None:
@@ -165,11 +165,11 @@ def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -
         return ()
     domain = SymbolRanges.from_phase(problem, leg)
     bounds = problem.cache(
-        ("bounds", *form_key, domain.cache_key), lambda: find_constraint_bounds(leg, domain)
+        ("bounds", *form_key, domain.cache_key), lambda: find_equivalent_control_bounds(leg, domain)
     )
     if bounds:
         form_key = (*form_key, *bounds)
-        apply_constraint_bounds(leg, bounds)
+        replace_paths_by_control_bounds(leg, bounds)
         domain = SymbolRanges.from_phase(problem, leg)
     bends = problem.cache(
         ("bends", *form_key, domain.cache_key), lambda: ControlKinks.from_phase(problem, leg, domain)

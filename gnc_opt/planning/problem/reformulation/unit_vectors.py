@@ -19,7 +19,7 @@ from gnc_opt.model.composed_controls import UnitVectorControl, VectorControl
 from gnc_opt.model.expressions import replace_nodes
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -28,7 +28,7 @@ from gnc_opt.planning.problem.reformulation.vector_norms import index_control_sy
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
 
-def find_bounds_beyond_length(problem: ProblemData, leg: Phase) -> Interval:
+def find_nonimplied_bounds(problem: ProblemData, leg: Phase) -> Interval:
     """Return the bounds of controls without those that a constant length, of states too, implies.
 
     If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
@@ -40,7 +40,7 @@ def find_bounds_beyond_length(problem: ProblemData, leg: Phase) -> Interval:
         squared = partial(_find_squared_terms, leg, constraint.expression)
         key = ("vector of length", leg.name, name, *leg.model.controls.names)
         found, constant = problem.cache(key, squared)
-        length, rows = _read_length(constraint.interval, constant), np.array(found, dtype=int)
+        length, rows = _compute_vector_length(constraint.interval, constant), np.array(found, dtype=int)
         places = rows[rows >= leg.model.states.size] - leg.model.states.size
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
@@ -64,7 +64,7 @@ def _find_squared_terms(leg: Phase, expression: Any) -> tuple[list[int], float]:
     return [int(i) for i in places] if only_squares else [], float(ca.DM(constant))
 
 
-def _read_length(square: Interval, constant: float) -> float:
+def _compute_vector_length(square: Interval, constant: float) -> float:
     """Return the length of which an equality has the square and a constant, without its rounding."""
     return float(np.sqrt(max(square.upper[0] - constant, 0.0)) * (1.0 - ROUNDING))
 
@@ -143,7 +143,7 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
         if constraint.interval.upper.size > 1 or not all(constraint.interval.is_fixed):
             continue
         rows, constant = _find_squared_terms(leg, constraint.expression)
-        length = _read_length(constraint.interval, constant)
+        length = _compute_vector_length(constraint.interval, constant)
         places = [row - leg.model.states.size for row in rows]
         unit = abs(length - 1.0) <= EQUAL and len(places) > 1 and stated.issuperset(places)
         for v in layout.variables if unit else ():
@@ -166,5 +166,5 @@ def _find_magnitudes(leg: Phase, name: str, label: str) -> Iterator[str]:
         if own.size > 1 or leg.numbers.controls.lower[place] != 0 or not ca.depends_on(rest, symbol):
             continue
         affine = is_affine(ca.vertcat(rest, slope), symbol)
-        if affine and not np.any(draw_values(ca.substitute(slope, symbol, 0.0))):
+        if affine and not np.any(evaluate_at_draws(ca.substitute(slope, symbol, 0.0))):
             yield own.name

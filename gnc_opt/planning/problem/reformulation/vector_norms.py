@@ -21,7 +21,7 @@ from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, split_ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import stack_expressions
-from gnc_opt.planning.problem.interval_arithmetic import draw_values, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -212,7 +212,7 @@ class NormForm(PhaseForm):
                 controls.append(old.symbol(v.name))
                 values.append(old.symbol(v.name))
         shown = name if len(names) == 1 else f"[{', '.join(names)}]"
-        text = f"{shown} is replaced by {' * '.join(parts)}{_removed_limits_text(found.labels)}"
+        text = f"{shown} is replaced by {' * '.join(parts)}{_describe_removed_limits(found.labels)}"
         return cls(
             old.in_controls(controls, list(_build_composed_controls(old, names, control, product)), express),
             {**paths, **{v.length_limit: leg.paths[v.length_limit] for v in leg.vector_controls}},
@@ -267,7 +267,7 @@ class NormForm(PhaseForm):
             )
             if np.any(np.isfinite([limits.lower, limits.upper])):
                 name = f"bounds of {labels[i]}"
-                rows[name] = Constraint(name, _drop_cone_magnitude(value, limits, magnitude), limits)
+                rows[name] = Constraint(name, _divide_cone_by_magnitude(value, limits, magnitude), limits)
         return rows
 
 
@@ -338,7 +338,7 @@ class _NormLimits:
         return cls(kept, (least, most), removed, None)
 
 
-def _removed_limits_text(labels: list[str]) -> str:
+def _describe_removed_limits(labels: list[str]) -> str:
     if not labels:
         return ""
     return f", whose magnitude {' and '.join(map(repr, labels))} limit{'s' * (len(labels) == 1)}"
@@ -351,7 +351,7 @@ def _reformulate_path_constraints(
     paths: dict[str, Constraint] = {}
     on_sphere = False
     for row in rows:
-        expression = _drop_cone_magnitude(express(row.expression), row.interval, magnitude)
+        expression = _divide_cone_by_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
             on_sphere |= not _admits_shorter_vectors(expression, magnitude, row.interval)
             expression = _remove_squared_magnitude(expression, row.interval, magnitude)
@@ -359,11 +359,11 @@ def _reformulate_path_constraints(
     return paths, on_sphere
 
 
-def _drop_cone_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
+def _divide_cone_by_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
     """Return a row with zero limits (a cone), divided by the magnitude if that is a factor."""
     ends = np.array([limits.lower[0], limits.upper[0]])
     is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)
-    is_cone = is_cone and not np.any(draw_values(ca.substitute(expression, magnitude, 0.0)))
+    is_cone = is_cone and not np.any(evaluate_at_draws(ca.substitute(expression, magnitude, 0.0)))
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
@@ -375,7 +375,7 @@ def _remove_squared_magnitude(expression: Any, limits: Interval, magnitude: Any)
     """
     ends = [end for end in (limits.lower[0], limits.upper[0]) if np.isfinite(end)]
     at_one = ca.substitute(expression, magnitude, 1.0)
-    left, whole = draw_values(ca.vertcat(expression - magnitude**2 * at_one, expression))
+    left, whole = evaluate_at_draws(ca.vertcat(expression - magnitude**2 * at_one, expression))
     if len(ends) != 1 or not ends[0] > 0 or not np.all(np.abs(left) <= EQUAL * np.abs(whole)):
         return expression
     most = float(np.sqrt(ends[0]))

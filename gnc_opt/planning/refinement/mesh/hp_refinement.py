@@ -16,7 +16,7 @@ import numpy as np
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.nlp.options import final_barrier_parameter
+from gnc_opt.planning.nlp.options import compute_final_barrier_parameter
 from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iteration_records import (
     IterationLimits,
@@ -122,11 +122,7 @@ def refine_mesh(
 
 class _Refinement:
     def __init__(
-        self,
-        solution: Solution,
-        tol: float,
-        limits: IterationLimits,
-        options: SolverOptions | None,
+        self, solution: Solution, tol: float, limits: IterationLimits, options: SolverOptions | None
     ) -> None:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
@@ -175,8 +171,7 @@ class _Refinement:
             return RefinementStatus.CONVERGED
         error = min(self._state.finite_error, 1.0)
         stage = max(
-            self._tol,
-            (STAGE_ERROR_SHARE if error < NOTABLE else COARSE_MESH_TOLERANCE_SHARE) * error,
+            self._tol, (STAGE_ERROR_SHARE if error < NOTABLE else COARSE_MESH_TOLERANCE_SHARE) * error
         )
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
         plan = self._refine_meshes(stage)
@@ -252,7 +247,7 @@ class _Refinement:
                 options, tolerance=max(options.tolerance, SOLVER_SHARE * STAGE_ERROR_SHARE * left)
             )
         if options.mu_init is None:
-            last = final_barrier_parameter(options.tolerance)
+            last = compute_final_barrier_parameter(options.tolerance)
             options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_BARRIER * left, last))
         return options
 

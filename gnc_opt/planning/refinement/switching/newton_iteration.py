@@ -252,7 +252,7 @@ def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
 
 
 def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
-    pieces = switches.piecewise_control(switches.time_order)
+    pieces = switches.piecewise_control(switches.switch_time_order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
