@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any, Literal
 
-from gnc_opt.arguments import expect, read_positive, suggest_keywords
+from gnc_opt.arguments import expect_type, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
@@ -72,7 +72,7 @@ class Resolver:
     """
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
-        expect(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
+        expect_type(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
         self._problem = solution.need_problem("solve")
         if not solution.status.solved:
             raise ProblemError(
@@ -107,7 +107,7 @@ class Resolver:
         SolveError
             All methods failed.
         """
-        expect(
+        expect_type(
             problem, Problem, "the argument of Resolver.solve()", "give for example problem.with_initial(...)"
         )
         within, moved = clip_start_to_bounds(problem)
@@ -120,7 +120,7 @@ class Resolver:
                 "with_initial(), with_parameters() or similar, or create a Resolver from its own solution."
             )
         if near is not None:
-            expect(
+            expect_type(
                 near, Solution, "the start of Resolver.solve()", "give for example near=resolver.solve(...)"
             )
             if _variable_names(near) != _variable_names(self.solution):
@@ -131,7 +131,7 @@ class Resolver:
         check_bounds_and_times(
             stated
         )  # the guess of a variation is used by the last way only, which looks at it
-        found = self._solve_nearby(stated, problem, near) if problem.builds is self._problem.builds else None
+        found = self._solve_warm(stated, problem, near) if problem.builds is self._problem.builds else None
         if found is not None:
             return found
         if not self.cold:
@@ -141,7 +141,7 @@ class Resolver:
             )
         return with_solve_method(solve(problem, tol=self.tol), SolveMethod.COLD)
 
-    def _solve_nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
+    def _solve_warm(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
         flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
         found = solve_by_switching_times(problem, flight)
@@ -250,10 +250,12 @@ def solve(
     >>> print(f"{found.objective:.6f} {found.history.status.value}")
     2.000000 converged
     """
-    expect(problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)")
+    expect_type(
+        problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)"
+    )
     get_family(scheme)
     if guess is not None:
-        expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+        expect_type(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
         within_bounds, moved = clip_start_to_bounds(problem)
         if moved:
             found = solve(
@@ -262,10 +264,12 @@ def solve(
             )  # fmt: skip
             return _with_provenance(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
-    expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
+    expect_type(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
     options = SolverOptions() if options is None else options
-    expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
+    expect_type(
+        options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)"
+    )
     in_a_loop = tol == "auto" and guess is not None
     if tol == "auto":
         tol = None if in_a_loop else DEFAULT_TOLERANCE
@@ -281,10 +285,10 @@ def solve(
         nearby = _solve_variation(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
-        if in_a_loop and _is_refined(guess) and _is_variation(problem, guess):
+        if in_a_loop and _is_refined(guess) and _differs_only_in_numbers(problem, guess):
             tol = solution_tolerance(guess)
         if tol is not None and _is_refined(guess):
-            found = _solve_again(problem, guess, limits, tol=tol, check=check, progress=progress)
+            found = _restart_solve(problem, guess, limits, tol=tol, check=check, progress=progress)
             return _raise_if_unsolved(found, throw)
     within = SolveLimits() if tol is None else SolveLimits(cpu_deadline=budget.cpu_deadline)
     solution = solve_mesh(
@@ -322,7 +326,7 @@ def _solve_variation(
     problem: Problem, known: Solution, tol: float | None, in_a_loop: bool
 ) -> Solution | None:
     """Return the solution of a variation, or None; with ``in_a_loop`` checked only if arcs or mesh changed."""
-    if not _is_variation(problem, known):
+    if not _differs_only_in_numbers(problem, known):
         return None
     if in_a_loop:
         found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
@@ -362,17 +366,17 @@ def _is_settled(found: Solution) -> bool:
     return found.history is not None and found.history.status in reached_by
 
 
-def _is_variation(problem: Problem, known: Solution) -> bool:
+def _differs_only_in_numbers(problem: Problem, known: Solution) -> bool:
     """Return whether a solution belongs to a problem that differs only in numbers."""
     return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
 
 
-def _solve_again(problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any) -> Solution:
+def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
     budget, start = WorkBudget.from_limits(limits), truncate_solution(known, problem)
     settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
-    budget.charge_work(warm, sum(p.work for p in warm.history.passes) if warm.history is not None else 0.0)
+    budget.add_work(warm, sum(p.work for p in warm.history.passes) if warm.history is not None else 0.0)
     if _is_settled(warm) or _is_interrupted(warm) or budget.remaining_work <= 0:
         return warm
     cold = solve(problem, limits=replace(limits, max_work=budget.remaining_work), **settings)

@@ -9,7 +9,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import find_known_quality, list_outside_tables
+from gnc_opt.planning.solution.text_summary import find_available_quality, list_points_outside_tables
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart_search import Multistart
 from gnc_opt.text_formatting import convert_to_json, json_text
@@ -65,7 +65,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     >>> print(summary_dict(solution)["status"])
     optimal
     """
-    quality = find_known_quality(solution)
+    quality = find_available_quality(solution)
     spent = solution.statistics
     return dict(
         convert_to_json(
@@ -89,7 +89,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "propagation_error": quality and quality.propagation_error,
                 "terminal_error_where": quality and quality.propagation_location,
                 "bound": _lower_bound_dict(solution),
-                "outside_tables": [str(found) for found in list_outside_tables(solution)],
+                "outside_tables": [str(found) for found in list_points_outside_tables(solution)],
                 "verdict": None if verdict is None else _verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
                 "structure": [

@@ -13,8 +13,13 @@ from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import list_outside_tables, mesh_text, objective_text, time_unit
-from gnc_opt.planning.solution.verdict import REMEDIES, Condition, Verdict, violation_text, worst_condition
+from gnc_opt.planning.solution.text_summary import (
+    list_points_outside_tables,
+    mesh_text,
+    objective_text,
+    time_unit,
+)
+from gnc_opt.planning.solution.verdict import REMEDIES, Condition, Verdict, format_violation, worst_condition
 from gnc_opt.plot.axes import cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import negligible_costates
@@ -153,7 +158,7 @@ def _failure_table(solution: Solution, verdict: Verdict) -> str:
     rows = [
         (
             first.result.value,
-            f"{first.name}: {violation_text(first.value)} (tolerance {first.tolerance:.0e})",
+            f"{first.name}: {format_violation(first.value)} (tolerance {first.tolerance:.0e})",
         ),
         ("where", first.location_text),
         ("objective", objective_text(solution)),
@@ -167,7 +172,7 @@ _CONDITION_TITLES = ("result", "violation", "tolerance", "largest at")
 
 
 def _condition_cells(condition: Condition, prefix: str = "") -> tuple[str, ...]:
-    numbers = (violation_text(value) for value in (condition.value, condition.tolerance))
+    numbers = (format_violation(value) for value in (condition.value, condition.tolerance))
     return condition.result.value.lower(), *numbers, prefix + condition.location_text
 
 
@@ -184,7 +189,7 @@ def _solve_facts_table(solution: Solution) -> str:
     if solution.problem is not None and solution.status.solved:
         rows.append(("accuracy", solution.accuracy.summary_text))
     rows += _consumption_rows(solution)
-    rows += [("table left", str(found)) for found in list_outside_tables(solution)]
+    rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return html_table(("", ""), rows)
 
 

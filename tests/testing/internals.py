@@ -89,11 +89,11 @@ from gnc_opt.planning.solution.history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.program_start import start_from_guess
+from gnc_opt.planning.solution.program_start import point_from_guess
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
 from gnc_opt.planning.solution.text_summary import find_overshooting_controls
 from gnc_opt.planning.solution.trajectory_quality import Worst
-from gnc_opt.planning.solution.variation_scales import compute_control_spans
+from gnc_opt.planning.solution.variation_scales import compute_control_scales
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,

@@ -16,7 +16,7 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.history import Statistics
-from gnc_opt.planning.solution.program_start import ProgramStart, choose_program_start
+from gnc_opt.planning.solution.program_start import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.violation_diagnosis import find_violations
@@ -78,7 +78,7 @@ class MeshProblem:
         suited = _with_high_pivot_tolerance(options, transcription)
         reused = repr(suited) in transcription.built
         solver = _make_nlp_solver(transcription, suited)
-        start = choose_program_start(transcription, problem, guess)
+        start = choose_initial_nlp_point(transcription, problem, guess)
         scales = choose_variable_scales(transcription, problem, start.x)
         scaling = Scaling(scales, *choose_row_scales(transcription, problem, start.x, scales))
         build_s = time.perf_counter() - begin

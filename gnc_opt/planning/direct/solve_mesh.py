@@ -27,10 +27,10 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.program_start import (
     ProgramStart,
-    choose_program_start,
+    choose_initial_nlp_point,
     guess_from_solution,
     mesh_with_fixed_breaks,
-    start_from_guess,
+    point_from_guess,
 )
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
@@ -282,7 +282,7 @@ class _SolveAttempts:
     def _start_from_simulation(self) -> Iterator[ProgramStart]:
         flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
-            yield choose_program_start(self.attempt.transcription, flown, None)
+            yield choose_initial_nlp_point(self.attempt.transcription, flown, None)
 
     def _solve_constraints_first(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
@@ -355,7 +355,7 @@ def generate_feasibility_starts(
         yield FeasibilityStart(stretched, times)
     for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
         twin = with_random_guess(problem, FEASIBILITY_SEED, index)
-        yield FeasibilityStart(start_from_guess(transcription, twin), times[:0])
+        yield FeasibilityStart(point_from_guess(transcription, twin), times[:0])
 
 
 def has_trajectory_guess(problem: Problem) -> bool:

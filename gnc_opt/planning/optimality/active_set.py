@@ -94,7 +94,7 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
     found = [np.zeros((0, leg.controls.size, s.times.size))]
     if leg.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
-        scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_reach, s.path_scale, s.path_reach)
+        scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_changes, s.path_scale, s.path_changes)
         near = _is_at_limit(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span

@@ -87,7 +87,7 @@ class LargestChanges:
         boxes: dict[int, tuple[Array, Array]] = {}
         for s in samples:
             leg = s.leg
-            boxes.update({len(values) + k: s.state_range for k in range(2)})
+            boxes.update({len(values) + k: s.widened_state_range for k in range(2)})
             bounds = (leg.initial_time_bounds, leg.final_time_bounds)
             values += [np.atleast_1d(v) for v in leg.endpoint_arguments]
             spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
@@ -127,7 +127,7 @@ def compute_integral_scales(s: PhaseSamples) -> Array:
     spans = np.minimum(above @ s.weights, below @ s.weights)
     if not s.has_fixed_duration:
         spans = np.fmax(spans, np.abs(values) @ s.weights)
-    for rows, steps, box in ((s.x, s.state_scale, s.state_range), (s.u, s.control_span, None)):
+    for rows, steps, box in ((s.x, s.state_scale, s.widened_state_range), (s.u, s.control_span, None)):
         for i, step in enumerate(steps):
             for moved in (step, -step):
                 other = rows.copy()

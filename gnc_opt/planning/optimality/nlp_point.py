@@ -20,7 +20,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.program_start import choose_program_start
+from gnc_opt.planning.solution.program_start import choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
@@ -105,7 +105,7 @@ class ProgramPoint:
         problem = held(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
         transcription = transcribe(problem, meshes, solution.scheme)
-        start = choose_program_start(transcription, problem, solution)
+        start = choose_initial_nlp_point(transcription, problem, solution)
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
         assert lam_x is not None and lam_g is not None, "a solution has multipliers"
         scales = scaled_by(transcription, problem, x)

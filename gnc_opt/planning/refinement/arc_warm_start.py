@@ -58,7 +58,7 @@ class KnownArcs:
         if not solution.structure:
             return cls(solution, {})
         found = detect_structures(replace(solution, structure=()))
-        return cls(solution, {name: _remove_sliver_pieces(s, solution, name) for name, s in found.items()})
+        return cls(solution, {name: _remove_sliver_arcs(s, solution, name) for name, s in found.items()})
 
     def solve_variation(self, problem: Problem, tol: float, checked: WhenChecked) -> Solution | None:
         """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
@@ -81,7 +81,7 @@ class KnownArcs:
         begin = time.perf_counter()
         start = replace(truncate_solution(self.solution, problem), problem=problem.frozen(), structure=())
         found = (
-            self._solve_with_arcs(start, tol) if self.structures else self._solve_mesh(start, problem, tol)
+            self._solve_with_arcs(start, tol) if self.structures else self._solve_on_mesh(start, problem, tol)
         )
         if found is None:
             return None
@@ -109,7 +109,9 @@ class KnownArcs:
             segments="kept",
         )
 
-    def _solve_mesh(self, start: Solution, problem: Problem, tol: float) -> tuple[Solution, History] | None:
+    def _solve_on_mesh(
+        self, start: Solution, problem: Problem, tol: float
+    ) -> tuple[Solution, History] | None:
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         scheme = next(iter(start.phases.values())).scheme
         found = solve_mesh(
@@ -139,7 +141,7 @@ def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:
     return read_meshes(meshes, known.phases, known.problem_name)
 
 
-def _remove_sliver_pieces(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
+def _remove_sliver_arcs(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
     """Return a detected structure without pieces between rows that change at the same time."""
     ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
     while structure.n_pieces > len(ends) - 1:

@@ -90,20 +90,20 @@ class Candidate:
         return verify(self.solution)
 
     @property
-    def known_verdict(self) -> Verdict | None:
+    def verdict_if_checked(self) -> Verdict | None:
         return vars(self).get("verdict", self.solution.verdict)
 
     @property
     def passes_check(self) -> bool:
         """Return whether the optimality check has been computed and passed."""
-        return self.known_verdict is not None and self.known_verdict.ok
+        return self.verdict_if_checked is not None and self.verdict_if_checked.ok
 
     @property
     def is_nearly_optimal(self) -> bool:
         """Return whether the optimality check failed by at most `OPEN_MAX_RATIO`, so that a finer mesh may pass it."""
-        if self.known_verdict is None:
+        if self.verdict_if_checked is None:
             return False
-        necessary = [c for c in self.known_verdict.open_conditions if not c.sufficient]
+        necessary = [c for c in self.verdict_if_checked.open_conditions if not c.sufficient]
         return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
 
     def is_objective_within(self, tol: float) -> bool:
@@ -118,7 +118,7 @@ class Candidate:
             and found.infeasibility + self.minimum_principle_loss <= tol * found.scale
         )
 
-    def ranking_errors(self, tol: float) -> tuple[float, float]:
+    def errors_for_ranking(self, tol: float) -> tuple[float, float]:
         """Return the relative error of the objective, at least the tolerance, and the local error, for ranking.
 
         The loss of the minimum principle replaces the estimate if it is smaller.
@@ -130,7 +130,7 @@ class Candidate:
             estimate = found.infeasibility + self.minimum_principle_loss + self.largest_error**2 * found.scale
         return max(estimate / found.scale, tol), self.largest_error
 
-    def costs_less(self, other: Candidate) -> bool:
+    def costs_less_on_same_mesh(self, other: Candidate) -> bool:
         """Return whether the cost is lower than that of another solution on the same mesh, beyond rounding."""
         return (
             self.is_solved
@@ -160,7 +160,7 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     if not solved:
         return len(candidates) - 1
     among = [k for k in solved if candidates[k].passes_check] or solved
-    best = min(among, key=lambda k: candidates[k].ranking_errors(tol))
+    best = min(among, key=lambda k: candidates[k].errors_for_ranking(tol))
     for k in solved:
         credible = candidates[k].largest_error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_error)
         if credible and candidates[k].has_lower_cost(candidates[best]):
@@ -187,8 +187,8 @@ def build_final_solution(
     chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]
     interrupted = ended is RefinementStatus.INTERRUPTED
-    verdict = best.known_verdict if interrupted or not check or not best.is_solved else best.verdict
-    status = _classify_refinement(best, verdict, ended, {c.history.status for c in candidates}, tol)
+    verdict = best.verdict_if_checked if interrupted or not check or not best.is_solved else best.verdict
+    status = _choose_refinement_status(best, verdict, ended, {c.history.status for c in candidates}, tol)
     passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
     history = History(
         status,
@@ -214,7 +214,7 @@ def _find_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) 
     return {BETTER_COARSE_SOLVE: text}
 
 
-def _classify_refinement(
+def _choose_refinement_status(
     best: Candidate,
     verdict: Verdict | None,
     ended: RefinementStatus | None,

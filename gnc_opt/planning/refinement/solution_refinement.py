@@ -95,7 +95,7 @@ def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: St
     try:
         solution = _release_fixed_arcs(solution, stages)
     except KeyboardInterrupt:
-        return stages.answer_interruption(solution)
+        return stages.build_interrupted_result(solution)
     stages.problem = solution.need_problem("refine")
     if structure == "auto":
         return stages.run_stages(solution)

@@ -36,9 +36,9 @@ from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_curvature import (
-    affine_controls,
-    convex_controls,
-    nonconvex_controls,
+    mask_affine_controls,
+    mask_convex_controls,
+    mask_nonconvex_controls,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
@@ -114,7 +114,7 @@ class StagedRefinement:
 
     def run_stages(self, first: Solution) -> Solution:
         """Run all stages from a solution on a first mesh and return the best solution."""
-        self.budget.charge_solve(first)
+        self.budget.add_work_of_solve(first)
         return self._collect_candidates(first, self._run_all_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
@@ -138,7 +138,7 @@ class StagedRefinement:
             )
         return self._collect_candidates(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
 
-    def answer_interruption(self, first: Solution) -> Solution:
+    def build_interrupted_result(self, first: Solution) -> Solution:
         """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
         candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
         return build_final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
@@ -171,11 +171,11 @@ class StagedRefinement:
         status = candidate.history.status
         if status is RefinementStatus.INTERRUPTED or time.perf_counter() > self.budget.deadline:
             return RefinementStatus.INTERRUPTED
-        if self._is_final_answer(candidate):
+        if self._is_final_solution(candidate):
             return RefinementStatus.CONVERGED
         return RefinementStatus.BUDGET_LIMIT if self.budget.remaining_work <= 0 else None
 
-    def _is_final_answer(self, candidate: Candidate) -> bool:
+    def _is_final_solution(self, candidate: Candidate) -> bool:
         if not candidate.is_solved:
             return False
         if not self.check:
@@ -193,8 +193,8 @@ class StagedRefinement:
             other = solve(first, stage)
             if other is not None:
                 yield other
-                known = self._find_candidate(first)
-                if other.costs_less(known):
+                known = self._find_candidate_of_solution(first)
+                if other.costs_less_on_same_mesh(known):
                     first = other.solution
                     yield from self._run_first_stage(first, stage)
         middle = yield from self._run_middle_stage(first)
@@ -206,7 +206,7 @@ class StagedRefinement:
             again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
-                fine = again if again.costs_less(fine) else fine
+                fine = again if again.costs_less_on_same_mesh(fine) else fine
             found = detect_structures(fine.solution)
             yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
         yield from self._run_last_stage()
@@ -231,14 +231,14 @@ class StagedRefinement:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             second = self._solve_stage(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
             yield second
-            if second.is_solved and (not found.is_solved or second.costs_less(found)):
+            if second.is_solved and (not found.is_solved or second.costs_less_on_same_mesh(found)):
                 found = second
         return found.solution if found.is_solved else first
 
     def _run_last_stage(self) -> Iterator[Candidate]:
         """Refine the best mesh, then solve with its arcs; refine further while only the optimality check fails."""
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
-        start = min(meshes, key=lambda c: c.ranking_errors(self.tol))
+        start = min(meshes, key=lambda c: c.errors_for_ranking(self.tol))
         found = yield from self._refine_mesh(start.solution, 1.0)
         arcs = detect_structures(found.solution)
         yield from self._solve_with_arcs(found.solution, arcs, f"{HP}, switching times", segments="kept")
@@ -252,7 +252,7 @@ class StagedRefinement:
 
     # --- single solves ------------------------------------------------------------------------------------------------
 
-    def _find_candidate(self, solution: Solution) -> Candidate:
+    def _find_candidate_of_solution(self, solution: Solution) -> Candidate:
         return next(c for c in self.candidates if c.is_solved and c.solution is solution)
 
     def _uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
@@ -289,7 +289,7 @@ class StagedRefinement:
             ),
             progress=self.progress,
         )
-        self.budget.charge_solve(found)
+        self.budget.add_work_of_solve(found)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         found = replace(found, problem=like.problem)
@@ -297,7 +297,7 @@ class StagedRefinement:
 
     def _solve_from_minimum_hamiltonian(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the controls that minimise H, if the present controls do not minimise it."""
-        if not self._find_candidate(start).is_false_extremal:
+        if not self._find_candidate_of_solution(start).is_false_extremal:
             return None
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         guess = guess_minimum_hamiltonian(start)
@@ -325,7 +325,7 @@ class StagedRefinement:
             options=self.options,
             progress=self.progress,
         )
-        self.budget.charge_work(start, sum(p.work for p in history.passes[1:]))
+        self.budget.add_work(start, sum(p.work for p in history.passes[1:]))
         if history.chosen > 0:  # index 0 is the given solution
             history = replace(history, passes=history.passes[1:], chosen=history.chosen - 1)
         candidate = Candidate(solution, history, stage)
@@ -355,7 +355,7 @@ class StagedRefinement:
             progress=self.progress,
             segments=segments,
         )
-        self.budget.charge_work(start, sum(p.work for p in history.passes))
+        self.budget.add_work(start, sum(p.work for p in history.passes))
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
@@ -386,13 +386,13 @@ class StagedRefinement:
 def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Return whether a control may have switches or kinks, in a phase with more pieces than ``at_least`` or touches."""
     for name, samples in solution.samples().items():
-        if np.any(affine_controls(samples)) and found[name].n_pieces > at_least:
+        if np.any(mask_affine_controls(samples)) and found[name].n_pieces > at_least:
             return True
         if any(found[name].touches[0] + found[name].touches[-1]):
             return True
-        if np.any(nonconvex_controls(samples)) and found[name].n_pieces > max(at_least, 1):
+        if np.any(mask_nonconvex_controls(samples)) and found[name].n_pieces > max(at_least, 1):
             return True
         # Regular controls need no arcs while they stay between their bounds.
-        if np.any(convex_controls(samples)) and found[name].n_pieces > 1:
+        if np.any(mask_convex_controls(samples)) and found[name].n_pieces > 1:
             return True
     return False

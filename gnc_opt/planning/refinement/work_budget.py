@@ -107,12 +107,12 @@ class WorkBudget:
         """Remaining work, s of the reference processor; at most the remaining CPU time."""
         return max(0.0, min(self.total - self.spent, self.cpu_deadline - time.thread_time()))
 
-    def charge_solve(self, solution: Solution) -> None:
+    def add_work_of_solve(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
         points = sum(leg.mesh.size for leg in solution.phases.values())
-        self.charge_work(solution, compute_solve_work(points, solution.statistics.iterations))
+        self.add_work(solution, compute_solve_work(points, solution.statistics.iterations))
 
-    def charge_work(self, like: Solution, work: float) -> None:
+    def add_work(self, like: Solution, work: float) -> None:
         """Add work, iterations at one collocation point (`RefinementIteration.work`) with the variables of ``like``."""
         self.spent += work * count_variables_per_point(like.phases) / WORK_PER_SECOND
 

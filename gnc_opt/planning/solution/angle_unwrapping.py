@@ -42,7 +42,7 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
         turned[[i, j]] = _unwrap_directions(u[[i, j]], angles[i], angles[j])
     for i in angles.keys() - set(itertools.chain(*pairs)):
         turned[i] = _unwrap_angle(u[i], angles[i])
-        turned[i] += angles[i] * _turns_into_bounds(turned[i], bounds.lower[i], bounds.upper[i], angles[i])
+        turned[i] += angles[i] * _count_full_turns(turned[i], bounds.lower[i], bounds.upper[i], angles[i])
     inside = np.all((turned >= bounds.lower[:, None]) & (turned <= bounds.upper[:, None]), axis=1)
     if not all(inside[i] and inside[j] for i, j in pairs):
         inside[list(itertools.chain(*pairs))] = False
@@ -63,7 +63,7 @@ def _are_spherical(along: AngleProbe, pair: tuple[int, int], periods: dict[int, 
     return along.is_mirrored(azimuth, elevation, 0.5 * periods[azimuth], 0.25 * periods[elevation])
 
 
-def _turns_into_bounds(angle: Array, lower: float, upper: float, period: float) -> float:
+def _count_full_turns(angle: Array, lower: float, upper: float, period: float) -> float:
     """Return the smallest number of whole turns that moves angles (N,) into their bounds; 0 if there is none."""
     least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
     return float(np.clip(0.0, least, most)) if least <= most else 0.0

@@ -143,7 +143,7 @@ def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
     pieces = []
     for k, rule in enumerate(collocation.collocation_rules):
         # The factor w_k / 2 of multipliers and quadrature weights cancels.
-        pieces.append(-lam_g[collocation.dynamics_rows[k]] @ collocation.dynamics_matrix(k) / rule.weights)
+        pieces.append(-lam_g[collocation.dynamics_rows[k]] @ collocation.rate_coefficients(k) / rule.weights)
     return np.hstack(pieces)
 
 
@@ -152,10 +152,10 @@ def dynamics_multipliers(collocation: PhaseCollocation, costates: Array, end_cos
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.collocation_rules):
         wanted = -costates[:, _segment_points(collocation, k)] * rule.weights
-        if collocation.family.has_end_row:
+        if collocation.family.has_dynamics_row_at_end:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
-            matrix = collocation.dynamics_matrix(k)
+            matrix = collocation.rate_coefficients(k)
             pieces.append(np.asarray(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T))
     return pieces
 
@@ -182,7 +182,7 @@ def map_costates(
         Contribution of pure state path constraints to the gradient.
     """
     pieces = _CostatePieces.from_multipliers(collocation, iterate, weights, gradient, path_push)
-    if collocation.family.has_end_row:
+    if collocation.family.has_dynamics_row_at_end:
         pieces.extrapolate_costates_along_bounds()
     else:
         pieces.split_boundary_multipliers()
@@ -216,11 +216,11 @@ def split_duplicate_path_multipliers(
     if not collocation.family.ends_at_point or not paths.size:
         return paths
     settled = paths.copy()
-    lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
+    lengths = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
     pushed = np.abs(paths) * lengths > NEGLIGIBLE * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
     shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.point_offsets[1:-1]])
     shared |= np.append(shared[1:], False)
-    held = _segments_with_multipliers(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
+    held = _mask_segments_with_multipliers(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
     for k, right in enumerate(collocation.mesh.point_offsets[1:-1]):
         share = np.stack([held[:, k] * weights[right - 1], held[:, k + 1] * weights[right]], axis=1)
         total = paths[:, right - 1 : right + 1] @ weights[right - 1 : right + 1]
@@ -278,14 +278,14 @@ class _CostatePieces:
         # At the end of a phase a path constraint contributes its density; inside, see the module docstring.
         at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
         pull = gradient - np.where(at_break, path_push, 0.0) + densities
-        start, end = _boundary_costates(collocation, lam_g, weights * pull)
+        start, end = _compute_boundary_costates(collocation, lam_g, weights * pull)
         size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
-        lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
+        lengths = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
         bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > NEGLIGIBLE * size
         pushed = bounded | (np.abs(path_push) * lengths > NEGLIGIBLE * size)
         held, still = (
-            _segments_with_multipliers(collocation, pushed, shared),
-            _constant_segments(collocation, x),
+            _mask_segments_with_multipliers(collocation, pushed, shared),
+            _mask_constant_state_segments(collocation, x),
         )
         return cls(
             collocation, weights, lam, start, end, densities,
@@ -339,7 +339,7 @@ class _CostatePieces:
         nodes, values = [], []
         for k, rule in enumerate(collocation.collocation_rules):
             here = _segment_points(collocation, k)
-            if collocation.family.has_end_row:
+            if collocation.family.has_dynamics_row_at_end:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
                 continue
@@ -358,11 +358,11 @@ def _segment_points(collocation: PhaseCollocation, k: int) -> slice:
     return slice(collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1])
 
 
-def _segment_durations(collocation: PhaseCollocation, weights: Array) -> Array:
+def _compute_segment_durations(collocation: PhaseCollocation, weights: Array) -> Array:
     return np.add.reduceat(weights, collocation.mesh.point_offsets[:-1])
 
 
-def _segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
+def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
     """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
@@ -374,19 +374,19 @@ def _segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask, shar
     return np.stack(columns, axis=1)
 
 
-def _constant_segments(collocation: PhaseCollocation, x: Array) -> Mask:
+def _mask_constant_state_segments(collocation: PhaseCollocation, x: Array) -> Mask:
     """Return the segments with equal state values at all nodes, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
     return np.asarray(np.stack(spreads, axis=1) <= AT_LIMIT * size[:, None])
 
 
-def _boundary_costates(
+def _compute_boundary_costates(
     collocation: PhaseCollocation, lam_g: Array, point_gradients: Array
 ) -> tuple[Array, Array]:
     starts, ends = [], []
     for k in range(collocation.mesh.segments):
-        derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)
+        derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_coefficients(k)
         first, last = collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1] - 1
         start, end = derivative[:, 0], derivative[:, -1]
         if collocation.family.starts_at_point:

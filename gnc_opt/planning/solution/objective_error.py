@@ -105,7 +105,7 @@ def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: flo
 def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
     with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
         return PhaseObjectiveError(
-            _marginal_defect_costs(s), _marginal_violation_costs(s), _compute_control_gains(s)
+            _compute_marginal_defect_costs(s), _compute_violation_costs(s), _compute_control_gains(s)
         )
 
 
@@ -113,28 +113,28 @@ def _replace_nan_by_infinity(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def _segment_integrals(s: PhaseSamples, values: Array) -> Array:
+def _compute_segment_integrals(s: PhaseSamples, values: Array) -> Array:
     """Return the integrals of values (..., n_samples) over each segment (..., K); end values of weight 0 may be inf."""
     return s.segment_integrals(np.where(s.weights > 0, values, 0.0))
 
 
-def _marginal_defect_costs(s: PhaseSamples) -> Array:
+def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
     rates = evaluate_within_bounds(s.functions.rates, *at, leg.control_bounds)
-    total = _segment_integrals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
+    total = _compute_segment_integrals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
     if weights.size:
-        exact = _segment_integrals(
+        exact = _compute_segment_integrals(
             s, weights @ evaluate_within_bounds(s.functions.integrands, *at, leg.control_bounds)
         )
-        total = total + exact - _collocation_quadratures(leg, s)
+        total = total + exact - _integrate_by_collocation(leg, s)
     inner = leg.breaks[1:-1]
     jumps = leg.x(inner, "left") - leg.x(inner, "right")
     total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
     return total
 
 
-def _collocation_quadratures(leg: PhaseSolution, s: PhaseSamples) -> Array:
+def _integrate_by_collocation(leg: PhaseSolution, s: PhaseSamples) -> Array:
     """Return the weighted integrals of each segment by the quadrature of the collocation points (K,)."""
     weights = np.concatenate([rule.weights for rule in leg.collocation_rules])
     weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
@@ -145,19 +145,19 @@ def _collocation_quadratures(leg: PhaseSolution, s: PhaseSamples) -> Array:
     return np.asarray(np.add.reduceat(values * weights, leg.mesh.point_offsets[:-1]))
 
 
-def _marginal_violation_costs(s: PhaseSamples) -> Array:
+def _compute_violation_costs(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
     leg = s.leg
-    total = _weigh_violations(s, s.x, leg.state_bounds, s.state_multiplier)
+    total = _weight_by_multipliers(s, s.x, leg.state_bounds, s.state_multiplier)
     if leg.path_labels:
         paths = evaluate_within_bounds(
             s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds
         )
-        total = total + _weigh_violations(s, paths, leg.path_bounds, s.mu)
+        total = total + _weight_by_multipliers(s, paths, leg.path_bounds, s.mu)
     return total
 
 
-def _weigh_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _weight_by_multipliers(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
     """Return exceeded limits times their multipliers, if these have the correct sign (K,).
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.
@@ -167,7 +167,7 @@ def _weigh_violations(s: PhaseSamples, values: Array, bounds: Interval, multipli
     priced = np.abs(multipliers) * (above + below)
     equations = bounds.is_fixed
     priced[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
-    return np.asarray(np.sum(np.abs(_segment_integrals(s, priced)), axis=0))
+    return np.asarray(np.sum(np.abs(_compute_segment_integrals(s, priced)), axis=0))
 
 
 def _compute_control_gains(s: PhaseSamples) -> Array:
@@ -186,8 +186,8 @@ def _compute_control_gains(s: PhaseSamples) -> Array:
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
     gains = _maximise_quadratic_gain(slope, curvature, lower, upper)
-    net = _segment_integrals(s, np.sum(gains, axis=0))
-    positive = _segment_integrals(s, np.sum(np.maximum(gains, 0.0), axis=0))
+    net = _compute_segment_integrals(s, np.sum(gains, axis=0))
+    positive = _compute_segment_integrals(s, np.sum(np.maximum(gains, 0.0), axis=0))
     return np.maximum(np.abs(net), UNCANCELLED_SHARE * positive)
 
 

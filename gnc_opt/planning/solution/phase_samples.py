@@ -15,11 +15,11 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
-    compute_control_spans,
-    compute_state_spans,
-    equalise_components,
+    compute_control_scales,
+    compute_state_scales,
     estimate_required_controls,
     find_inactive_controls,
+    set_components_to_largest,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, collocation_points, quadrature_weights
@@ -210,24 +210,24 @@ class PhaseSamples:
     @cached_property
     def state_scale(self) -> Array:
         """Variation scale of each state along the phase (n,); see module `variation_scales`."""
-        return compute_state_spans(self.leg, self.functions, self.control_span, lasting=self.has_duration)
+        return compute_state_scales(self.leg, self.functions, self.control_span, lasting=self.has_duration)
 
     @cached_property
     def control_span(self) -> Array:
         """Variation scale of each control, from its own variation or the costates (m,); module `variation_scales`."""
         terms = np.abs(self.switching_functions - self.cost_gradient)
-        most = float(np.nanmax(self._costate_terms, initial=0.0))
+        most = float(np.nanmax(self._costate_rate_magnitudes, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
-        spans = compute_control_spans(self.leg, self.u, terms, curvature, most, asked)
+        spans = compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
         still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
-        rounding = still[[not self._keeps_curvature(int(i), spans[i], curvature[i]) for i in still]]
+        rounding = still[[not self._is_quadratic(int(i), spans[i], curvature[i]) for i in still]]
         if not rounding.size:
             return spans
         curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
-        return compute_control_spans(self.leg, self.u, terms, curvature, most, asked)
+        return compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
 
-    def _keeps_curvature(self, i: int, span: float, curvature: Array) -> bool:
+    def _is_quadratic(self, i: int, span: float, curvature: Array) -> bool:
         """Return whether H changes over the control's scale about as its largest curvature predicts."""
         at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
         step = np.zeros((self.u.shape[0], 1))
@@ -237,7 +237,7 @@ class PhaseSamples:
         return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[at[0]]) * step[i, 0] ** 2
 
     @cached_property
-    def control_periods(self) -> Array:
+    def angular_control_periods(self) -> Array:
         """Periods of controls (m,); 0 for controls that are not angles or have bounds."""
         bounds = self.leg.control_bounds
         unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
@@ -297,10 +297,10 @@ class PhaseSamples:
         return max(float(np.sum(self._hamiltonian_changes)), self.rounding_level)
 
     @property
-    def control_gain(self) -> Array:
+    def hamiltonian_gain(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
-            equalise_components(self._hamiltonian_changes, self.leg.controls),
+            set_components_to_largest(self._hamiltonian_changes, self.leg.controls),
             NOTABLE * self.joint_hamiltonian_change,
         )
 
@@ -327,16 +327,16 @@ class PhaseSamples:
         return worth if worth > 0 else 1.0
 
     @cached_property
-    def _costate_terms(self) -> Array:
+    def _costate_rate_magnitudes(self) -> Array:
         rates = self.functions.rates(self.times, self.x, self.u)
         return np.asarray(np.sum(np.abs(self.lam * rates), axis=0))
 
     @cached_property
-    def hamiltonian_terms(self) -> Array:
+    def hamiltonian_term_magnitudes(self) -> Array:
         """Sum of the magnitudes of the terms of H (n_samples,)."""
         integrands = self.functions.integrands(self.times, self.x, self.u)
         terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return np.asarray(self._costate_terms + terms)
+        return np.asarray(self._costate_rate_magnitudes + terms)
 
     @cached_property
     def hamiltonian_scale(self) -> float:
@@ -344,7 +344,7 @@ class PhaseSamples:
 
         For a fixed duration, integrands are taken relative to their minimum, since constants have no effect.
         """
-        terms = self._costate_terms
+        terms = self._costate_rate_magnitudes
         integrands = self.functions.integrands(self.times, self.x, self.u)
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
@@ -383,13 +383,13 @@ class PhaseSamples:
         return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
 
     @cached_property
-    def state_range(self) -> tuple[Array, Array]:
+    def widened_state_range(self) -> tuple[Array, Array]:
         """Smallest and largest states (n,) of the trajectory, extended by the variation scales."""
         least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
         return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
 
     @cached_property
-    def path_reach(self) -> Array:
+    def path_changes(self) -> Array:
         """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
         at = self.times, self.x, self.u
         by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
@@ -402,7 +402,7 @@ class PhaseSamples:
     def path_scale(self) -> Array:
         """Variation of each path constraint along the phase, or over the scales of states and controls (n_paths,)."""
         values = self.functions.paths(self.times, self.x, self.u)
-        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_reach)
+        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_changes)
         size = np.max(np.abs(values), axis=1, initial=0.0)
         scale = np.fmax(scale, SPAN_MIN_SHARE * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)

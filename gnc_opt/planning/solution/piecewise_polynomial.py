@@ -60,7 +60,7 @@ class PiecewisePolynomial:
         object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
         _check_break_times(self.breaks)
         _check_segment_values(self.breaks.size - 1, self.nodes, self.values)
-        object.__setattr__(self, "values", self._shared_values())
+        object.__setattr__(self, "values", self._view_segment_values())
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times ``t`` [s].
@@ -141,7 +141,7 @@ class PiecewisePolynomial:
         """Groups of segments with equal nodes, which share one interpolation matrix."""
         return tuple(_EqualNodeSegments.from_segments(self, places) for places in self._cached_grid.places)
 
-    def _shared_values(self) -> tuple[Array, ...]:
+    def _view_segment_values(self) -> tuple[Array, ...]:
         """Return the values as views of what `_segments_by_grid` keeps, so that changes in place are seen."""
         values = list(self.values)
         for alike in self._segments_by_grid:

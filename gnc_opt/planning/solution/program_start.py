@@ -44,7 +44,7 @@ class ProgramStart:
     lam_g: Array | None = None
 
 
-def choose_program_start(
+def choose_initial_nlp_point(
     transcription: Transcription, problem: Problem, guess: Solution | None
 ) -> ProgramStart:
     """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess.
@@ -57,13 +57,13 @@ def choose_program_start(
     if guess is None:
         return ProgramStart(
             set_integral_variables(
-                transcription, problem, start_from_guess(transcription, with_curved_guess(problem))
+                transcription, problem, point_from_guess(transcription, with_curved_guess(problem))
             )
         )
-    return start_from_solution(transcription, problem, guess, start_from_guess(transcription, problem))
+    return point_from_solution(transcription, problem, guess, point_from_guess(transcription, problem))
 
 
-def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
+def point_from_guess(transcription: Transcription, problem: Problem) -> Array:
     """Return the problem's guess of all program variables (n_variables,), physical; integrals are zero."""
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
@@ -93,7 +93,7 @@ def set_integral_variables(transcription: Transcription, problem: Problem, x: Ar
     return x
 
 
-def start_from_solution(
+def point_from_solution(
     transcription: Transcription, problem: Problem, guess: Solution, start: Array
 ) -> ProgramStart:
     """Return variables and multipliers interpolated from a solution on any mesh.
@@ -153,8 +153,8 @@ def _fill_phase_variables(
     transcription: Transcription, part: PhaseIndices, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _stretch_times(old, collocation.point_fractions)
-    breaks = _stretch_times(old, np.asarray(collocation.mesh.breaks))
+    points = _map_fractions(old, collocation.point_fractions)
+    breaks = _map_fractions(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.collocation_rules])
@@ -167,13 +167,13 @@ def _fill_phase_variables(
     x[collocation.point_states[~shared]] = states[~shared]
     x[collocation.point_controls] = sample(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
-    times = _stretch_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)])
+    times = _map_fractions(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)])
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:
             lam_x[place] = multiplier
     weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arcs]
-    _fill_impulses(collocation, old, lam_x)
+    _fill_boundary_impulses(collocation, old, lam_x)
     np.add.at(lam_x, collocation.point_states, sample(old.state_multiplier) * weights)
     lam_x[collocation.point_controls] = sample(old.control_multiplier) * weights
     if old.path_labels:
@@ -186,7 +186,7 @@ def _fill_phase_variables(
         lam_g[rows] = values
 
 
-def _fill_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
+def _fill_boundary_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
     places, impulses = collocation.boundary_states, old.state_impulses
     lam_x[places[:, 0]], lam_x[places[:, -1]] = impulses[:, 0], impulses[:, -1]
     if collocation.mesh == old.mesh:
@@ -215,7 +215,7 @@ def _fill_end_multipliers(transcription: Transcription, guess: Solution, lam_g: 
         lam_g[row] = known.get(label, 0.0)
 
 
-def _stretch_times(old: PhaseSolution, fractions: Array) -> Array:
+def _map_fractions(old: PhaseSolution, fractions: Array) -> Array:
     first, last = old.breaks[0], old.breaks[-1]
     return np.asarray(first + fractions * (last - first))
 

@@ -44,7 +44,7 @@ class SaturatedControl:
     def is_piecewise_constant(self) -> Mask:
         """Whether each channel is piecewise constant in each segment, shape (m, K)."""
         values = self.polynomial.evaluate_in_segments(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
-        slack = self.tolerance * _bound_ranges(self.bounds)
+        slack = self.tolerance * _compute_bound_ranges(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
         return np.asarray(over | under)
@@ -87,7 +87,7 @@ class SaturatedControl:
         return values if np.ndim(t) else values[:, 0]
 
 
-def _bound_ranges(bounds: Interval) -> Array:
+def _compute_bound_ranges(bounds: Interval) -> Array:
     """Return the ranges of bounds; for fixed controls their magnitude; 1 if both are zero or infinite."""
     span = bounds.upper - bounds.lower
     fixed = nonzero_magnitude(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))

@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.time_history_export import build_time_history
-from gnc_opt.planning.solution.trajectory_quality import Quality, measure_quality
+from gnc_opt.planning.solution.trajectory_quality import Quality, compute_quality_figures
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.collocation_families import Scheme
@@ -240,7 +240,7 @@ class Solution(PrintableResult):
     @cached_property
     def quality(self) -> Quality:
         """Defect between nodes, violation of bounds and propagation error, computed from the model."""
-        return measure_quality(self.samples().values())
+        return compute_quality_figures(self.samples().values())
 
     @cached_property
     def accuracy(self) -> Accuracy:

@@ -66,11 +66,11 @@ class Accuracy:
     def summary_text(self) -> str:
         """Accuracy of final states and limits: "final state within 2e-12 m/s; limits satisfied"."""
         ends = (
-            f"final state within {self.miss:.1g}{_parse_unit(self.miss_where)}"
+            f"final state within {self.miss:.1g}{_extract_unit_from_label(self.miss_where)}"
             if np.isfinite(self.miss)
             else "the applied control does not reach the end"
         )
-        limits = f"limits exceeded by {self.violation:.1g}{_parse_unit(self.violation_where)}"
+        limits = f"limits exceeded by {self.violation:.1g}{_extract_unit_from_label(self.violation_where)}"
         return f"{ends}; {limits if self.violation else 'limits satisfied'}"
 
     def __str__(self) -> str:
@@ -155,6 +155,6 @@ def _maximise_polynomial(excess: Array) -> float:
     return float(max(np.max(excess), np.max(polynomial(np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)))))
 
 
-def _parse_unit(where: str) -> str:
+def _extract_unit_from_label(where: str) -> str:
     """Return " m" from "phase leg, q (m)"."""
     return f" {where.rpartition('(')[2][:-1]}" if where.endswith(")") else ""

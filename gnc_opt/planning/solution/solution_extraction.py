@@ -79,7 +79,8 @@ def extract_phases(
     nu = iterate.lam_g[transcription.constraint_rows]
     extended = np.concatenate([iterate.x, transcription.fixed_times(problem)])
     integrals = {
-        name: _compute_integrals(transcription, problem, name, extended, q) for name in transcription.parts
+        name: _compute_phase_integrals(transcription, problem, name, extended, q)
+        for name in transcription.parts
     }
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
@@ -111,7 +112,7 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
     return found
 
 
-def _compute_integrals(
+def _compute_phase_integrals(
     transcription: Transcription, problem: Problem, name: str, extended: Array, q: Array
 ) -> Array:
     leg, part = problem.phases[name], transcription.parts[name]
@@ -131,7 +132,7 @@ def _collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[A
     return anchors[collocation.point_arcs] + collocation.arc_fractions * spans, spans
 
 
-def _fix_mesh_times(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
+def _freeze_mesh_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     """Return the mesh with movable breaks at their final positions, and all boundary times (K + 1,)."""
     # Far from t = 0, the shortest segment must still have distinct boundary times.
     shortest = SHORTEST + ROUNDING * float(np.max(np.abs(anchors))) / float(np.min(mesh.arc_widths))
@@ -165,7 +166,7 @@ def _extract_phase(
     paths = split_duplicate_path_multipliers(collocation, paths, weights, mixed)
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
-    mesh, breaks = _fix_mesh_times(collocation.mesh, anchors)
+    mesh, breaks = _freeze_mesh_breaks(collocation.mesh, anchors)
     costates = map_costates(
         collocation,
         breaks,
@@ -184,7 +185,7 @@ def _extract_phase(
         u=interpolate_points(
             breaks,
             collocation.collocation_rules,
-            _align_inactive_directions(leg, functions, times, x, u, lam),
+            _align_directions_with_primer(leg, functions, times, x, u, lam),
         ),
         lam=costates.polynomial,
         lam_start=costates.start,
@@ -205,7 +206,7 @@ def _extract_phase(
     return correct_path_arc_costates(found, leg.numbers.arcs, functions)
 
 
-def _align_inactive_directions(
+def _align_directions_with_primer(
     leg: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
     """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""
@@ -229,7 +230,7 @@ def state_polynomial(
     nodes, values = [], []
     for k, rule in enumerate(collocation.collocation_rules):
         states = variables[collocation.segment_nodes(k)]
-        if collocation.family.has_end_row:
+        if collocation.family.has_dynamics_row_at_end:
             states = states[:, :-1]
         if collocation.family.ends_at_point:
             here = scaled_rates[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]]

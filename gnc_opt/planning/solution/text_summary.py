@@ -100,7 +100,7 @@ def summary(solution: SummarisedSolution) -> str:
     >>> print(summary(solution).splitlines()[0].partition(",")[0])
     rest to rest in minimum time: refined (converged)
     """
-    quality = find_known_quality(solution)
+    quality = find_available_quality(solution)
     lines = [
         _headline_text(solution),
         *_failure_lines(solution),
@@ -110,19 +110,19 @@ def summary(solution: SummarisedSolution) -> str:
         *_refinement_lines(solution),
         *_bound_lines(solution),
         *_reformulated_norm_lines(solution),
-        _labelled_line("mesh", mesh_text(solution)),
-        _labelled_line("time spent", _time_spent_line(solution)),
+        _format_line("mesh", mesh_text(solution)),
+        _format_line("time spent", _time_spent_line(solution)),
     ]
     if not solution.converged and solution.verdict is None:
         lines += list(_node_violation_lines(quality))
     lines += list(_overshoot_lines(solution))
-    lines += [_labelled_line("table", str(found)) for found in list_outside_tables(solution)]
+    lines += [_format_line("table", str(found)) for found in list_points_outside_tables(solution)]
     if quality is not None and solution.problem is None:
-        lines.append(_labelled_line("note", "accuracy and defect were measured when the solution was saved"))
+        lines.append(_format_line("note", "accuracy and defect were measured when the solution was saved"))
     return "\n".join(lines)
 
 
-def find_known_quality(solution: SummarisedSolution) -> Quality | None:
+def find_available_quality(solution: SummarisedSolution) -> Quality | None:
     """Return the quality figures, computed or stored in the file; None if neither is possible."""
     if solution.problem is None and "quality" not in vars(solution):
         return None
@@ -196,50 +196,50 @@ def _headline_text(solution: SummarisedSolution) -> str:
 def _failure_lines(solution: SummarisedSolution) -> Iterator[str]:
     if solution.status.solved:
         return
-    yield _labelled_line("what to do", solution.status.remedy)
+    yield _format_line("what to do", solution.status.remedy)
     for violation in solution.violations[:SUMMARY_MAX_NAMES]:
-        yield _labelled_line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
+        yield _format_line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
 
 
 def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
     """Yield the result of the optimality check, its open conditions, and missing bounds."""
     if not solution.status.solved:
         return
-    yield _labelled_line("optimality", optimality_text(solution))
+    yield _format_line("optimality", optimality_text(solution))
     if solution.verdict is None:
         return
     for c in solution.verdict.open_conditions[:1]:
         size = f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e})"
-        yield _labelled_line("open", f"{size} at {c.location_text}")
-        yield _labelled_line("what to do", REMEDIES.get(c.name, c.meaning))
+        yield _format_line("open", f"{size} at {c.location_text}")
+        yield _format_line("what to do", REMEDIES.get(c.name, c.meaning))
     if also := ", ".join(c.name for c in solution.verdict.open_conditions[1:]):
-        yield _labelled_line("also open", also)
+        yield _format_line("also open", also)
     if solution.problem is not None and (missing := describe_missing_bounds(solution.problem)):
-        yield _labelled_line("what to do", missing)
+        yield _format_line("what to do", missing)
 
 
 def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
     """Yield the accuracy of a solved problem; without the problem the stored figures."""
     if solution.problem is not None:
         if solution.status.solved:
-            yield _labelled_line("accuracy", solution.accuracy.summary_text)
+            yield _format_line("accuracy", solution.accuracy.summary_text)
     elif quality is None:
-        yield _labelled_line("accuracy", "unknown: load the solution with its problem")
+        yield _format_line("accuracy", "unknown: load the solution with its problem")
     else:
-        yield _labelled_line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
+        yield _format_line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
 
 
 def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
     """Yield requested and reached error of a refinement, and notes of its provenance."""
     if MOVED_START in solution.provenance:
-        yield _labelled_line(MOVED_START, solution.provenance[MOVED_START])
+        yield _format_line(MOVED_START, solution.provenance[MOVED_START])
     history = solution.history
     if history is None:
         return
     if BETTER_COARSE_SOLVE in solution.provenance:
-        yield _labelled_line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
+        yield _format_line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
     final = history.final_iteration
-    yield _labelled_line(
+    yield _format_line(
         "refinement",
         f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
         f"{count_text(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
@@ -249,13 +249,13 @@ def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
 def _bound_lines(solution: SummarisedSolution) -> Iterator[str]:
     if solution.bound is not None:
         side = "at most" if solution.maximised else "at least"
-        yield _labelled_line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
+        yield _format_line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
 
 
 def _reformulated_norm_lines(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
-            yield _labelled_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
+            yield _format_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
 
 
 def time_unit(solution: SummarisedSolution) -> str:
@@ -265,7 +265,7 @@ def time_unit(solution: SummarisedSolution) -> str:
 
 def _phase_times_line(solution: SummarisedSolution) -> str:
     unit = time_unit(solution)
-    return _labelled_line(
+    return _format_line(
         "time",
         "; ".join(
             f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} {unit}"
@@ -284,12 +284,12 @@ def _time_spent_line(solution: SummarisedSolution) -> str:
 def _node_violation_lines(quality: Quality | None) -> Iterator[str]:
     if quality is None:
         return
-    yield _labelled_line(
+    yield _format_line(
         "defect", f"{quality.max_defect:.2g} relative between nodes: {quality.defect_location}"
     )
     if quality.max_bound_violation > EQUAL:
         violation = f"exceeded by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
-        yield _labelled_line("bounds", violation)
+        yield _format_line("bounds", violation)
 
 
 def _propagation_text(quality: Quality) -> str:
@@ -306,14 +306,14 @@ def _overshoot_lines(solution: SummarisedSolution) -> Iterator[str]:
         units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
         named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
         more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
-        yield _labelled_line(
+        yield _format_line(
             "overshoot",
             f"control polynomials exceed their bounds between nodes ({', '.join(named[:SUMMARY_MAX_NAMES])}{more}): "
             "use saturated_control or refine",
         )
 
 
-def list_outside_tables(solution: SummarisedSolution) -> list[OutsideTable]:
+def list_points_outside_tables(solution: SummarisedSolution) -> list[OutsideTable]:
     """Return where the trajectory is outside tables; empty without the problem."""
     return [] if solution.problem is None else solution.outside_tables()
 
@@ -322,5 +322,5 @@ def _format_status(value: str) -> str:
     return value.replace("_", " ")
 
 
-def _labelled_line(label: str, text: str) -> str:
+def _format_line(label: str, text: str) -> str:
     return f"  {label:<{LABEL_WIDTH}}{text}"

@@ -253,7 +253,7 @@ class Worst:
 NOTHING = Worst(0.0, "nowhere")
 
 
-def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
+def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:
     defect = bound = terminal = NOTHING
     for s in samples:
         defect = defect.select_worse(find_worst_defect(s))
@@ -270,7 +270,7 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
     )
     errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
     errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
-    i, k = find_worst_index(errors)
+    i, k = find_index_of_largest(errors)
     return Worst(float(errors[i, k]), samples.describe_segment(k, leg.states.labels[i]))
 
 
@@ -330,7 +330,7 @@ def find_worst_terminal_error(samples: PhaseSamples) -> Worst:
     return Worst(float(misses[i]), where)
 
 
-def find_worst_index(values: Array) -> tuple[int, int]:
+def find_index_of_largest(values: Array) -> tuple[int, int]:
     """Return row and column of the largest entry; NaN is treated as largest."""
     flat = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     row, column = np.unravel_index(flat, values.shape)

@@ -76,25 +76,25 @@ SPAN_MIN_SHARE = 1e-7
 """Smallest scale, as a share of the magnitude: with the tolerance 1e-5 it gives 1e-12, the rounding level."""
 
 
-def compute_state_spans(
+def compute_state_scales(
     leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool
 ) -> Array:
     """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
-    moved = equalise_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return nonzero_magnitude(equalise_components(size, leg.states))
-    movable = equalise_components(_reachable_state_motion(leg, functions, used), leg.states)
+        return nonzero_magnitude(set_components_to_largest(size, leg.states))
+    movable = set_components_to_largest(_estimate_reachable_changes(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
-    return _choose_fallback_span(
-        _choose_fallback_span(spans, *(box.width_or_zero for box in boxes)), size, np.ones(size.size)
+    return _replace_zeros_by_fallbacks(
+        _replace_zeros_by_fallbacks(spans, *(box.width_or_zero for box in boxes)), size, np.ones(size.size)
     )
 
 
-def compute_control_spans(
+def compute_control_scales(
     leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
@@ -115,23 +115,23 @@ def compute_control_spans(
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
     spans = np.maximum(_limit_spans_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
-    spans = equalise_components(spans, leg.controls)
+    spans = set_components_to_largest(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = equalise_components(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
+    spans = set_components_to_largest(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = equalise_components(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
-    return _choose_fallback_span(np.where(spans > ROUNDING, spans, extent), nonzero_magnitude(size))
+    spans = set_components_to_largest(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), nonzero_magnitude(size))
 
 
 def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
     middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
-    moved = equalise_components(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
     x, u = leg.x(middles), leg.applied(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     lasts = leg.breaks[-1] - leg.breaks[0]
@@ -149,7 +149,7 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
     return np.asarray(least)
 
 
-def _reachable_state_motion(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+def _estimate_reachable_changes(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
     middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
     x, u = leg.x(middles), leg.applied(middles)
@@ -158,14 +158,14 @@ def _reachable_state_motion(leg: PhaseSolution, functions: PhaseFunctions, used:
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     lasts = leg.breaks[-1] - leg.breaks[0]
-    at_once = lasts * by_control @ _mean_control_effects(leg, used)
+    at_once = lasts * by_control @ _compute_mean_control_effects(leg, used)
     movable = np.maximum(at_once, lasts * by_state @ at_once)
     for _ in range(movable.size):  # states further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)
 
 
-def _mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
+def _compute_mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     """Return the mean deviation of each control from its mean (n_controls,); for a constant one its scale."""
     times = leg.sample_times()
     lasts, u = times[-1] - times[0], leg.applied(times)
@@ -180,7 +180,7 @@ def _limit_spans_to_range(spans: Array, extent: Array) -> Array:
     )
 
 
-def equalise_components(values: Array, layout: Layout) -> Array:
+def set_components_to_largest(values: Array, layout: Layout) -> Array:
     """Return the largest value over the components of each variable."""
     values = np.where(np.isfinite(values), values, 0.0)  # copy
     for variable in layout.variables:
@@ -189,7 +189,7 @@ def equalise_components(values: Array, layout: Layout) -> Array:
     return values
 
 
-def _choose_fallback_span(values: Array, *others: Array) -> Array:
+def _replace_zeros_by_fallbacks(values: Array, *others: Array) -> Array:
     for other in others:
         values = np.where(values > 0, values, other)
     return values

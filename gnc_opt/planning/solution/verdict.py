@@ -277,7 +277,7 @@ class Verdict:
     def _repr_html_(self) -> str:
         """Return HTML for notebooks: all conditions with value and location, and the meaning of failed ones."""
         rows = [
-            (c.name, c.result.value, violation_text(c.value), f"{c.tolerance:.0e}", c.location_text)
+            (c.name, c.result.value, format_violation(c.value), f"{c.tolerance:.0e}", c.location_text)
             for c in self.conditions
         ]
         titles = ("condition", "result", "violation", "tolerance", "largest at")
@@ -299,7 +299,7 @@ def worst_condition(conditions: Iterable[Condition]) -> Condition:
     return min(conditions, key=severity)
 
 
-def violation_text(value: float) -> str:
+def format_violation(value: float) -> str:
     """Return two digits of a violation, "-" for zero; a negative value is the margin of a sufficient condition."""
     if math.isnan(value) or value == 0.0:
         return "0" if value == 0.0 else "-"
@@ -309,7 +309,7 @@ def violation_text(value: float) -> str:
 def _condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
     rows = [(title, "result", "violation", "largest at")]
     rows += [
-        (name, c.result.value, violation_text(c.value), f"{prefix}{c.location_text}")
+        (name, c.result.value, format_violation(c.value), f"{prefix}{c.location_text}")
         for name, c, prefix in entries
     ]
     width, wide = (max(len(row[i]) for row in rows) for i in (0, 2))

@@ -37,7 +37,7 @@ from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, s
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.program_start import ProgramStart, choose_program_start
+from gnc_opt.planning.solution.program_start import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
@@ -74,9 +74,9 @@ def predict_solution(
     """
     problem = reformulate(problem)
     transcription, start = _transcribe_solution(problem, last)
-    change = _predict_change(problem, last)
+    change = _predict_variable_change(problem, last)
     if change is None and before is not None:
-        earlier = choose_program_start(transcription, problem, before).x
+        earlier = choose_initial_nlp_point(transcription, problem, before).x
         change = ratio * (start.x - earlier)
     x = start.x if change is None or change.shape != start.x.shape else start.x + change
     box = transcription.variable_interval(problem)
@@ -91,10 +91,10 @@ def predict_solution(
 def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}
     transcription = transcribe(problem, meshes, solution.scheme)
-    return transcription, choose_program_start(transcription, problem, solution)
+    return transcription, choose_initial_nlp_point(transcription, problem, solution)
 
 
-def _predict_change(problem: Problem, last: Solution) -> Array | None:
+def _predict_variable_change(problem: Problem, last: Solution) -> Array | None:
     """Return the first-order change of the variables (n_variables,), or None if it is unknown."""
     old = last.need_problem("differentiate")
     if problem.builds is not old.builds:
@@ -172,19 +172,19 @@ class KktPoint:
     """
 
     def __init__(self, solution: Solution) -> None:
-        trouble = self._solve_conditions(solution)
+        trouble = self._solve_optimality_conditions(solution)
         if trouble:
-            trouble = self._solve_conditions(tighten_solution_tolerance(solution))
+            trouble = self._solve_optimality_conditions(tighten_solution_tolerance(solution))
         if trouble:
             raise GncOptError(trouble)
         self._warn_of_weak_limits()
 
     # --- the point --------------------------------------------------------------------------------
 
-    def _solve_conditions(self, solution: Solution) -> str:
+    def _solve_optimality_conditions(self, solution: Solution) -> str:
         """Determine the active limits of a solution and solve the conditions; return an error message or ""."""
         self.program = ProgramPoint.from_solution(solution, held=add_constraint_contacts)
-        return self._solve_newton() or self._find_wrong_limit()
+        return self._solve_newton() or self._describe_wrong_active_limit()
 
     def _solve_newton(self) -> str:
         """Apply Newton's method to the conditions; return an error message or ""."""
@@ -212,7 +212,7 @@ class KktPoint:
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePointSystem(matrix, free.size, labels, self.program.problem.name)
 
-    def _find_wrong_limit(self) -> str:
+    def _describe_wrong_active_limit(self) -> str:
         """Return an error message if a multiplier has the wrong sign or a limit is violated; else ""."""
         culprits = [
             limits.labels[i]

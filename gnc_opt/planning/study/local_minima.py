@@ -95,13 +95,13 @@ def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
         hits=len(starts),
         starts=tuple(starts),
         trajectories=_count_trajectories(group),
-        coarse_objectives=_distinct_objectives(
+        coarse_objectives=_select_distinct_objectives(
             value for minimum in group for value in minimum.coarse_objectives
         ),
     )
 
 
-def _distinct_objectives(objectives: Iterable[float]) -> tuple[float, ...]:
+def _select_distinct_objectives(objectives: Iterable[float]) -> tuple[float, ...]:
     kept: list[float] = []
     for value in sorted(objectives):
         if not (kept and is_same_objective(kept[-1], value)):

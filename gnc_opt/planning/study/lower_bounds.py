@@ -164,7 +164,7 @@ def _has_linear_dynamics(leg: Phase) -> bool:
     """Return whether dx/dt = A x + b(u), with path constraints on controls only or convex ones on states."""
     t, x, u, _ = leg.model.arguments()
     rates, rows = leg.model.derivative(), leg.path_expression()
-    curved = has_kinks(rates) or _does_depend(ca.jacobian(rates, x), ca.vertcat(x, u))
+    curved = has_kinks(rates) or _depends_on_symbols(ca.jacobian(rates, x), ca.vertcat(x, u))
     if curved or ca.depends_on(ca.vertcat(rates, rows), t):
         return False
     box = leg.path_interval()
@@ -180,7 +180,7 @@ def _has_linear_dynamics(leg: Phase) -> bool:
 def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
     hessian = ca.hessian(row, x)[0]
     p = leg.model.symbols("parameter")
-    if _does_depend(hessian, x) or has_kinks(row):
+    if _depends_on_symbols(hessian, x) or has_kinks(row):
         return False
     values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(leg.model.parameter_values).full())
     slack = ROUNDING * np.max(np.abs(values), initial=0.0)
@@ -189,7 +189,7 @@ def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> 
     )
 
 
-def _does_depend(expression: Any, symbols: Any) -> bool:
+def _depends_on_symbols(expression: Any, symbols: Any) -> bool:
     return bool(ca.depends_on(expression, symbols))
 
 

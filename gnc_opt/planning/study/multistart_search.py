@@ -59,7 +59,7 @@ class RefinementTask:
         solution = refine_solution(coarse, structure=self.structure, tol=self.tol, limits=self.limits)
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        if not solution.status.solved or is_spurious(solution):
+        if not solution.status.solved or is_spurious_collocation(solution):
             return minimum
         return replace(
             minimum,
@@ -76,13 +76,13 @@ def _halve_segments(mesh: Mesh) -> Mesh:
     return Mesh(tuple(np.sort(np.concatenate([breaks, middles]))), tuple(np.repeat(mesh.degrees, 2).tolist()))
 
 
-def is_spurious(solution: Solution) -> bool:
+def is_spurious_collocation(solution: Solution) -> bool:
     """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
     quality = solution.quality
     return not (quality.propagation_error < MISS or quality.max_defect < MISS)
 
 
-def raise_interrupt(solution: Solution, options: SolverOptions) -> None:
+def raise_if_interrupted(solution: Solution, options: SolverOptions) -> None:
     """Raise KeyboardInterrupt if Ctrl-C, and not the time limit, stopped the solver."""
     limit = options.max_wall_time
     if solution.status is Status.INTERRUPTED and (limit is None or solution.statistics.solve_s < limit):
@@ -151,7 +151,7 @@ class Multistart(PrintableResult):
         if not self.minima:
             raise GncOptError(
                 f"none of {self.finished} starts of '{self.problem_name}' found a minimum "
-                f"({_failures_text(self.failures)}): solve() it once and look at the violations, or try more starts."
+                f"({_format_failures(self.failures)}): solve() it once and look at the violations, or try more starts."
             )
         return self.minima[0]
 
@@ -173,11 +173,11 @@ class Multistart(PrintableResult):
                 f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.check_result}"
             )
         if self.failures:
-            lines.append(f"without a minimum: {_failures_text(self.failures)}")
+            lines.append(f"without a minimum: {_format_failures(self.failures)}")
         return "\n".join(lines)
 
 
-def _failures_text(failures: Mapping[str, int]) -> str:
+def _format_failures(failures: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
 
 
@@ -266,7 +266,7 @@ def multistart(
     if options is not None:
         expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
     chosen = SolverOptions(max_iterations=COARSE_MAX_ITERATIONS) if options is None else options
-    shared = _problem_for_workers(problem)
+    shared = _share_problem_with_workers(problem)
     stated = shared.value
     with WorkerPool(shared, executor, "multistart()") as pool:
         stated.check()
@@ -275,7 +275,7 @@ def multistart(
         endings = search.solve_starts(coarse, n)
         minima = merge_minima(_collect_coarse_minima(endings))
         if refine and not pool.interrupted:
-            count = _count_worth_refining(minima, within)
+            count = _count_minima_to_refine(minima, within)
             whole = limits or RefinementLimits()
             each = replace(whole, max_work=whole.max_work / max(max_refined, 1))
             refined = search.refine_minima(RefinementTask(structure, tol, each), minima[:count], max_refined)
@@ -338,7 +338,7 @@ def _find_phase_durations(endings: Sequence[_StartResult]) -> dict[str, float]:
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
-def _problem_for_workers(problem: Problem | Builder) -> SharedObject[Problem]:
+def _share_problem_with_workers(problem: Problem | Builder) -> SharedObject[Problem]:
     """Return the problem for all workers; for other processes only as a function that builds it."""
     from gnc_opt.workers import SharedObject
 
@@ -374,7 +374,7 @@ def _task_result(done: TaskResult[Item, Answer]) -> Answer:
     return done.answer
 
 
-def _count_worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
+def _count_minima_to_refine(minima: Sequence[Minimum], within: float | None) -> int:
     """Return the number of minima, in ascending order, that are not far worse than the best."""
     if within is None or not minima:
         return len(minima)
@@ -425,13 +425,13 @@ class _CoarseTask:
             if index == 0:
                 raise
             return _StartResult(index, "bad guess")
-        if solution.status.solved and is_spurious(solution):
+        if solution.status.solved and is_spurious_collocation(solution):
             finer = {name: _halve_segments(leg.mesh) for name, leg in solution.phases.items()}
             solution = solve_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
-            raise_interrupt(solution, options)
+            raise_if_interrupted(solution, options)
             return _StartResult(index, solution.status.value)
-        if is_spurious(solution):
+        if is_spurious_collocation(solution):
             return _StartResult(index, "spurious")
         return _StartResult(index, solution=replace(solution, problem=None))
 

@@ -34,7 +34,8 @@ class Relaxation:
 def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
-        _restrict_problem(problem, part) for part in _find_maximal_sets(list(_closed_state_sets(problem)))
+        _restrict_problem_to_states(problem, part)
+        for part in _find_maximal_sets(list(_closed_state_sets(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
@@ -53,9 +54,9 @@ def _closed_state_sets(problem: Problem) -> Iterator[Mask]:
     ties = [_end_dependence_on_states(problem, problem.constraint_expression())]
     for i, leg in enumerate(legs):
         own, x = owner == i, leg.model.symbols("state")
-        needs[np.ix_(own, own)] |= _dependence_matrix(leg.model.derivative(), x)
+        needs[np.ix_(own, own)] |= _build_dependence_matrix(leg.model.derivative(), x)
         rows = np.zeros((leg.path_expression().numel(), owner.size), dtype=bool)
-        rows[:, own] = _dependence_matrix(leg.path_expression(), x)
+        rows[:, own] = _build_dependence_matrix(leg.path_expression(), x)
         ties.append(rows)
     every = np.vstack(ties)
     # Phases stay linked: links couple states, even if other states are removed.
@@ -80,7 +81,7 @@ def _transitive_closure(needs: Mask) -> Mask:
         needs = more
 
 
-def _dependence_matrix(expression: Any, symbols: Any) -> Mask:
+def _build_dependence_matrix(expression: Any, symbols: Any) -> Mask:
     pattern = np.zeros((expression.numel(), symbols.numel()), dtype=bool)
     if pattern.size:
         rows, columns = ca.jacobian_sparsity(expression, symbols).get_triplet()
@@ -91,11 +92,11 @@ def _dependence_matrix(expression: Any, symbols: Any) -> Mask:
 def _end_dependence_on_states(problem: Problem, expression: Any) -> Mask:
     columns = []
     for leg in problem.phases.values():
-        ends = _dependence_matrix(expression, leg.end_states("initial")) | _dependence_matrix(
+        ends = _build_dependence_matrix(expression, leg.end_states("initial")) | _build_dependence_matrix(
             expression, leg.end_states("final")
         )
-        along = _dependence_matrix(leg.integrand_expression(), leg.model.symbols("state"))
-        used = _dependence_matrix(expression, leg.integral_symbols())
+        along = _build_dependence_matrix(leg.integrand_expression(), leg.model.symbols("state"))
+        used = _build_dependence_matrix(expression, leg.integral_symbols())
         columns.append(ends | ((used.astype(int) @ along) > 0))
     return np.hstack(columns)
 
@@ -111,9 +112,9 @@ class _ReducedPhase:
             if used
         }
         moved = ca.vertcat(rates, *self.integrands.values())
-        self.controls = np.any(_dependence_matrix(moved, u), axis=0)
-        alone = ~np.any(_dependence_matrix(paths, x)[:, ~states], axis=1)
-        limited = _dependence_matrix(paths, u)
+        self.controls = np.any(_build_dependence_matrix(moved, u), axis=0)
+        alone = ~np.any(_build_dependence_matrix(paths, x)[:, ~states], axis=1)
+        limited = _build_dependence_matrix(paths, u)
         self.rows = alone & ~np.any(limited, axis=1)
         while True:  # rows on remaining states and controls include their other controls
             more = alone & (self.rows | np.any(limited[:, self.controls], axis=1))
@@ -153,7 +154,7 @@ class _ReducedPhase:
         return model, before, after
 
 
-def _restrict_problem(problem: Problem, kept: Mask) -> Relaxation | None:
+def _restrict_problem_to_states(problem: Problem, kept: Mask) -> Relaxation | None:
     """Return the problem of a closed set of states; None if the cost needs other states."""
     conditions, cost = problem.constraint_expression(), problem.cost
     if np.any(_end_dependence_on_states(problem, cost)[:, ~kept]):
@@ -164,7 +165,7 @@ def _restrict_problem(problem: Problem, kept: Mask) -> Relaxation | None:
     parts, first = [], 0
     for leg in problem.phases.values():
         last = first + leg.model.states.size
-        integrals = np.any(_dependence_matrix(ends, leg.integral_symbols()), axis=0)
+        integrals = np.any(_build_dependence_matrix(ends, leg.integral_symbols()), axis=0)
         parts.append(_ReducedPhase(leg, kept[first:last], integrals))
         first = last
     return _build_relaxed_problem(problem, parts, conditions, problem.constraint_interval(), alone)
@@ -199,7 +200,7 @@ def _build_relaxed_problem(
         _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
-        label = _row_constraint_name(problem.constraint_labels()[place])
+        label = _make_row_constraint_name(problem.constraint_labels()[place])
         relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
     (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
@@ -233,16 +234,16 @@ def _declare_phase(leg: Phase, part: _ReducedPhase, before: Any, after: Any) -> 
         initial_time=old.initial_time,
         final_time=old.final_time,
         duration=old.duration,
-        initial=_select_components(old.initial, states),
-        final=_select_components(old.final, states),
-        states=_select_components(old.states, states),
-        controls=_select_components(old.controls, controls),
+        initial=_select_interval_components(old.initial, states),
+        final=_select_interval_components(old.final, states),
+        states=_select_interval_components(old.states, states),
+        controls=_select_interval_components(old.controls, controls),
     )
-    limits = _select_components(part.leg.path_interval(), part.rows)
+    limits = _select_interval_components(part.leg.path_interval(), part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
-        leg.path(_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+        leg.path(_make_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
         leg.integral(_substitute_symbols(integrand, before, after), name)
 
@@ -255,7 +256,7 @@ def _select_kept_variables(layout: Layout, kept: Iterable[bool]) -> Iterator[tup
             yield name, places
 
 
-def _row_constraint_name(label: str) -> str:
+def _make_row_constraint_name(label: str) -> str:
     return label.replace("[", " ").rstrip("]")
 
 
@@ -266,5 +267,5 @@ def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
     return ca.substitute(expression, before[places], after[places])
 
 
-def _select_components(box: Interval, kept: Mask) -> Interval:
+def _select_interval_components(box: Interval, kept: Mask) -> Interval:
     return Interval(box.lower[kept], box.upper[kept])

@@ -211,7 +211,7 @@ def sensitivity(
     _check_solution(solution)
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
-    quantity, changes = _list_data_directions(point.program, solution, kind, name, phase)
+    quantity, changes = _list_data_perturbations(point.program, solution, kind, name, phase)
     responses = [point.differentiate_solution(change) for change in changes]
     return _collect_derivatives(point.program, solution, quantity, changes, responses)
 
@@ -267,7 +267,7 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
 # --- the quantity ---------------------------------------------------------------------------------
 
 
-def _list_data_directions(
+def _list_data_perturbations(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[DataChange]]:
     if kind == "parameter":
@@ -284,7 +284,7 @@ def _list_data_directions(
     return f"{kind} value of '{name}' in phase '{leg.name}'", _state_data_changes(program, leg, kind, name)
 
 
-def _unchanged_data(program: ProgramPoint) -> DataChange:
+def _make_zero_data_change(program: ProgramPoint) -> DataChange:
     transcription = program.transcription
     return DataChange(
         np.zeros(transcription.problem_data(program.problem).size),
@@ -312,7 +312,7 @@ def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None)
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _unchanged_data(program)
+        change = _make_zero_data_change(program)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
@@ -329,7 +329,7 @@ def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, nam
                 f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not fixed and "
                 "not at a limit, so that there is no derivative: choose another state."
             )
-        change = _unchanged_data(program)
+        change = _make_zero_data_change(program)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
@@ -338,7 +338,7 @@ def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, nam
 def _time_data_change(program: ProgramPoint, phase: str, end: str) -> DataChange:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _unchanged_data(program)
+    change = _make_zero_data_change(program)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
@@ -363,7 +363,7 @@ def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: st
             raise ProblemError(
                 f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit has no effect."
             )
-        change = _unchanged_data(program)
+        change = _make_zero_data_change(program)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes
@@ -384,7 +384,7 @@ def _collect_derivatives(
     values = np.stack([r.variables[transcription.parameter_places] for r in responses])
     parameters = {name: _stack_components(list(values[:, layout.slice(name)])) for name in layout.names}
     phases = {
-        name: _phase_sensitivity(program, part, solution.phases[name], changes, responses)
+        name: _build_phase_sensitivity(program, part, solution.phases[name], changes, responses)
         for name, part in transcription.parts.items()
     }
     objective = _stack_components([np.array([problem.sense * r.objective]) for r in responses])
@@ -399,7 +399,7 @@ def _stack_components(components: list[Array]) -> Array | float:
     return float(flat[0]) if components[0].size == 1 else np.asarray(flat[0])
 
 
-def _phase_sensitivity(
+def _build_phase_sensitivity(
     program: ProgramPoint,
     part: PhaseIndices,
     leg: PhaseSolution,

@@ -154,7 +154,7 @@ def count_junction_rows(junction: Junction, n_paths: int) -> int:
     return len(junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
-def junction_right_sides(junction: Junction, paths: Interval, order: int | None) -> Array:
+def compute_junction_right_sides(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
@@ -170,7 +170,7 @@ class SideControls:
     weights: Array
 
 
-def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> SideControls:
+def find_controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> SideControls:
     """Return the controls of the segment on the tangent side of a junction."""
     places = collocation.point_controls
     if not junction.tangent:
@@ -184,7 +184,7 @@ def controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> S
 # --- smooth controls ----------------------------------------------------------------------------------------
 
 
-def list_smooth_controls(leg: Phase) -> tuple[SmoothControl, ...]:
+def list_polynomial_controls(leg: Phase) -> tuple[SmoothControl, ...]:
     """Return the controls of a phase that are one polynomial over several segments."""
     return () if leg.numbers.arcs is None else leg.numbers.arcs.smooth
 

@@ -79,7 +79,7 @@ class PhaseCollocation:
     # --- variables --------------------------------------------------------------------------------
 
     @cached_property
-    def _number_variables(self) -> tuple[Indices, Indices, Indices, int]:
+    def _variable_indices(self) -> tuple[Indices, Indices, Indices, int]:
         n, m, mesh = self.n_states, self.n_controls, self.mesh
         starts, ends = self.family.starts_at_point, self.family.ends_at_point
         degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.point_offsets)
@@ -99,32 +99,32 @@ class PhaseCollocation:
     @property
     def boundary_states(self) -> Indices:
         """Variable indices of the states at the mesh breaks, shape (n_states, K + 1)."""
-        return self._number_variables[0]
+        return self._variable_indices[0]
 
     @property
     def point_states(self) -> Indices:
         """Variable indices of the states at the collocation points, shape (n_states, N)."""
-        return self._number_variables[1]
+        return self._variable_indices[1]
 
     @property
     def point_controls(self) -> Indices:
         """Variable indices of the controls at the collocation points, shape (n_controls, N)."""
-        return self._number_variables[2]
+        return self._variable_indices[2]
 
     @property
     def n_variables(self) -> int:
         """Number of state and control variables of the phase."""
-        return self._number_variables[3]
+        return self._variable_indices[3]
 
     # --- rows -------------------------------------------------------------------------------------
 
     @property
-    def _row_counts(self) -> list[int]:
+    def _row_numbers_by_block(self) -> list[int]:
         return [n + self.family.extra_rows for n in self.mesh.degrees]
 
     @property
     def n_dynamics_rows(self) -> int:
-        return self.n_states * sum(self._row_counts)
+        return self.n_states * sum(self._row_numbers_by_block)
 
     @property
     def n_rows(self) -> int:
@@ -134,10 +134,10 @@ class PhaseCollocation:
     @cached_property
     def dynamics_rows(self) -> tuple[Indices, ...]:
         """Dynamics rows of each segment, shape (n_states, rows of the segment)."""
-        starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._row_counts)])
+        starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._row_numbers_by_block)])
         return tuple(
             (starts[k] + np.arange(self.n_states * count)).reshape(count, self.n_states).T
-            for k, count in enumerate(self._row_counts)
+            for k, count in enumerate(self._row_numbers_by_block)
         )
 
     @cached_property
@@ -148,7 +148,7 @@ class PhaseCollocation:
 
     def row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
         labels = []
-        for k, count in enumerate(self._row_counts):
+        for k, count in enumerate(self._row_numbers_by_block):
             for i in range(count):
                 where = self.family.describe_row_location(i, self.mesh.degrees[k])
                 place = f"phase {phase}, segment {k + 1}, {where}"
@@ -178,21 +178,21 @@ class PhaseCollocation:
 
     # --- constant matrices --------------------------------------------------------------------------
 
-    def state_matrix(self, k: int) -> Array:
+    def state_coefficients(self, k: int) -> Array:
         """Return the coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
         rule = self.collocation_rules[k]
-        return self.family.state_matrix(rule.differentiation, rule.end_values)
+        return self.family.state_coefficients(rule.differentiation, rule.end_values)
 
-    def dynamics_matrix(self, k: int) -> Array:
+    def rate_coefficients(self, k: int) -> Array:
         """Return the coefficients of the point values F_j in the rows of segment k, without -w_k/2: (rows, n)."""
-        return self.family.dynamics_matrix(self.collocation_rules[k].integration)
+        return self.family.rate_coefficients(self.collocation_rules[k].integration)
 
     @cached_property
     def linear_dynamics_entries(self) -> tuple[Indices, Indices, Array]:
         """Return entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
-            nodes, matrix = self.segment_nodes(k), self.state_matrix(k)
+            nodes, matrix = self.segment_nodes(k), self.state_coefficients(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             columns.append(nodes[:, j].ravel())
@@ -202,11 +202,11 @@ class PhaseCollocation:
     def segment_nodes(self, k: int) -> Indices:
         """Return the state variables in the rows of segment k, shape (n_states, nodes)."""
         points = self.point_states[:, self.mesh.point_offsets[k] : self.mesh.point_offsets[k + 1]]
-        return self.family.row_variables(
+        return self.family.dynamics_row_variables(
             self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]
         )
 
-    def output_weights(
+    def point_output_weights(
         self, n_outputs: int, dynamics: Indices, paths: Indices
     ) -> tuple[Indices, Indices, Array]:
         """Return entries (rows, point outputs, values) of the point values in the rows.
@@ -215,7 +215,7 @@ class PhaseCollocation:
         """
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
-            matrix = -0.5 * self.mesh.arc_widths[k] * self.dynamics_matrix(k)
+            matrix = -0.5 * self.mesh.arc_widths[k] * self.rate_coefficients(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             point = self.mesh.point_offsets[k] + j

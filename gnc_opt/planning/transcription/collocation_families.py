@@ -49,14 +49,14 @@ class PointFamily(ABC):
         return self.starts_at_point == self.ends_at_point
 
     @property
-    def has_end_row(self) -> bool:
+    def has_dynamics_row_at_end(self) -> bool:
         """Whether the state at the end of a segment has its own row and multiplier."""
         return self.extra_rows > 0
 
     # --- points -----------------------------------------------------------------------------------
 
     @abstractmethod
-    def estimate_points(self, n: int) -> Iterable[float]:
+    def approximate_nodes(self, n: int) -> Iterable[float]:
         """Return the points to about 14 digits."""
 
     @abstractmethod
@@ -74,14 +74,14 @@ class PointFamily(ABC):
     # --- rows of a segment ------------------------------------------------------------------------
 
     @abstractmethod
-    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
-        """Return the coefficients (rows, nodes) of the states of `row_variables` in the dynamics rows.
+    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
+        """Return the coefficients (rows, nodes) of the states of `dynamics_row_variables` in the dynamics rows.
 
         ``differentiation`` (n, n + 1) and ``end_values`` (n + 1,) map values on state nodes to the derivative at the
         points and the value at +1.
         """
 
-    def dynamics_matrix(self, integration: Array) -> Array:
+    def rate_coefficients(self, integration: Array) -> Array:
         """Return the coefficients (rows, n) of the point values F_j in the dynamics rows, before -w/2.
 
         ``integration`` (n, n) maps values at the points to the integral of their interpolant from -1 to each point.
@@ -89,7 +89,7 @@ class PointFamily(ABC):
         return np.eye(len(integration))
 
     @abstractmethod
-    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         """Return the variables (n_states, nodes) in the rows: states at start, points and end of a segment."""
 
     def describe_row_location(self, row: int, n: int) -> str:
@@ -102,7 +102,7 @@ class Gauss(PointFamily):
 
     extra_rows = 1
 
-    def estimate_points(self, n: int) -> Iterable[float]:
+    def approximate_nodes(self, n: int) -> Iterable[float]:
         return [float(x) for x in scipy.special.roots_legendre(n)[0]]
 
     def polynomial_coefficients(self, n: int) -> dict[int, int]:
@@ -111,7 +111,7 @@ class Gauss(PointFamily):
     def state_nodes(self, points: Numbers) -> Numbers:
         return np.array([Decimal(-1), *points])
 
-    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
+    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
         n = len(differentiation)
         matrix = np.zeros((n + 1, n + 2))
         matrix[:n, : n + 1] = differentiation
@@ -119,11 +119,11 @@ class Gauss(PointFamily):
         matrix[n, n + 1] = 1.0
         return matrix
 
-    def dynamics_matrix(self, integration: Array) -> Array:
+    def rate_coefficients(self, integration: Array) -> Array:
         n = len(integration)
         return np.vstack([np.eye(n), np.zeros((1, n))])
 
-    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([start, points, end])
 
     def describe_row_location(self, row: int, n: int) -> str:
@@ -135,7 +135,7 @@ class Radau(PointFamily):
 
     starts_at_point = True
 
-    def estimate_points(self, n: int) -> Iterable[float]:
+    def approximate_nodes(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
 
     def polynomial_coefficients(self, n: int) -> dict[int, int]:
@@ -144,10 +144,10 @@ class Radau(PointFamily):
     def state_nodes(self, points: Numbers) -> Numbers:
         return np.array([*points, Decimal(1)])
 
-    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
+    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
         return differentiation
 
-    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([points, end])
 
 
@@ -158,7 +158,7 @@ class Lobatto(PointFamily):
     starts_at_point = ends_at_point = True
     extra_rows = -1
 
-    def estimate_points(self, n: int) -> Iterable[float]:
+    def approximate_nodes(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
 
     def polynomial_coefficients(self, n: int) -> dict[int, int]:
@@ -173,14 +173,14 @@ class Lobatto(PointFamily):
         _, _, widest = max((gap, -abs(middle), middle) for gap, middle in gaps)
         return np.array(sorted([*points, widest]))
 
-    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
+    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
         n = len(differentiation)
         return np.hstack([-np.ones((n - 1, 1)), np.eye(n - 1)])
 
-    def dynamics_matrix(self, integration: Array) -> Array:
+    def rate_coefficients(self, integration: Array) -> Array:
         return integration[1:, :]
 
-    def row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return points
 
     def describe_row_location(self, row: int, n: int) -> str:

@@ -17,7 +17,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     count_junction_rows,
     find_junctions,
-    list_smooth_controls,
+    list_polynomial_controls,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import Scheme
@@ -103,7 +103,7 @@ class ProgramNumbering:
             (name, anchor)
             for name, collocation in collocations.items()
             for anchor in collocation.mesh.anchor_breaks
-            if not self._is_anchor_fixed(name, anchor)
+            if not self._is_anchor_time_fixed(name, anchor)
         ]
         time_place = {key: variable + i for i, key in enumerate(free_times)}
         variable += len(free_times)
@@ -119,7 +119,7 @@ class ProgramNumbering:
         self._smooth = [
             build_smoothness_rows(smooth, collocations[name])
             for name, leg in self.problem.phases.items()
-            for smooth in list_smooth_controls(leg)
+            for smooth in list_polynomial_controls(leg)
         ]
         self._first_smooth_row = row
         self.junctions = self._number_junction_rows(row + sum(values.shape[0] for _, values in self._smooth))
@@ -142,7 +142,7 @@ class ProgramNumbering:
                 row += count
         return placed
 
-    def _is_anchor_fixed(self, name: str, anchor: int) -> bool:
+    def _is_anchor_time_fixed(self, name: str, anchor: int) -> bool:
         if anchor in self._movable[name]:
             return False
         return is_time_fixed(self.problem.phases[name], min(anchor, 1))

@@ -77,12 +77,12 @@ def gauss_rule(n: int) -> CollocationRule:
 
 def collocation_points(scheme: Scheme, n: int) -> Array:
     """Return the ``n`` points of a family in ascending order, shape (n,); raises as `collocation_rule`."""
-    return _points_and_weights(*_check_rule_arguments(scheme, n))[0]
+    return _compute_points_and_weights(*_check_rule_arguments(scheme, n))[0]
 
 
 def quadrature_weights(scheme: Scheme, n: int) -> Array:
     """Return the ``n`` quadrature weights of a family, shape (n,); raises as `collocation_rule`."""
-    return _points_and_weights(*_check_rule_arguments(scheme, n))[1]
+    return _compute_points_and_weights(*_check_rule_arguments(scheme, n))[1]
 
 
 def barycentric_weights(nodes: ArrayLike) -> Array:
@@ -127,17 +127,17 @@ def _build_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _decimal_points_and_weights(scheme, n)
     with _use_decimal_digits():
         nodes = get_family(scheme).state_nodes(x)
-        w = _reciprocal_products(nodes)
+        w = _compute_reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
         differentiation = _square_differentiation_matrix(nodes, w)[collocated]
         integration = _legendre_integrals(x, n) @ _decimal_legendre_transform(scheme, n)
         end_values = _legendre_derivatives_at_one(nodes, w)
     tables = map(_round_to_float, (nodes, differentiation, end_values, integration))
-    return CollocationRule(scheme, n, *_points_and_weights(scheme, n), *tables)
+    return CollocationRule(scheme, n, *_compute_points_and_weights(scheme, n), *tables)
 
 
 @cache
-def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
+def _compute_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
     x, w = _decimal_points_and_weights(scheme, n)
     return _round_to_float(x), _round_to_float(w)
 
@@ -146,9 +146,9 @@ def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _use_decimal_digits():
         symmetric = get_family(scheme).is_symmetric
-        x = _to_decimals(get_family(scheme).estimate_points(n))[(n + 1) // 2 if symmetric else 0 :]
+        x = _to_decimals(get_family(scheme).approximate_nodes(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
-            x = _polish_points(scheme, n, x)
+            x = _refine_points_by_newton(scheme, n, x)
         if symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
         modes = _legendre_polynomials(x, n - 1)
@@ -157,7 +157,7 @@ def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Number
         )
 
 
-def _polish_points(scheme: Scheme, n: int, x: Numbers) -> Numbers:
+def _refine_points_by_newton(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Return Newton's step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
     modes = _legendre_polynomials(x, n)
     series = get_family(scheme).polynomial_coefficients(n)
@@ -194,7 +194,7 @@ def _legendre_transform(scheme: Scheme, n: int) -> Array:
     return _round_to_float(_decimal_legendre_transform(scheme, n))
 
 
-def _reciprocal_products(x: Numbers) -> Numbers:
+def _compute_reciprocal_products(x: Numbers) -> Numbers:
     gap = x[:, None] - x
     np.fill_diagonal(gap, 1)
     return np.asarray(1 / gap.prod(axis=1))
@@ -223,7 +223,7 @@ def _cached_barycentric_weights(nodes: bytes) -> Array:
     if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
         raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
     with _use_decimal_digits():
-        w = _reciprocal_products(_to_decimals(x))
+        w = _compute_reciprocal_products(_to_decimals(x))
         return _round_to_float(w / max(abs(w)))
 
 

@@ -61,7 +61,7 @@ def choose_row_scales(
     transcription: Transcription, problem: Problem, start: Array, scales: Array
 ) -> tuple[Array, float]:
     """Return row scales (n_constraints,) and the scale of the objective for a guess and scaled variables."""
-    gradient, nonzeros, room = _derivative_magnitudes(transcription, problem, start)
+    gradient, nonzeros, room = _compute_derivative_magnitudes(transcription, problem, start)
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
@@ -74,7 +74,7 @@ def choose_row_scales(
     return factors, 1.0 / steepest if steepest > 0 else 1.0
 
 
-def _derivative_magnitudes(
+def _compute_derivative_magnitudes(
     transcription: Transcription, problem: Problem, start: Array
 ) -> tuple[Array, Array, Array]:
     """Return the largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""
@@ -88,8 +88,8 @@ def _derivative_magnitudes(
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
         values, slope, jacobian = transcription.evaluate_derivatives(problem, inside)
         gradient, nonzeros = (
-            np.maximum(gradient, _finite_magnitudes(slope)),
-            np.maximum(nonzeros, _finite_magnitudes(jacobian)),
+            np.maximum(gradient, _replace_nonfinite_by_zero(slope)),
+            np.maximum(nonzeros, _replace_nonfinite_by_zero(jacobian)),
         )
         room = np.maximum(
             room,
@@ -98,5 +98,5 @@ def _derivative_magnitudes(
     return gradient, nonzeros, room
 
 
-def _finite_magnitudes(values: Array) -> Array:
+def _replace_nonfinite_by_zero(values: Array) -> Array:
     return np.where(np.isfinite(values), np.abs(values), 0.0)

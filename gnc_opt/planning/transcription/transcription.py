@@ -23,16 +23,16 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
     check_arc_segments,
-    controls_at_junction,
+    compute_junction_right_sides,
     drop_implied_state_bounds,
+    find_controls_at_junction,
     find_junctions,
     fix_arc_controls,
     fix_arc_paths,
     fix_arc_states,
     fix_junctions,
     junction_derivative_orders,
-    junction_right_sides,
-    list_smooth_controls,
+    list_polynomial_controls,
     loosen_monotone_bounds,
     smoothness_entries,
 )
@@ -82,7 +82,7 @@ class Transcription(ProgramNumbering):
         """Return the blocks of dynamics and path constraints, and of integrals, which need no dynamics."""
         collocation = self.parts[leg.name].collocation
         n_states, n_paths = leg.model.states.size, len(leg.path_labels)
-        rows, columns, values = collocation.output_weights(
+        rows, columns, values = collocation.point_output_weights(
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
         blocks = [self._collocation_block(leg, "dynamics", [(rows + 1, columns, values)])]
@@ -168,7 +168,7 @@ class Transcription(ProgramNumbering):
         found = constraint_order(self.problem, leg, junction.constraint)
         orders = junction_derivative_orders(junction, len(leg.path_labels))
         outputs = ca.vertcat(*[found.derivatives[k] for k in orders], ca.SX(0, 1))
-        beside = controls_at_junction(part.collocation, junction)
+        beside = find_controls_at_junction(part.collocation, junction)
         points = ca.SX.sym("points", u.numel(), beside.points.shape[1])
         if junction.tangent:
             last = found.derivatives[-1]
@@ -390,7 +390,7 @@ class Transcription(ProgramNumbering):
         for name, junction, rows in self.junctions:
             leg = problem.phases[name]
             order = constraint_order(self.problem, leg, junction.constraint).order
-            values = junction_right_sides(junction, leg.path_interval(), order)
+            values = compute_junction_right_sides(junction, leg.path_interval(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))
@@ -412,7 +412,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
     fixed = tuple(is_time_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    held = tuple((list_smooth_controls(leg), find_junctions(leg)) for leg in problem.phases.values())
+    held = tuple((list_polynomial_controls(leg), find_junctions(leg)) for leg in problem.phases.values())
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)

@@ -26,7 +26,7 @@ from gnc_opt.planning.optimality.reference_scales import (
 )
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_worst_index
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_index_of_largest
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import (
@@ -113,7 +113,7 @@ def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None)
 def _locate_worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
     if not loss.size:
         return NOTHING
-    i, j = find_worst_index(loss)
+    i, j = find_index_of_largest(loss)
     return Worst(float(loss[i, j]), s.describe_sample(j, what + s.leg.controls.labels[i]))
 
 
@@ -227,7 +227,7 @@ def check_legendre_clebsch(
 
 def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
-    unit = s.control_span / np.sqrt(s.control_gain)
+    unit = s.control_span / np.sqrt(s.hamiltonian_gain)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)
     least = np.full(s.times.size, np.inf)
     bases = compute_free_control_directions(s, _mask_interior_controls(s) & among, unit)
@@ -276,11 +276,11 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
     inside : bool array (m, n_samples)
         Interior, and active constraints leave all directions free.
     """
-    loss = _first_order_gains(s, s.control_span[:, None], s.control_scale)[0] / s.control_gain[:, None]
-    unit = s.control_span / np.sqrt(s.control_gain)
+    loss = _first_order_gains(s, s.control_span[:, None], s.control_scale)[0] / s.hamiltonian_gain[:, None]
+    unit = s.control_span / np.sqrt(s.hamiltonian_gain)
     inside = _mask_interior_controls(s)
     some, whole = undetermined_controls(s, inside, unit, tolerance)
-    curvature = np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_gain)[:, None]
+    curvature = np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.hamiltonian_gain)[:, None]
     singular = some & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
     return mask_interior_controls(s.times, singular), inside & whole
 

@@ -39,7 +39,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_worst_index
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_index_of_largest
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.verification.feasibility import reach_of_path_constraints
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients
@@ -240,7 +240,7 @@ def check_complementarity(
         ):
             if labels:
                 violation = _complementarity_violation(multipliers, values, box, scale) * shares / scales.cost
-                i, j = find_worst_index(violation)
+                i, j = find_index_of_largest(violation)
                 where = s.describe_time(times[j], f"multiplier of {labels[i]}")
                 worst = worst.select_worse(Worst(float(violation[i, j]), where))
     return worst
@@ -272,7 +272,7 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
         _complementarity_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
         / scales.cost
     )
-    i, k = find_worst_index(violation)
+    i, k = find_index_of_largest(violation)
     return Worst(float(violation[i, k]), s.describe_time(breaks[k], f"impulse on {leg.states.labels[i]}"))
 
 

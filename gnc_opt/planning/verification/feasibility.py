@@ -25,8 +25,8 @@ from gnc_opt.planning.solution.trajectory_quality import (
     Limits,
     Worst,
     evaluate_within_bounds,
+    find_index_of_largest,
     find_limit_violations,
-    find_worst_index,
 )
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
@@ -151,7 +151,7 @@ def _worst_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
     scale = np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1))
     violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
-    i, j = find_worst_index(violation)
+    i, j = find_index_of_largest(violation)
     return Worst(float(violation[i, j]), s.describe_time(leg.point_times[j], leg.controls.labels[i]))
 
 
@@ -336,7 +336,7 @@ def check_reported_cost(
             rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
         for what, off in rows:
             errors = np.abs(off)[None, :] / yardstick
-            _, i = find_worst_index(errors)
+            _, i = find_index_of_largest(errors)
             place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
             worst = worst.select_worse(Worst(float(errors[0, i]), place))
     return make_condition(

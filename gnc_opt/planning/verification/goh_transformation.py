@@ -112,7 +112,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
         strong[_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
-                last = part.collocation.boundary_states[_driven_states(s, i), -1]
+                last = part.collocation.boundary_states[_find_driven_states(s, i), -1]
                 squares[last] = 0.5 * part.collocation.mesh.segment_widths[-1]
             block, places = _build_integral_variations(squares.size, part, i, singular[i])
             itself[places] = False
@@ -210,7 +210,7 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
 
 def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Return whether end conditions or cost, apart from costates, depend on the states that controls move."""
-    moved = np.concatenate([_driven_states(s, i) for i in map(int, channels)])
+    moved = np.concatenate([_find_driven_states(s, i) for i in map(int, channels)])
     ends, final = endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have common straightening coordinates.
@@ -232,7 +232,7 @@ def _hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
     return problem.cache(("mixed derivatives", s.leg.name), build_mixed_function)
 
 
-def _driven_states(s: PhaseSamples, control: int) -> Indices:
+def _find_driven_states(s: PhaseSamples, control: int) -> Indices:
     moves = s.functions.functions["rates"].jac_sparsity(0, 2)
     return np.unique(np.array(moves.row(), dtype=int)[np.array(moves.get_col(), dtype=int) == control])
 

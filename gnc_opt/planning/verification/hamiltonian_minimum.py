@@ -59,7 +59,7 @@ class HamiltonianGain:
 
 def control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     """Return bounds of the controls; if infinite, half a turn or a generous margin beyond the values that occur."""
-    bounds, half = s.leg.control_bounds, 0.5 * s.control_periods
+    bounds, half = s.leg.control_bounds, 0.5 * s.angular_control_periods
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
     least = np.where(half > 0, np.min(s.u, axis=1) - half, -reach)
     most = np.where(half > 0, np.max(s.u, axis=1) + half, reach)
@@ -312,7 +312,7 @@ class _MinimumSearch:
 
     def _compute_gain_and_share(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
-        terms = np.fmax(self.s.hamiltonian_terms[self.chosen[at]], np.abs(value))
+        terms = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[at]], np.abs(value))
         least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > least, gain, 0.0)
         return gain, gain / (self._largest_hamiltonian_change(better - self._applied_shares[:, at]) + gain)

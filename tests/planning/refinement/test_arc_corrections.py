@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.arcs.split_switches import (
     _SplitMesh,
     simultaneous_switches,
 )
-from gnc_opt.planning.transcription.arc_constraints import controls_at_junction
+from gnc_opt.planning.transcription.arc_constraints import find_controls_at_junction
 
 # Several controls that change at one time, with arcs on limits of states: closed forms, and their
 # multipliers.
@@ -135,17 +135,21 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
 def test_instants_are_free_for_what_changes() -> None:
     """Three segments, the second boundary shared."""
     cuts = _SplitMesh(3, (2,))
-    first, second = cuts.expand_kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
+    first, second = cuts.expand_arc_kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
     assert list(first) == [LOW] * 5 and list(second) == [LOW, UP, FREE, FREE, FREE]
     mesh = cuts.build_mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
     np.testing.assert_allclose(
         mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
     )
     assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6) and mesh.movable == (1,)
-    assert [cuts.map_boundary(k) for k in range(4)] == [0, 1, 3, 5]
+    assert [cuts.map_to_split_mesh(k) for k in range(4)] == [0, 1, 3, 5]
     inner, junction = SmoothControl(0, 1, 2, 4), Junction(0, 2, UP, 1)
     assert (cuts.first_segment(inner.first), cuts.last_segment(inner.last)) == (1, 2)
-    assert (cuts.first_segment(2), cuts.last_segment(3), cuts.map_boundary(junction.boundary)) == (4, 5, 3)
+    assert (cuts.first_segment(2), cuts.last_segment(3), cuts.map_to_split_mesh(junction.boundary)) == (
+        4,
+        5,
+        3,
+    )
 
 
 # Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what
@@ -225,20 +229,20 @@ def test_a_control_ends_at_its_bounds_or_at_what_limits_it_all_along(
 def test_the_tightest_limit_holds_a_control_that_is_sent_up_or_down() -> None:
     """Up to 1.5 at most, down to -1: -1 <= x u <= 1.8 is tighter where |x| is large, than 2 u + x <= 4 too."""
     everywhere = np.ones(5, dtype=bool)
-    own, held = LIMITS.label_control(0, everywhere)
+    own, held = LIMITS.label_control_arcs(0, everywhere)
     assert own.tolist() == [SING, SING, UP, UP, SING]
     assert held[0].tolist() == [FREE] * 5 and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
-    own, held = LIMITS.label_control(0, ~everywhere)
+    own, held = LIMITS.label_control_arcs(0, ~everywhere)
     assert own.tolist() == [SING, LOW, LOW, LOW, SING]
     assert held[5].tolist() == [UP, FREE, FREE, FREE, LOW] and held[0].tolist() == [FREE] * 5
-    own, held = LIMITS.label_control(1, np.array([True, False, True, False, True]))
+    own, held = LIMITS.label_control_arcs(1, np.array([True, False, True, False, True]))
     assert own.tolist() == [SING, LOW, SING, LOW, SING]
     assert set(held) == {3} and held[3].tolist() == [LOW, FREE, LOW, FREE, LOW]
 
 
 def test_a_later_limit_that_is_tighter_frees_the_one_before() -> None:
     wide = LinearPathLimits.from_samples(flight(((-9.0, -9.0), (9.0, 9.0))), np.array([True, True]))
-    own, held = wide.label_control(0, np.ones(5, dtype=bool))
+    own, held = wide.label_control_arcs(0, np.ones(5, dtype=bool))
     assert own.tolist() == [SING] * 5
     assert held[0].tolist() == [FREE, FREE, UP, UP, FREE] and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
 
@@ -333,9 +337,9 @@ def test_controls_at_the_end_of_a_segment() -> None:
     """The weights are exact for polynomials of lower degree than there are points."""
     collocation = PhaseCollocation("LG", Mesh((0.0, 0.4, 1.0), (3, 4), ()), 1, 2, 0, 0, 0)
     for tangent, segment, end in ((-1, 0, 1.0), (1, 1, -1.0)):
-        beside = controls_at_junction(collocation, Junction(0, 1, UP, 1, tangent))
+        beside = find_controls_at_junction(collocation, Junction(0, 1, UP, 1, tangent))
         tau = collocation.collocation_rules[segment].points
         assert (tau**2 - tau) @ beside.weights == pytest.approx(end**2 - end, abs=1e-13)
         first = collocation.mesh.point_offsets[segment]
         assert np.array_equal(beside.points, collocation.point_controls[:, first : first + tau.size])
-    assert controls_at_junction(collocation, Junction(0, 1, UP, 1)).points.shape == (2, 0)
+    assert find_controls_at_junction(collocation, Junction(0, 1, UP, 1)).points.shape == (2, 0)

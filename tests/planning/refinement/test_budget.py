@@ -155,7 +155,7 @@ def test_no_iteration_begins_after_the_cpu_time() -> None:
 def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
-    budget.charge_solve(first)
+    budget.add_work_of_solve(first)
     work = compute_solve_work(
         first.phase().mesh.size, first.statistics.iterations
     ) * count_variables_per_point(first.phases)

@@ -305,7 +305,7 @@ def test_touches_stay_with_their_times() -> None:
     held = two.with_arc(1, 0.5, 2.0, UP)
     assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
     assert held.has_only_kinks(1) and held.has_only_kinks(2)
-    assert held.collapse_piece(1).touch_times(1, UP) == [1.25, 3.0]
+    assert held.replace_piece_by_touch(1).touch_times(1, UP) == [1.25, 3.0]
     assert held.mask_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
     assert held.mask_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
     np.testing.assert_array_equal(
@@ -341,16 +341,16 @@ def test_what_vanishes_passes_its_touches_on() -> None:
         (0.0, 1.0, 4.0),
         ((), ((1, UP),), ()),
     )
-    assert touched.collapse_piece(1) == inner  # nothing was held along it
+    assert touched.replace_piece_by_touch(1) == inner  # nothing was held along it
     for order, left in ((1, ()), (2, ((1, UP),)), (3, ((1, UP),))):
         held = PhaseStructure(
             (0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, order)
         )
-        assert held.collapse_piece(1).touch_times(1, UP) == ([1.5] if left else [])
+        assert held.replace_piece_by_touch(1).touch_times(1, UP) == ([1.5] if left else [])
     start = PhaseStructure((0.0, 1.0, 4.0), ((FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert start.collapse_piece(0).touch_times(1, UP) == []
+    assert start.replace_piece_by_touch(0).touch_times(1, UP) == []
     beside = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, UP), (FREE, LOW), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert beside.collapse_piece(1).touch_times(1, LOW) == []
+    assert beside.replace_piece_by_touch(1).touch_times(1, LOW) == []
 
 
 def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:

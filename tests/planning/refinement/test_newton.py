@@ -127,7 +127,7 @@ def test_switches_of_several_controls_pass_each_other() -> None:
     ) or pytest.fail("does not settle")
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
     for i, channel in enumerate(SWITCHES[1].values()):
-        own = [found.times[k] for k in range(1, found.n_pieces) if i in found.rows_changing_at(k)]
+        own = [found.times[k] for k in range(1, found.n_pieces) if i in found.find_changing_rows(k)]
         assert own == pytest.approx(channel.switching_times, abs=1e-4)
 
 
@@ -204,7 +204,9 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
     nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
     guess = replace(cart, statistics=cart.statistics)
     monkeypatch.setattr(
-        switching, "_start_from_newton", lambda *_: (guess, {"leg": ArcMesh.from_structure(nowhere)}, None)
+        switching,
+        "_optimise_times_by_newton",
+        lambda *_: (guess, {"leg": ArcMesh.from_structure(nowhere)}, None),
     )
     found, history = switching.optimise_switching_times(cart)
     assert history.converged and not history.passes[0].solved
@@ -665,15 +667,17 @@ def test_it_starts_where_its_problem_says() -> None:
     """The whole trajectory moves there, but in what is not given."""
     t = np.linspace(0.0, 1.0, 5)
     box = interval([0.25, -np.inf], [0.25, np.inf])
-    moved = v._shift_start(replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)}))
+    moved = v._shift_to_initial_states(
+        replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)})
+    )
     assert moved is not None
     assert moved.phase().x(t) == pytest.approx(KNOWN.phase().x(t) + np.array([[0.25], [0.0]]))
     for end in ("initial_time", "final_time"):
         other = interval(getattr(KNOWN.phase(), end) + 0.1, getattr(KNOWN.phase(), end) + 0.1)
         leg = replace(KNOWN.phase(), **{f"{end}_bounds": other})
-        assert v._shift_start(replace(KNOWN, phases={"leg": leg})) is None
+        assert v._shift_to_initial_states(replace(KNOWN, phases={"leg": leg})) is None
         free = replace(KNOWN.phase(), **{f"{end}_bounds": interval(-9.0, 9.0)})
-        assert v._shift_start(replace(KNOWN, phases={"leg": free})) is not None
+        assert v._shift_to_initial_states(replace(KNOWN, phases={"leg": free})) is not None
 
 
 @pytest.mark.parametrize(
@@ -706,7 +710,7 @@ def test_multipliers_are_what_the_ends_and_controls_are_worth(pull: float, free:
     lam = lambda t, k: costates(t, k) + np.array([[0.0], [pull]])  # noqa: E731
     times = {"final_time_bounds": interval(0.5, 9.0)} if free else {}
     flown = phase(problem, lam=lam, integrals=np.array([12.0]), integral_weights=np.array([0.5]), **times)
-    found = c.complete_multipliers(solution(problem, flown, objective=99.0))
+    found = c.add_cost_and_multipliers(solution(problem, flown, objective=99.0))
     told = found.phase()
     first, last = (-6 + pull) * 6 + 18, (6 + pull) * -6 + 18
     assert told.time_multipliers == pytest.approx([first - 7, 0.0 if free else -(last + 2)])

@@ -300,7 +300,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
         return solution, replace(history, status=RefinementStatus.STALLED)
 
     monkeypatch.setattr(module, "optimise_switching_times", unconvincing)
-    monkeypatch.setattr(module.StagedRefinement, "_is_final_answer", lambda *_: False)
+    monkeypatch.setattr(module.StagedRefinement, "_is_final_solution", lambda *_: False)
     go.refine(cart, tol=1e-5)
     assert begun and all(begun.count(order) == 1 for order in begun)
 
@@ -366,7 +366,7 @@ def candidate(
         ),
     )
     made.objective_error = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
-    made.ranking_errors = lambda tol: Candidate.ranking_errors(made, tol)
+    made.errors_for_ranking = lambda tol: Candidate.errors_for_ranking(made, tol)
     made.has_lower_cost = lambda other, **margin: Candidate.has_lower_cost(made, other, **margin)
     return made
 

@@ -26,7 +26,7 @@ from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.refinement.arc_warm_start import (
     KnownArcs,
-    _remove_sliver_pieces,
+    _remove_sliver_arcs,
     recover_initial_meshes,
 )
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
@@ -393,10 +393,10 @@ def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -
         kinds=(found.kinds[0], between, *found.kinds[1:]),
         touches=((),) * 5,
     )
-    mended = _remove_sliver_pieces(shown, known, "leg")
+    mended = _remove_sliver_arcs(shown, known, "leg")
     assert mended.kinds == found.kinds and mended.times == pytest.approx(found.times, abs=1e-3)
     longer = replace(shown, times=(begin, reached, reached + 0.2, left, end))
-    assert _remove_sliver_pieces(longer, known, "leg") == longer
+    assert _remove_sliver_arcs(longer, known, "leg") == longer
 
 
 @pytest.mark.slow

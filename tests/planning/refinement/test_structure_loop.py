@@ -117,12 +117,16 @@ def flight(u: Any, lam: Any, bounds: Any = (-1.0, 1.0), segments: int = 8, x: An
 def test_curvature_distinguishes_linear_from_convex() -> None:
     """H'' = 1 over a range of 20, in shares of H of 54: 400 / 54."""
     found = samples(CART, control_bounds=interval(-10.0, 10.0))
-    assert b.hamiltonian_curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
-    assert b.regular_controls(found).tolist() == [True] and b.affine_controls(found).tolist() == [False]
+    assert b.compute_hamiltonian_curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
+    assert b.mask_regular_controls(found).tolist() == [True] and b.mask_affine_controls(found).tolist() == [
+        False
+    ]
     concave = samples(CART, weights=(-0.5,), control_bounds=interval(-10.0, 10.0))
-    assert b.regular_controls(concave).tolist() == [False] == b.affine_controls(concave).tolist()
+    assert b.mask_regular_controls(concave).tolist() == [False] == b.mask_affine_controls(concave).tolist()
     line = flight(lambda t, k: [0 * t], lambda t, k: [t])
-    assert b.regular_controls(line).tolist() == [False] and b.affine_controls(line).tolist() == [True]
+    assert b.mask_regular_controls(line).tolist() == [False] and b.mask_affine_controls(line).tolist() == [
+        True
+    ]
 
 
 def test_the_switching_function_at_a_time_is_that_of_the_samples() -> None:
@@ -330,12 +334,12 @@ RELEASED = ArcKind.RELEASED
 
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
     assert PieceMesh() == PieceMesh(1, FIRST_DEGREE, 0, np.inf, ())
-    assert PieceMesh(1, 6).refine_by_decades(np.array([0.1])) == PieceMesh(1, 9)
-    assert PieceMesh(2, 6).refine_by_decades(np.array([-1.0, 3.5])) == PieceMesh(2, 10)
-    assert PieceMesh(1, 11).refine_by_decades(np.array([8.0])) == PieceMesh(1, ARC_MAX_DEGREE)
-    assert PieceMesh(3, 7).refine_by_decades(np.array([0.0, -1.0, -9.0])) == PieceMesh(3, 7)
+    assert PieceMesh(1, 6).refine_for_error_decades(np.array([0.1])) == PieceMesh(1, 9)
+    assert PieceMesh(2, 6).refine_for_error_decades(np.array([-1.0, 3.5])) == PieceMesh(2, 10)
+    assert PieceMesh(1, 11).refine_for_error_decades(np.array([8.0])) == PieceMesh(1, ARC_MAX_DEGREE)
+    assert PieceMesh(3, 7).refine_for_error_decades(np.array([0.0, -1.0, -9.0])) == PieceMesh(3, 7)
     many = PieceMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
-    assert many.refine_by_decades(np.full(many.segments, 5.0)) == many
+    assert many.refine_for_error_decades(np.full(many.segments, 5.0)) == many
 
 
 # --- plans ------------------------------------------------------------------------------------------------
@@ -349,7 +353,7 @@ def held_by(plan: ArcMesh) -> Any:
     problem = SimpleNamespace(
         phases={"leg": leg}, with_fixed_arcs=lambda name, **more: asked.update(more, name=name) or problem
     )
-    assert plan.prescribe_arcs(problem, "leg") is problem  # type: ignore[arg-type]
+    assert plan.fix_arcs_in_problem(problem, "leg") is problem  # type: ignore[arg-type]
     return asked
 
 
@@ -489,7 +493,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
         calls.append((guess, plans, loop.target_error, loop.limits.passes, loop.options.tolerance))
         return RefinementStatus.FAILED
 
-    monkeypatch.setattr(s, "_start_from_newton", lambda *_: (other, told, None))
+    monkeypatch.setattr(s, "_optimise_times_by_newton", lambda *_: (other, told, None))
     monkeypatch.setattr(s._StructureLoop, "iterate_structures", run)
     limits = IterationLimits(7)
     found, history = s.optimise_switching_times(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
@@ -499,7 +503,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
         (False, True, asked, 7, s.ARC_SOLVE_TOLERANCE),
     ]
     assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
-    monkeypatch.setattr(s, "_start_from_newton", lambda *_: (base, told, None))
+    monkeypatch.setattr(s, "_optimise_times_by_newton", lambda *_: (base, told, None))
     calls.clear()
     s.optimise_switching_times(base, structures={"leg": TWO_ROWS})
     assert len(calls) == 1  # the same guess would fail again

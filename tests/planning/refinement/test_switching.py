@@ -197,7 +197,7 @@ def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
         worst.append(worst[-1] * (share * r.HALVING_GAIN_RATIO if len(worst) == 1 else 1.0))
         return np.tile(row(worst[-1]), (breaks.size - 1, 1))
 
-    assert r._choose_resolution(left, row(1.0), 0.0, 1.0, MOST).segments == segments
+    assert r._choose_piece_degree(left, row(1.0), 0.0, 1.0, MOST).segments == segments
 
 
 # --- series of a flight -----------------------------------------------------------------------------------
@@ -217,7 +217,7 @@ SAMPLES = samples(
 
 def test_terms_that_points_leave_out_are_those_of_the_slopes() -> None:
     """Of q' = 3 t^5 and v' = 15 t^4 in shares of the states, times the length: sums of |terms| from the n-th on."""
-    left = r._legendre_remainders(SAMPLES, solution(FLIGHT, LEG))
+    left = r._build_legendre_remainders(SAMPLES, solution(FLIGHT, LEG))
     breaks = np.array([0.2, 0.6, 1.0])
     found = left(breaks)
     assert found.shape == (2, r.N_TERMS)

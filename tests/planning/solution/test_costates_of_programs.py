@@ -13,7 +13,7 @@ from testing.internals import (
     MeshProblem,
     PhaseCollocation,
     Scheme,
-    start_from_guess,
+    point_from_guess,
     transcribe,
 )
 from testing.models import dynamics, one_phase
@@ -23,14 +23,14 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind, Mesh, SolverOptions, guess_from_solution
 from gnc_opt.planning.solution.costates import (
     NlpIterate,
-    _boundary_costates,
+    _compute_boundary_costates,
     _CostatePieces,
     correct_path_arc_costates,
     dynamics_multipliers,
     point_costates,
     split_duplicate_path_multipliers,
 )
-from gnc_opt.planning.solution.program_start import start_from_solution
+from gnc_opt.planning.solution.program_start import point_from_solution
 
 # Multipliers become costates and come back: each scheme's rows by hand, and the ambiguities of held
 # segments.
@@ -76,7 +76,7 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
     part = collocation(scheme)
     lam_g = np.random.default_rng(2).normal(size=part.n_rows)
     gradients = np.random.default_rng(3).normal(size=(2, 7))
-    starts, ends = _boundary_costates(part, lam_g, gradients)
+    starts, ends = _compute_boundary_costates(part, lam_g, gradients)
     rows, columns, values = part.linear_dynamics_entries
     for k in range(2):
         own = np.zeros(part.n_rows)
@@ -231,7 +231,7 @@ def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> 
     transcription = MeshProblem.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
-    start = start_from_solution(
+    start = point_from_solution(
         transcription, attempt.problem, solution, np.full(transcription.n_variables, np.nan)
     )
     places = transcription.integral_places
@@ -254,7 +254,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     other = MeshProblem.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
-    start = start_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
+    start = point_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
     assert start.lam_x is not None and start.lam_g is not None
     for name, part in other.parts.items():
         leg, there = solution.phases[name], part.collocation
@@ -292,7 +292,7 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
         breaks=(1.0, 2.0, 5.0), degree=3, state_impulses=impulses,
     )  # fmt: skip
     transcription = transcribe(problem, {"leg": leg.mesh}, "LG")
-    start = start_from_solution(
+    start = point_from_solution(
         transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
     )
     part = transcription.parts["leg"].collocation
@@ -301,7 +301,7 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
     for k, end in enumerate(([2.0, 2.0], [-5.0, 1.0])):
         assert start.lam_g[part.dynamics_rows[k]][:, -1] == pytest.approx(-np.array(end))
     assert point_costates(part, start.lam_g) == pytest.approx(leg.point_costates)
-    assert _boundary_costates(part, start.lam_g, np.zeros((2, 6)))[1] == pytest.approx(leg.lam_end)
+    assert _compute_boundary_costates(part, start.lam_g, np.zeros((2, 6)))[1] == pytest.approx(leg.lam_end)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -429,7 +429,7 @@ def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> 
         problem, {"leg": Mesh((0.0, 0.25, 1.0), (3, 3))}, scheme, None, SolverOptions()
     )
     transcription = attempt.transcription
-    x, part = start_from_guess(transcription, problem), transcription.parts["leg"]
+    x, part = point_from_guess(transcription, problem), transcription.parts["leg"]
     points = 1 + 4 * part.collocation.point_fractions
     assert x[part.collocation.boundary_states[:, 1]] == pytest.approx([2.0, 4.0])
     states = x[part.collocation.point_states]
@@ -446,8 +446,8 @@ def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
     attempt, _, solution = solved
     problem = guess_from_solution(attempt.problem, solution)
     transcription = attempt.transcription
-    x = start_from_guess(transcription, problem)
-    start = start_from_solution(transcription, attempt.problem, solution, np.zeros(x.size))
+    x = point_from_guess(transcription, problem)
+    start = point_from_solution(transcription, attempt.problem, solution, np.zeros(x.size))
     part = transcription.parts["second"]
     states = part.collocation.point_states
     assert x[part.times] == pytest.approx(start.x[part.times], abs=1e-9)

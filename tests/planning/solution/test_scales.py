@@ -9,14 +9,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, interval, phase
-from testing.internals import Interval, compute_control_spans, phase_functions, unbounded
+from testing.internals import Interval, compute_control_scales, phase_functions, unbounded
 from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.solution.variation_scales import (
     SPAN_MIN_SHARE,
-    compute_state_spans,
+    compute_state_scales,
     find_inactive_controls,
 )
 
@@ -48,7 +48,7 @@ def found(problem: go.Problem, x: Any, used: Sequence[float], *, u: Any = None, 
     leg = phase(
         problem, x, push, lambda t, k: np.zeros((len(np.ravel(x(np.zeros(1), 0))), t.size)), **changes
     )
-    return compute_state_spans(leg, functions(problem, (1.0,)), np.asarray(used), lasting=lasting)
+    return compute_state_scales(leg, functions(problem, (1.0,)), np.asarray(used), lasting=lasting)
 
 
 # --- states -----------------------------------------------------------------------------------------------
@@ -132,7 +132,7 @@ def controls(
     box = bounds or unbounded(rows)
     here = phase(problem, still(0.0), still(*[0.0] * rows), still(0.0), control_bounds=box)
     given = (np.atleast_2d(np.asarray(v, float)) for v in (flown, pull, curvature))
-    return compute_control_spans(here, *given, terms, asked)
+    return compute_control_scales(here, *given, terms, asked)
 
 
 @pytest.mark.parametrize(

@@ -121,10 +121,10 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     )
     for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
         structure = run.add_contacts(structure, samples)
-    return _fill_short_gaps(structure, samples)
+    return _close_short_gaps(structure, samples)
 
 
-def _fill_short_gaps(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+def _close_short_gaps(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
     """Return the structure without pieces shorter than `SHORT_ARC_SEGMENTS` in which only limits end.
 
     Where a control jumps, the polynomials and multipliers of the segment oscillate and show gaps in arcs on limits of
@@ -139,13 +139,13 @@ def _fill_short_gaps(structure: PhaseStructure, samples: PhaseSamples) -> PhaseS
             if _leaves_first_order_limits(structure, piece, arc):
                 kinds = list(structure.kinds)
                 kinds[piece] = kinds[arc]
-                return _fill_short_gaps(replace(structure, kinds=tuple(kinds)).merge_pieces(), samples)
+                return _close_short_gaps(replace(structure, kinds=tuple(kinds)).merge_pieces(), samples)
     return structure
 
 
 def _leaves_first_order_limits(structure: PhaseStructure, piece: int, arc: int) -> bool:
     """Return whether a piece differs from an arc only in inactive limits whose single control is singular."""
-    rows = structure.rows_changing_at(max(piece, arc))
+    rows = structure.find_changing_rows(max(piece, arc))
     return bool(rows) and all(
         structure.is_first_order_limit(row)
         and structure.kinds[arc][row].is_at_limit
@@ -191,7 +191,7 @@ def replace_saturated_controls(
     """
     bounds = samples.leg.control_bounds
     for boundary in range(1, structure.n_pieces):
-        taken = structure.find_constraint_exchange(boundary)
+        taken = structure.find_state_limit_exchange(boundary)
         if not taken:
             continue
         state, row = taken

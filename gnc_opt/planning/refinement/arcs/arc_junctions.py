@@ -51,12 +51,13 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
                 find_junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
                 else _find_kink_time(samples, plan, boundary, i)
-                for i in structure.rows_changing_at(boundary)
+                for i in structure.find_changing_rows(boundary)
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))
     contact = [
-        any(structure.orders[i] for i in structure.rows_changing_at(k)) for k in range(1, structure.n_pieces)
+        any(structure.orders[i] for i in structure.find_changing_rows(k))
+        for k in range(1, structure.n_pieces)
     ]
     span, lengths = times[-1] - times[0], structure.piece_lengths
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))

@@ -80,7 +80,7 @@ class PieceMesh:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
-    def refine_by_decades(self, decades: Array) -> PieceMesh:
+    def refine_for_error_decades(self, decades: Array) -> PieceMesh:
         """Return a resolution that reduces the errors by a number of decades; the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, segments are subdivided, those with the largest errors
@@ -186,7 +186,7 @@ class ArcMesh:
         return replace(
             found,
             structure=structure.with_times(tuple(map(float, moved))),
-            resolutions=tuple(_read_resolution(mesh, *piece, first) for piece, first in pieces),
+            resolutions=tuple(_read_piece_resolution(mesh, *piece, first) for piece, first in pieces),
         )
 
     def replace_structure(self, structure: PhaseStructure) -> ArcMesh:
@@ -206,11 +206,11 @@ class ArcMesh:
         """
         plan = self.replace_structure(structure)
         kept = tuple(
-            self._find_matching_resolution(structure, k) or r for k, r in enumerate(plan.resolutions)
+            self._find_resolution_of_same_arc(structure, k) or r for k, r in enumerate(plan.resolutions)
         )
         return replace(plan, resolutions=kept)
 
-    def _find_matching_resolution(self, structure: PhaseStructure, piece: int) -> PieceMesh | None:
+    def _find_resolution_of_same_arc(self, structure: PhaseStructure, piece: int) -> PieceMesh | None:
         """Return the resolution of the piece with the same kinds at nearly the same time, or None."""
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
@@ -253,7 +253,7 @@ class ArcMesh:
         movable = tuple(self.piece_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
-    def prescribe_arcs(self, problem: Problem, phase: str) -> Problem:
+    def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.control_kinds), len(structure.path_kinds)
@@ -263,7 +263,7 @@ class ArcMesh:
         )
         kinds = np.vstack([controls, structure.path_kinds, structure.state_arc_kinds])[:, segments]
         free = kinds == ArcKind.INTERIOR
-        kinds = select_kind(free & self._find_released_rows(), ArcKind.RELEASED, kinds)
+        kinds = select_kind(free & self._mask_released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_fixed_arcs(
             phase,
@@ -274,10 +274,10 @@ class ArcMesh:
             junctions=(*self._find_junctions(), *self._find_segment_end_junctions(problem, phase)),
         )
 
-    def _find_released_rows(self) -> Mask:
+    def _mask_released_rows(self) -> Mask:
         """Return which interior rows are released from their limits, (n_rows, K)."""
         structure = self.structure
-        beside = structure.mask_near_contacts(self.loose) | structure.mask_near_exchanges()
+        beside = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_exchanges()
         return np.asarray((structure.find_convex_rows() | beside)[:, self.segment_pieces])
 
     def _find_junctions(self) -> tuple[Junction, ...]:
@@ -288,8 +288,8 @@ class ArcMesh:
         structure, n_controls = self.structure, len(self.structure.control_kinds)
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.n_pieces):
-            taken = structure.find_constraint_exchange(k)[:1]
-            for i in structure.rows_changing_at(k):
+            taken = structure.find_state_limit_exchange(k)[:1]
+            for i in structure.find_changing_rows(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
                 if after.is_at_limit and (order or i in taken):
                     found.append((k, i, after, order, -1 if i in taken else 0))
@@ -324,9 +324,7 @@ class ArcMesh:
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
                 free = [i for i in structure.boundary_controls[row] if not kinds[i].is_at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-                if 0 < len(singular) < len(free) and _have_independent_effects(
-                    problem.phases[phase].model, free
-                ):
+                if 0 < len(singular) < len(free) and _act_independently(problem.phases[phase].model, free):
                     last = self.piece_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
                     ends = range(self.piece_breaks[piece] + 1, last)
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
@@ -346,7 +344,7 @@ class ArcMesh:
         return tuple(found)
 
 
-def _have_independent_effects(model: Model, controls: list[int]) -> bool:
+def _act_independently(model: Model, controls: list[int]) -> bool:
     """Return whether controls can move the states in more than one direction."""
     moved = ca.jacobian(model.derivative(), model.arguments()[2])
     return bool(ca.sprank(moved[:, controls]) > 1)
@@ -357,7 +355,7 @@ def count_uniform_points(mesh: Mesh) -> float:
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
-def _read_resolution(mesh: Mesh, first: int, last: int, coarsest: PieceMesh) -> PieceMesh:
+def _read_piece_resolution(mesh: Mesh, first: int, last: int, coarsest: PieceMesh) -> PieceMesh:
     """Return the segments of a mesh between two breaks, with the highest control degree that their points allow."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
     shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])

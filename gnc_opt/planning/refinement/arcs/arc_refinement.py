@@ -30,7 +30,7 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     by_piece = np.split(per_segment, plan.piece_breaks[1:-1])
     wanted = tuple(
-        choose_next_resolution(r, errors, gradient, tol)
+        choose_finer_resolution(r, errors, gradient, tol)
         for r, errors, gradient in zip(
             plan.resolutions, by_piece, compute_singular_gradients(samples, plan), strict=True
         )
@@ -44,7 +44,7 @@ def compute_dynamics_defects(samples: PhaseSamples) -> Array:
     return np.asarray(samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
-def choose_next_resolution(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
+def choose_finer_resolution(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
     """Return the resolution with more points or a higher control degree, whichever has the larger error.
 
     ``errors`` (segments,) are those of states and costates in every segment of the piece.
@@ -54,7 +54,7 @@ def choose_next_resolution(r: PieceMesh, errors: Array, gradient: float, tol: fl
         return smoother
     if np.all(errors <= tol):
         return smoother
-    return r.refine_by_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
+    return r.refine_for_error_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
 def compute_singular_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:

@@ -27,7 +27,7 @@ RESOLUTION_TOLERANCE_SHARE = 0.1
 """Largest sum of the omitted terms, relative to the tolerance."""
 
 
-def choose_resolutions(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol: float) -> ArcMesh:
+def choose_arc_mesh_degrees(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol: float) -> ArcMesh:
     """Return the plan with the numbers of collocation points that an integrated trajectory requires.
 
     Parameters
@@ -41,28 +41,28 @@ def choose_resolutions(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol: flo
     tol : float
         On the defects between the nodes, relative to those magnitudes.
     """
-    left = _legendre_remainders(s, flown)
+    left = _build_legendre_remainders(s, flown)
     times = np.asarray(plan.structure.times)
     at_once = left(times)
     found = [
-        _choose_resolution(left, row, times[k], times[k + 1], RESOLUTION_TOLERANCE_SHARE * tol)
+        _choose_piece_degree(left, row, times[k], times[k + 1], RESOLUTION_TOLERANCE_SHARE * tol)
         for k, row in enumerate(at_once)
     ]
     return replace(plan, resolutions=tuple(found))
 
 
-def _choose_resolution(
+def _choose_piece_degree(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> PieceMesh:
     """Return the fewest sufficiently fine segments with at most `ARC_MAX_DEGREE` points, and their degree."""
-    found = _subdivide_interval(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
+    found = _bisect_interval_by_remainder(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
     fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[PIECE_MIN_POINTS:ARC_MAX_DEGREE] <= most)
     degree = PIECE_MIN_POINTS + int(fine[0]) if fine.size else ARC_MAX_DEGREE
     edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
     return PieceMesh(len(found), degree, edges=edges)
 
 
-def _subdivide_interval(
+def _bisect_interval_by_remainder(
     left: Callable[[Array], Array], row: Array, ends: tuple[float, float], most: float, room: int
 ) -> list[tuple[float, Array]]:
     """Return segment ends and remainders of an interval; segments with large remainders are halved."""
@@ -75,11 +75,11 @@ def _subdivide_interval(
         not np.max(halves[:, ARC_MAX_DEGREE]) < HALVING_GAIN_RATIO * row[ARC_MAX_DEGREE]
     ):  # the rest is the integration error
         return [(end, row)]
-    first = _subdivide_interval(left, halves[0], (start, middle), most, room // 2)
-    return first + _subdivide_interval(left, halves[1], (middle, end), most, room // 2)
+    first = _bisect_interval_by_remainder(left, halves[0], (start, middle), most, room // 2)
+    return first + _bisect_interval_by_remainder(left, halves[1], (middle, end), most, room // 2)
 
 
-def _legendre_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
+def _build_legendre_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
     """Return a function for the remainders of slopes in segments with n = 0, 1, ... points (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
     rule = gauss_rule(N_TERMS)

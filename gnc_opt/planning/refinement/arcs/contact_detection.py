@@ -134,7 +134,7 @@ class ContactNodes:
             if abs(at - time) >= reach or structure.has_only_kinks(k):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
-            changed = [i for i in structure.rows_changing_at(k) if i in boundary_controls]
+            changed = [i for i in structure.find_changing_rows(k) if i in boundary_controls]
             if changed and (len(boundary_controls) > 1 or outer[changed[0]].is_at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)

@@ -79,17 +79,17 @@ class PhaseStructure:
     @property
     def control_kinds(self) -> KindArray:
         """Kinds of the controls (n_controls, A)."""
-        return self.kind_matrix()[: self.n_controls]
+        return self.arc_kind_matrix()[: self.n_controls]
 
     @property
     def path_kinds(self) -> KindArray:
         """Kinds of the path constraints (n_paths, A)."""
-        return self.kind_matrix()[self._n_free : self._n_free + self.n_paths]
+        return self.arc_kind_matrix()[self._n_free : self._n_free + self.n_paths]
 
     @property
     def state_arc_kinds(self) -> KindArray:
         """Kinds of the states (n_states, A)."""
-        return self.kind_matrix()[self._n_free + self.n_paths :]
+        return self.arc_kind_matrix()[self._n_free + self.n_paths :]
 
     @property
     def _n_free(self) -> int:
@@ -104,7 +104,7 @@ class PhaseStructure:
         """Length of each piece (A,), s."""
         return np.diff(np.asarray(self.times))
 
-    def kind_matrix(self) -> KindArray:
+    def arc_kind_matrix(self) -> KindArray:
         """The kinds as an object array (n_rows, A)."""
         return np.asarray(self.kinds, dtype=object).T
 
@@ -140,7 +140,7 @@ class PhaseStructure:
         mixed = self.regular[row]
         return [i for i in range(self._n_free) if not mixed or self.regular[i]]
 
-    def rows_changing_at(self, boundary: int) -> list[int]:
+    def find_changing_rows(self, boundary: int) -> list[int]:
         """Return the rows with different kinds in the pieces before and after a boundary."""
         pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
         return [i for i, (before, after) in enumerate(pair) if before is not after]
@@ -152,13 +152,13 @@ class PhaseStructure:
         become active or inactive. A control linear in H jumps at the ends of an arc on a state constraint. If one limit
         replaces another one or a state constraint, the time is a variable like that of a switch, since both are active.
         """
-        if self.find_constraint_exchange(boundary) or self.find_limit_exchange(boundary):
+        if self.find_state_limit_exchange(boundary) or self.find_limit_exchange(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
             (self.regular[i] or self._fixes_control(i, boundary) or self.has_saturated_control(i, boundary))
             and not (before[i].is_at_limit and after[i].is_at_limit)
-            for i in self.rows_changing_at(boundary)
+            for i in self.find_changing_rows(boundary)
         )
 
     def find_convex_rows(self) -> Mask:
@@ -187,21 +187,21 @@ class PhaseStructure:
 
     def find_limit_exchange(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
-        rows = self.rows_changing_at(boundary)
+        rows = self.find_changing_rows(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
-        sides = [held[i].sign * self._slope_sign(i) for held in beside for i in rows if held[i].is_at_limit]
+        sides = [held[i].sign * self._effect_sign(i) for held in beside for i in rows if held[i].is_at_limit]
         controls = {
             i for row in rows for i in (self.boundary_controls[row] if row >= self._n_free else (row,))
         }
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
-    def find_constraint_exchange(self, boundary: int) -> list[int]:
+    def find_state_limit_exchange(self, boundary: int) -> list[int]:
         """Return a state constraint and a limit of its control of which one replaces the other at a boundary.
 
         Either the control reaches its limit, on the side away from the constraint, along the arc on the constraint, or
         the control is on the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
-        rows, beside = self.rows_changing_at(boundary), self.kinds[boundary - 1 : boundary + 1]
+        rows, beside = self.find_changing_rows(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].is_at_limit] for kinds in beside]
         states = [i for i in rows if self.is_first_order_limit(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
@@ -221,10 +221,10 @@ class PhaseStructure:
         sign = dict(zip(boundary_controls, self.boundary_control_signs[state], strict=False)).get(
             owner[0], 0
         )  # unknown: 0
-        sides = kinds[state].sign * sign, kinds[limit].sign * self._slope_sign(limit)
+        sides = kinds[state].sign * sign, kinds[limit].sign * self._effect_sign(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
 
-    def _slope_sign(self, row: int) -> int:
+    def _effect_sign(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
         own = 1 if row < self._n_free else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
         return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
@@ -243,12 +243,12 @@ class PhaseStructure:
             held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
         return held
 
-    def mask_near_exchanges(self) -> Mask:
+    def mask_near_limit_exchanges(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.n_pieces), dtype=bool)
         for k in range(1, self.n_pieces):
-            given_out = [row for row in self.rows_changing_at(k) if self.has_saturated_control(row, k)]
-            for row in [*self.find_limit_exchange(k), *self.find_constraint_exchange(k), *given_out]:
+            given_out = [row for row in self.find_changing_rows(k) if self.has_saturated_control(row, k)]
+            for row in [*self.find_limit_exchange(k), *self.find_state_limit_exchange(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].is_at_limit for j in (k - 1, k)]
         return beside
 
@@ -264,7 +264,7 @@ class PhaseStructure:
         Constraints are excluded if the direction of a vector at its largest magnitude could satisfy them, as violations
         would then be large.
         """
-        held = np.array([[kind.is_at_limit for kind in row] for row in self.kind_matrix()])
+        held = np.array([[kind.is_at_limit for kind in row] for row in self.arc_kind_matrix()])
         beside = np.zeros_like(held)
         for k in range(1, self.n_pieces):
             beside[:, k - 1] |= held[:, k]
@@ -273,7 +273,7 @@ class PhaseStructure:
             beside[[row for here in self.touches for row, _ in here]] = True
         for row in np.flatnonzero(self.orders):
             bends = [i for i in self.boundary_controls[row] if not self.regular[i]]
-            beside[row] &= ~np.any(self.kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
+            beside[row] &= ~np.any(self.arc_kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
     def has_contact(self, piece: int) -> bool:
@@ -314,9 +314,9 @@ class PhaseStructure:
             times = [self.times[0], *self.times[2:]]
         elif piece == self.n_pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
-        return self._join_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+        return self._merge_equal_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
-    def collapse_piece(self, piece: int) -> PhaseStructure:
+    def replace_piece_by_touch(self, piece: int) -> PhaseStructure:
         """Return the structure without a piece; an arc on a limit becomes a touch.
 
         This requires a second-order limit, or a path constraint at an end of the phase.
@@ -346,7 +346,7 @@ class PhaseStructure:
         for piece, middle in zip(kinds, middles, strict=True):
             if start < middle < end:
                 piece[row] = kind
-        return self._join_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
+        return self._merge_equal_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
 
     def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
@@ -355,7 +355,7 @@ class PhaseStructure:
         touches[times.index(time)] += ((row, kind),)
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
-        return self._join_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
+        return self._merge_equal_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
 
     def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
         known = dict(zip(self.times, self.touches, strict=True))
@@ -386,9 +386,9 @@ class PhaseStructure:
 
     def merge_pieces(self) -> PhaseStructure:
         """Return the structure with equal adjacent pieces joined."""
-        return self._join_pieces(list(self.times), self.kinds, list(self.touches))
+        return self._merge_equal_pieces(list(self.times), self.kinds, list(self.touches))
 
-    def _join_pieces(
+    def _merge_equal_pieces(
         self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]
     ) -> PhaseStructure:
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]

@@ -84,7 +84,7 @@ class LinearPathLimits:
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
 
-    def stays_at_limits(self, control: int) -> bool:
+    def is_always_at_limits(self, control: int) -> bool:
         """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
         s, bounds = self.samples, self.samples.leg.control_bounds
         above, below = self._compute_control_ranges(control)
@@ -94,7 +94,7 @@ class LinearPathLimits:
         off = np.where(upward, most - s.u[control], s.u[control] - least)
         return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > PRESSED_SHARE)
 
-    def label_control(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
+    def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
         bounds = self.samples.leg.control_bounds
         own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
@@ -145,7 +145,7 @@ class LinearPathLimits:
             row, kind = holder, ArcKind.LOWER if upward else ArcKind.UPPER
         if row not in self.rows or not kind.is_at_limit:
             return structure.with_arc(row, *interval, kind)
-        own, held = self.label_control(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
+        own, held = self.label_control_arcs(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
         for path, kinds in held.items():
             if kinds[sample].is_at_limit:
                 structure = structure.with_arc(first + path, *interval, kinds[sample])

@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.program_start import choose_program_start
+from gnc_opt.planning.solution.program_start import choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -43,7 +43,7 @@ def simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     return tuple(
         k
         for k in range(1, structure.n_pieces)
-        if sum(row < len(structure.control_kinds) for row in structure.rows_changing_at(k)) > 1
+        if sum(row < len(structure.control_kinds) for row in structure.find_changing_rows(k)) > 1
         and not structure.has_only_kinks(k)
         and not structure.touches[k]
         and min(structure.piece_lengths[k - 1 : k + 1]) > least
@@ -66,9 +66,9 @@ def solve_with_split_switches(
 def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
     held = solution.need_problem("refine")
     for name, plan in plans.items():
-        held = plan.prescribe_arcs(held, name)
+        held = plan.fix_arcs_in_problem(held, name)
     transcription = transcribe(held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme)
-    own, others = (choose_program_start(transcription, held, s) for s in (solution, other))
+    own, others = (choose_initial_nlp_point(transcription, held, s) for s in (solution, other))
     assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
     iterate = NlpIterate(own.x, others.lam_x, others.lam_g)
     phases, _ = extract_phases(transcription, held, iterate)
@@ -82,18 +82,18 @@ def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, A
 
 def _release_split_intervals(plan: ArcMesh, problem: Problem, name: str) -> tuple[Problem, Mesh]:
     """Return the problem with the arcs of a plan, free in the intervals at shared boundaries, and its mesh."""
-    problem = plan.prescribe_arcs(problem, name)
+    problem = plan.fix_arcs_in_problem(problem, name)
     cuts, mesh, held = _SplitMesh.from_plan(plan), plan.mesh(), problem.phases[name].numbers.arcs
     assert held is not None, "just held"
     twin = problem.with_fixed_arcs(
         name,
-        arcs=cuts.expand_kinds(held.controls),
-        paths=cuts.expand_kinds(held.paths) if held.paths else None,
-        states=cuts.expand_kinds(held.states) if held.states else None,
+        arcs=cuts.expand_arc_kinds(held.controls),
+        paths=cuts.expand_arc_kinds(held.paths) if held.paths else None,
+        states=cuts.expand_arc_kinds(held.states) if held.states else None,
         smooth=tuple(
             replace(s, first=cuts.first_segment(s.first), last=cuts.last_segment(s.last)) for s in held.smooth
         ),
-        junctions=tuple(replace(j, boundary=cuts.map_boundary(j.boundary)) for j in held.junctions),
+        junctions=tuple(replace(j, boundary=cuts.map_to_split_mesh(j.boundary)) for j in held.junctions),
     )
     return twin, cuts.build_mesh(mesh)
 
@@ -110,22 +110,22 @@ class _SplitMesh:
         ends = plan.piece_breaks
         return cls(ends[-1], tuple(ends[k] for k in simultaneous_switches(plan.structure)))
 
-    def map_boundary(self, old: int) -> int:
+    def map_to_split_mesh(self, old: int) -> int:
         return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)
 
     def first_segment(self, old: int) -> int:
         """Return the first new segment, after the interval, of an old segment."""
-        return self.map_boundary(old) + (old in self.boundaries)
+        return self.map_to_split_mesh(old) + (old in self.boundaries)
 
     def last_segment(self, old: int) -> int:
         """Return the end (exclusive) of the new segments, before the interval, of the old segments up to ``old``."""
-        return self.map_boundary(old) - (old in self.boundaries)
+        return self.map_to_split_mesh(old) - (old in self.boundaries)
 
-    def expand_kinds(self, rows: Kinds) -> KindArray:
+    def expand_arc_kinds(self, rows: Kinds) -> KindArray:
         """Return the kinds by rows and new segments; rows that change at a boundary are free in its intervals."""
-        return np.array([self._expand_kind_row(row) for row in rows], dtype=object)
+        return np.array([self._expand_arc_kinds_of_row(row) for row in rows], dtype=object)
 
-    def _expand_kind_row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
+    def _expand_arc_kinds_of_row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
         found: list[ArcKind] = []
         for k, kind in enumerate(row):
             if k in self.boundaries:
@@ -146,5 +146,5 @@ class _SplitMesh:
                 breaks.append(end - FREE_SPAN)
                 degrees.append(FREE_SPAN_POINTS)
             breaks.append(end)
-        movable = tuple(self.map_boundary(k) for k in old.movable if k not in self.boundaries)
+        movable = tuple(self.map_to_split_mesh(k) for k in old.movable if k not in self.boundaries)
         return Mesh(tuple(breaks), tuple(degrees), movable)

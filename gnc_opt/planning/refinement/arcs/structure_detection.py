@@ -14,11 +14,11 @@ from gnc_opt.planning.refinement.arcs.arc_contacts import ArcControl, add_contac
 from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
 from gnc_opt.planning.refinement.arcs.control_curvature import (
     SINGULAR_SHARE_OF_H,
-    affine_controls,
-    convex_controls,
-    hamiltonian_curvature,
+    compute_hamiltonian_curvature,
     linear_path_limits,
-    regular_controls,
+    mask_affine_controls,
+    mask_convex_controls,
+    mask_regular_controls,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
@@ -49,8 +49,8 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     to those are regarded as noise. Other controls are classified by their distances from the bounds, path constraints
     and states by distances and multipliers.
     """
-    leg, regular, affine = samples.leg, convex_controls(samples), affine_controls(samples)
-    strictly = regular_controls(samples)
+    leg, regular, affine = samples.leg, mask_convex_controls(samples), mask_affine_controls(samples)
+    strictly = mask_regular_controls(samples)
     limits = linear_path_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
@@ -60,7 +60,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
         for i in range(leg.controls.size)
     ]
     mixed = _find_mixed_constraints(samples, regular)
-    mixed_controls, boundary_control_signs = _mixed_controls(samples, mixed)
+    mixed_controls, boundary_control_signs = _list_mixed_constraint_controls(samples, mixed)
     paths = _label_path_constraints(samples, mixed)
     for i in limits.rows:
         if affine[i]:
@@ -69,7 +69,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
     for labels in [*paths, *_label_states(samples, controls, determined)]:
         rows.append(labels)
-        changes.append(_find_label_changes(samples, labels))
+        changes.append(_find_label_change_times(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
@@ -111,7 +111,7 @@ def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[fl
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
     labels[_mask_times_in_intervals(samples, held)] = ArcKind.SINGULAR
-    _absorb_short_bangs(samples, i, labels, gradient)
+    _absorb_short_bang_arcs(samples, i, labels, gradient)
     return labels
 
 
@@ -141,7 +141,7 @@ def _apply_path_limits(
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
     singular |= _mask_times_in_intervals(samples, determined)
-    own, held = limits.label_control(i, samples.switching_functions[i] < 0)
+    own, held = limits.label_control_arcs(i, samples.switching_functions[i] < 0)
     labels[:] = select_kind(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
         paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)
@@ -152,7 +152,7 @@ def _compute_hamiltonian_gain(samples: PhaseSamples, gradient: Array, i: int) ->
     return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 
 
-def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
+def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
     """Assign short bangs next to a singular arc to the arc if they are noise or chatter.
 
     During such bangs the switching function is small, or the control is far from the bound indicated by its sign.
@@ -165,10 +165,10 @@ def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradie
     for first, last in itertools.pairwise(edges):
         small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
-    _absorb_short_pieces(samples, labels, ArcKind.SINGULAR, noise)
+    _absorb_short_arcs(samples, labels, ArcKind.SINGULAR, noise)
 
 
-def _absorb_short_pieces(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
+def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
     """Assign the adjacent arcs shorter than `SHORT_ARC_SEGMENTS` segments to arcs of a label, if all are candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     grown = True
@@ -232,7 +232,7 @@ def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
     return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
 
 
-def _mixed_controls(
+def _list_mixed_constraint_controls(
     samples: PhaseSamples, mixed: Mask
 ) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
     """Return the controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
@@ -259,7 +259,7 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArra
     depends = np.any(
         samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
     )
-    bends = hamiltonian_curvature(samples) > CONVEX
+    bends = compute_hamiltonian_curvature(samples) > CONVEX
     idle = np.abs(samples.mu) <= NEGLIGIBLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
     at_lower, at_upper = samples.leg.path_bounds.is_near_limits(
@@ -279,7 +279,7 @@ def _label_states(
     include an end of the phase with another given value.
     """
     first = len(samples.leg.path_labels)
-    leg, rows, commanded = samples.leg, [], _singular_driven_states(samples, controls)
+    leg, rows, commanded = samples.leg, [], _mask_singular_driven_states(samples, controls)
     ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
@@ -298,20 +298,20 @@ def _label_states(
             inner = ~np.isin(samples.segments, off)
             pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
             labels[_mask_times_in_intervals(samples, pushes) & inner] = kind
-            _absorb_short_pieces(samples, labels, kind, commanded[i] & inner)
+            _absorb_short_arcs(samples, labels, kind, commanded[i] & inner)
         rows.append(labels)
     return rows
 
 
-def _singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
+def _mask_singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Return where the rate of a state depends on a singular control, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        found |= _driven_states(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
+        found |= _mask_driven_states(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
     return found
 
 
-def _driven_states(samples: PhaseSamples, channel: int) -> Mask:
+def _mask_driven_states(samples: PhaseSamples, channel: int) -> Mask:
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
     rates = samples.functions.rates
@@ -322,7 +322,7 @@ def _label_limit_arcs(at_lower: Mask, at_upper: Mask) -> KindArray:
     return select_kind(at_lower, ArcKind.LOWER, select_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
 
 
-def _find_label_changes(samples: PhaseSamples, labels: KindArray) -> list[float]:
+def _find_label_change_times(samples: PhaseSamples, labels: KindArray) -> list[float]:
     jumps = np.flatnonzero(labels[1:] != labels[:-1])
     return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]
 

@@ -21,9 +21,9 @@ from gnc_opt.planning.refinement.arcs.arc_refinement import (
     refine_inaccurate_pieces,
 )
 from gnc_opt.planning.refinement.arcs.control_curvature import (
-    affine_controls,
     linear_path_limits,
-    nonconvex_controls,
+    mask_affine_controls,
+    mask_nonconvex_controls,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
@@ -80,7 +80,7 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: fl
     if moved is not None:
         emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
-            left = plan.structure.collapse_piece(int(emptied[0]))
+            left = plan.structure.replace_piece_by_touch(int(emptied[0]))
             return plan.replace_structure(left), f"piece {emptied[0] + 1} dropped"
     if raised and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
@@ -101,7 +101,7 @@ def _remove_vanished_piece(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseS
     shortest = int(np.argmin(lengths))
     if structure.n_pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
-    return structure.collapse_piece(shortest), f"piece {shortest + 1} dropped"
+    return structure.replace_piece_by_touch(shortest), f"piece {shortest + 1} dropped"
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ def _add_missing_arc(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
     pieces = plan.segment_pieces[samples.segments]
-    kinds = plan.structure.kind_matrix()[:, pieces]
+    kinds = plan.structure.arc_kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
         _mask_near_switches(violation[i], kinds[i])
@@ -155,8 +155,8 @@ def _compute_structure_violations(
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
     linear = linear_path_limits(samples).linear_paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
-    affine = np.append(affine_controls(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
-    curved = np.append(nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
+    affine = np.append(mask_affine_controls(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
+    curved = np.append(mask_nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
     checked = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
@@ -175,18 +175,18 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
     singular = plan.structure.control_kinds == ArcKind.SINGULAR
-    released = plan.structure.mask_near_exchanges()[: len(singular)]
+    released = plan.structure.mask_near_limit_exchanges()[: len(singular)]
     singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
     left_open = zip(plan.resolutions, compute_singular_gradients(samples, plan), strict=True)
     stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[pieces]
     jumps = np.where(gain > 0, at_lower, at_upper)
-    reached = singular & stuck & affine_controls(samples)[:, None] & jumps
+    reached = singular & stuck & mask_affine_controls(samples)[:, None] & jumps
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        here = _find_run_around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
+        here = _find_true_run_around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
         violation[i, here] = np.abs(gain[i, here])
     asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
@@ -198,7 +198,7 @@ def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[P
     return replace_saturated_controls(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
-def _find_run_around(holds: Mask, j: int) -> slice:
+def _find_true_run_around(holds: Mask, j: int) -> slice:
     fails = np.flatnonzero(~holds)
     before, after = fails[fails < j], fails[fails > j]
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
@@ -212,15 +212,15 @@ def _mask_near_switches(violation: Array, kinds: KindArray) -> None:
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
-            _leading_true_run(violation > 0, range(int(j), -1, -1)),
-            _leading_true_run(violation > 0, range(int(j) + 1, violation.size)),
+            _take_leading_true_places(violation > 0, range(int(j), -1, -1)),
+            _take_leading_true_places(violation > 0, range(int(j) + 1, violation.size)),
         )
         if min(np.max(violation[run], initial=0.0) for run in sides) < NEGLIGIBLE:
             for run in sides:
                 violation[run] = 0.0
 
 
-def _leading_true_run(holds: Mask, places: range) -> list[int]:
+def _take_leading_true_places(holds: Mask, places: range) -> list[int]:
     """Return the first places, in order, up to the first one at which the condition does not hold."""
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 

@@ -18,7 +18,7 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.fixed_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
-from gnc_opt.planning.refinement.arcs.collocation_degree import choose_resolutions
+from gnc_opt.planning.refinement.arcs.collocation_degree import choose_arc_mesh_degrees
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
@@ -81,7 +81,7 @@ def optimise_switching_times(
         try:
             loop = _StructureLoop(problem, tol, limits or IterationLimits(), chosen, show, iterates)
             guess, settled, integrated = (
-                _start_from_newton(solution, plans, loop.target_error)
+                _optimise_times_by_newton(solution, plans, loop.target_error)
                 if segments == "few"
                 else (solution, plans, None)
             )
@@ -145,7 +145,7 @@ def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol
     )
 
 
-def _start_from_newton(
+def _optimise_times_by_newton(
     solution: Solution, plans: dict[str, ArcMesh], mesh_tolerance: float
 ) -> tuple[Solution, dict[str, ArcMesh], Solution | None]:
     """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
@@ -161,7 +161,7 @@ def _start_from_newton(
         return solution, plans, None
     structure, flight = found
     guess = flight.build_solution(solution)
-    plan = choose_resolutions(
+    plan = choose_arc_mesh_degrees(
         ArcMesh.from_structure(structure, plan.points), solution.samples()[name], guess, mesh_tolerance
     )
     return guess, {name: plan}, collocate_trajectory(solution, flight, plan)
@@ -257,7 +257,7 @@ def _solve_on_structure_mesh(
 ) -> Solution:
     fixed = problem
     for name, plan in plans.items():
-        fixed = plan.prescribe_arcs(fixed, name)
+        fixed = plan.fix_arcs_in_problem(fixed, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
     found = solve_mesh(fixed, meshes, guess=guess, options=options, limits=limits)
     return replace(found, problem=problem)

@@ -34,13 +34,13 @@ def legendre_decay_rates(error: PhaseError) -> Array:
     )
     offsets = leg.mesh.point_offsets
     rates = [
-        _decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points)
+        _fit_decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points)
         for k, rule in enumerate(leg.collocation_rules)
     ]
     return np.array(rates)
 
 
-def _decay_rate(values: Array, tau: Array) -> float:
+def _fit_decay_rate(values: Array, tau: Array) -> float:
     n = tau.size
     if n < 3 or not np.all(np.isfinite(values)):
         return DECAY_RATE_MIN

@@ -60,7 +60,7 @@ class _MeshSolution:
     record: RefinementIteration
 
     @property
-    def finite_error(self) -> float:
+    def largest_finite_error(self) -> float:
         """Largest error of the segments in which all functions are defined."""
         worst = np.concatenate([e.largest_errors for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
@@ -145,16 +145,16 @@ class _Refinement:
             if isinstance(plan, RefinementStatus):
                 return plan
             if self._limits.are_exhausted(self._spent_work):
-                return self._classify_ending(RefinementStatus.BUDGET_LIMIT)
+                return self._choose_status(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             self._past = {name: index_segments(e) for name, e in self._state.errors.items()}
             status = self._solve_on_meshes(meshes, actions)
             show(self._tabular_data[-1])
             if status is Status.ITERATION_LIMIT and self._limits.are_exhausted(self._spent_work):
-                return self._classify_ending(RefinementStatus.BUDGET_LIMIT)
+                return self._choose_status(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
                 return self.classify_failed_solve(status)
-        return self._classify_ending(RefinementStatus.ITERATION_LIMIT)
+        return self._choose_status(RefinementStatus.ITERATION_LIMIT)
 
     @property
     def _spent_work(self) -> float:
@@ -169,7 +169,7 @@ class _Refinement:
         last = self._state.record
         if self._has_converged(last):
             return RefinementStatus.CONVERGED
-        error = min(self._state.finite_error, 1.0)
+        error = min(self._state.largest_finite_error, 1.0)
         stage = max(
             self._tol, (STAGE_ERROR_SHARE if error < NOTABLE else COARSE_MESH_TOLERANCE_SHARE) * error
         )
@@ -206,9 +206,9 @@ class _Refinement:
     def classify_failed_solve(self, status: Status) -> RefinementStatus:
         """Return the final status after a solve with the given status did not converge."""
         interrupted = status is Status.INTERRUPTED
-        return self._classify_ending(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
+        return self._choose_status(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
 
-    def _classify_ending(self, otherwise: RefinementStatus) -> RefinementStatus:
+    def _choose_status(self, otherwise: RefinementStatus) -> RefinementStatus:
         """Return the final status if no pass follows: CONVERGED if the best solution is within the tolerance."""
         return RefinementStatus.CONVERGED if self._has_converged(self._best.record) else otherwise
 
@@ -231,17 +231,17 @@ class _Refinement:
             meshes,
             scheme=self._scheme,
             guess=self._state.solution,
-            options=self._choose_warm_options(),
+            options=self._choose_warm_start_options(),
             limits=replace(within, warm_iterations=WARM_MAX_ITERATIONS),
         )
         self._state = self._evaluate_solution(solution, begin, actions)
-        if self._is_better(self._state, self._best):
+        if self._is_better_solution(self._state, self._best):
             self._best, self._chosen = self._state, len(self._tabular_data) - 1
         return solution.status
 
-    def _choose_warm_options(self) -> SolverOptions:
+    def _choose_warm_start_options(self) -> SolverOptions:
         """Return the options with tolerance and barrier parameter adapted to the error of the solution."""
-        options, left = self._options, min(self._state.finite_error, 1.0)
+        options, left = self._options, min(self._state.largest_finite_error, 1.0)
         if not self._asked:
             options = replace(
                 options, tolerance=max(options.tolerance, SOLVER_SHARE * STAGE_ERROR_SHARE * left)
@@ -259,7 +259,7 @@ class _Refinement:
         self._totals.append(state.total_error)
         return state
 
-    def _is_better(self, new: _MeshSolution, old: _MeshSolution) -> bool:
+    def _is_better_solution(self, new: _MeshSolution, old: _MeshSolution) -> bool:
         """Return whether a solution is within the tolerance, or its objective has the smaller error."""
         if self._has_converged(new.record) != self._has_converged(old.record):
             return self._has_converged(new.record)

@@ -62,7 +62,7 @@ def _find_switches(error: PhaseError, k: int) -> list[Kink]:
                 np.isfinite(level)
                 and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
             ):
-                roots += _zero_crossings(_control_gradient(error, i, level, times) * unit, times)
+                roots += _find_zero_crossings(_control_gradient(error, i, level, times) * unit, times)
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
@@ -75,7 +75,7 @@ def _control_gradient(error: PhaseError, i: int, level: float, times: Array) -> 
     return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
 
 
-def _zero_crossings(values: Array, times: Array) -> list[float]:
+def _find_zero_crossings(values: Array, times: Array) -> list[float]:
     """Return the zeros of a switching function (relative to H) by linear interpolation of its samples."""
     before = np.flatnonzero(values[:-1] * values[1:] < 0)
     if not before.size or not (np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE):

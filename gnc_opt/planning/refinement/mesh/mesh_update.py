@@ -121,7 +121,9 @@ class MeshUpdate:
 
     def _is_degree_wasted(self, k: int, degree: int) -> bool:
         """Return whether the last increase of this segment's degree hardly reduced its error."""
-        key = _segment_key(self._to_fraction(self._leg.breaks[k]), self._to_fraction(self._leg.breaks[k + 1]))
+        key = _round_ends(
+            self._mesh_fraction(self._leg.breaks[k]), self._mesh_fraction(self._leg.breaks[k + 1])
+        )
         if key not in self.past or self.past[key][0] >= degree:
             return False
         old_degree, old_error = self.past[key]
@@ -148,7 +150,7 @@ class MeshUpdate:
         degree = min(max(3, min(needed, own.degree)), 10)
         return [MeshPiece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
 
-    def _to_fraction(self, t: float) -> float:
+    def _mesh_fraction(self, t: float) -> float:
         return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))
 
 
@@ -157,12 +159,12 @@ def index_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, fl
     leg = error.samples.leg
     fractions = (leg.breaks - leg.breaks[0]) / (leg.breaks[-1] - leg.breaks[0])
     return {
-        _segment_key(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.largest_errors[k]))
+        _round_ends(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.largest_errors[k]))
         for k, degree in enumerate(leg.mesh.degrees)
     }
 
 
-def _segment_key(start: float, end: float) -> tuple[float, float]:
+def _round_ends(start: float, end: float) -> tuple[float, float]:
     return round(start, 12), round(end, 12)
 
 

@@ -73,13 +73,13 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     rates = s.functions.rates(times[at], x[:, at], u)
     forces = -s.functions.state_gradient(times[at], x[:, at], u, lam[:, at], nothing)
     costate_nodes = [np.append(r.points, 1.0) if leg.scheme == "LG" else r.state_nodes for r in rules]
-    of_lam = _integrate_slopes(breaks, rules, costate_nodes, lam[:, first[:-1]], forces)
+    of_lam = _integrate_collocation_rates(breaks, rules, costate_nodes, lam[:, first[:-1]], forces)
     told = replace(
         leg,
         mesh=mesh,
         initial_time=float(breaks[0]),
         final_time=float(breaks[-1]),
-        x=_integrate_slopes(breaks, rules, [r.state_nodes for r in rules], x[:, first[:-1]], rates),
+        x=_integrate_collocation_rates(breaks, rules, [r.state_nodes for r in rules], x[:, first[:-1]], rates),
         u=interpolate_points(breaks, rules, u),
         lam=of_lam,
         lam_start=lam[:, first[:-1]],
@@ -96,13 +96,13 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     if not satisfies_limits(flown, s.state_scale):
         return None
     return replace(
-        complete_multipliers(flown),
+        add_cost_and_multipliers(flown),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
     )
 
 
-def _integrate_slopes(
+def _integrate_collocation_rates(
     breaks: Array, rules: list[CollocationRule], nodes: list[Array], starts: Array, slopes: Array
 ) -> PiecewisePolynomial:
     """Return polynomials with given initial values of segments (n, K) and rates at the collocation points (n, N)."""
@@ -131,7 +131,7 @@ def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
     return inside and find_worst_bound_violation(s).select_worse(worst_path_violation(s)).value < AT_LIMIT
 
 
-def complete_multipliers(flown: Solution) -> Solution:
+def add_cost_and_multipliers(flown: Solution) -> Solution:
     """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
     (leg,) = flown.phases.values()
     ends, functions = boundary_gradients(flown), flown.phase_functions(leg.name)
@@ -156,9 +156,5 @@ def complete_multipliers(flown: Solution) -> Solution:
         control_multipliers=-gradient,
     )
     return replace(
-        flown,
-        phases={leg.name: told},
-        objective=ends.cost,
-        constraint_values=ends.constraints,
-        history=None,
+        flown, phases={leg.name: told}, objective=ends.cost, constraint_values=ends.constraints, history=None
     )

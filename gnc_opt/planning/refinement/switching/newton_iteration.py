@@ -183,7 +183,7 @@ def _iterate_newton_steps(
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
-        length, away = step.relative_size(switches), _convergence_measure(step, switches, accuracy)
+        length, away = step.relative_size(switches), _compute_switching_time_error(step, switches, accuracy)
         if away < NOTABLE:
             return SwitchedFlow.integrate_phase(problem, s, switches, step)
         switches = _shift_switches(switches, step.change)
@@ -192,7 +192,7 @@ def _iterate_newton_steps(
             flight = SwitchedFlow.integrate_phase(problem, s, switches, step)
             if (
                 flight is None
-                or _convergence_measure(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
+                or _compute_switching_time_error(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
             ):
                 return flight
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
@@ -202,7 +202,7 @@ def _iterate_newton_steps(
     return None
 
 
-def _convergence_measure(step: SwitchStep, switches: Switches, accuracy: float) -> float:
+def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy: float) -> float:
     """Return the error of switching times relative to that permitted by an accuracy of the cost."""
     return max(step.gain / accuracy, step.relative_size(switches) / math.sqrt(accuracy))
 
@@ -244,7 +244,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 
 def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     bounds = s.leg.control_bounds
-    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.rows_changing_at(k)]
+    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changing_rows(k)]
     first = np.where(structure.control_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
     times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
     ends = np.array([structure.times[0], structure.times[-1]])

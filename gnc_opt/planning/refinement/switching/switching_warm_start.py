@@ -11,7 +11,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
-from gnc_opt.planning.refinement.switching.flow_collocation import complete_multipliers, satisfies_limits
+from gnc_opt.planning.refinement.switching.flow_collocation import add_cost_and_multipliers, satisfies_limits
 from gnc_opt.planning.refinement.switching.newton_iteration import GRID_SHARE_OF_ACCURACY, find_optimal_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -55,7 +55,7 @@ class KnownSwitches:
         (leg,) = start.phases.values()
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
-        begun = _shift_start(recompute_from_problem(replace(start, problem=problem.frozen())))
+        begun = _shift_to_initial_states(recompute_from_problem(replace(start, problem=problem.frozen())))
         found = None if begun is None else find_optimal_flow(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
@@ -65,7 +65,7 @@ class KnownSwitches:
         if not satisfies_limits(flown, self.state_scale):
             return None
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
-        return replace(complete_multipliers(flown), structure=structure.list_arcs(leg.name, labels))
+        return replace(add_cost_and_multipliers(flown), structure=structure.list_arcs(leg.name, labels))
 
 
 def truncate_solution(known: Solution, problem: Problem) -> Solution:
@@ -79,7 +79,7 @@ def truncate_solution(known: Solution, problem: Problem) -> Solution:
     return truncate_solution_before(known, float(begins.lower[0]))
 
 
-def _shift_start(known: Solution) -> Solution | None:
+def _shift_to_initial_states(known: Solution) -> Solution | None:
     """Return the trajectory shifted to the initial states of its problem; None if the problem fixes other times."""
     (leg,) = known.phases.values()
     for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
