@@ -148,7 +148,7 @@ class ProblemFile:
     def build(self, options: Mapping[str, Any]) -> Problem:
         """Return the problem for these options; raise `ProblemFileError` for wrong ones, or if ``build`` fails."""
         self._check_options(options)
-        with _name_failing_line(self.path, "build()"):
+        with _add_failing_line_to_errors(self.path, "build()"):
             problem = self.module.build(**options)
         if not isinstance(problem, Problem):
             raise ProblemFileError(
@@ -214,7 +214,7 @@ def _execute_file(file: Path) -> ModuleType:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look up their module
-    with _name_failing_line(file, "the file"):
+    with _add_failing_line_to_errors(file, "the file"):
         spec.loader.exec_module(module)
     return module
 
@@ -223,7 +223,7 @@ def _import_package(folder: Path) -> ModuleType:
     holder = _find_import_root(folder.resolve())
     names = folder.resolve().relative_to(holder).parts
     _with_import_paths(holder)
-    with _name_failing_line(folder, "the package"):
+    with _add_failing_line_to_errors(folder, "the package"):
         outermost = importlib.import_module(names[0])
         if str(holder / names[0]) not in (str(Path(p).resolve()) for p in getattr(outermost, "__path__", [])):
             raise ProblemFileError(
@@ -270,7 +270,7 @@ def _parse_literal(value: str, text: str) -> Any:
 
 
 @contextmanager
-def _name_failing_line(path: Path, what: str) -> Iterator[None]:
+def _add_failing_line_to_errors(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except ProblemFileError:
@@ -279,10 +279,10 @@ def _name_failing_line(path: Path, what: str) -> Iterator[None]:
         raise ProblemFileError(f"{path}: {what} ends the program (exit code {error.code}).") from error
     except Exception as error:
         place = _find_failing_line(path, error)
-        raise ProblemFileError(f"{place}: {_error_reason(error)}") from error
+        raise ProblemFileError(f"{place}: {_format_error_reason(error)}") from error
 
 
-def _error_reason(error: Exception) -> str:
+def _format_error_reason(error: Exception) -> str:
     """Return the error message, with its type if it is not from gnc_opt, and a hint for rejected expressions."""
     if isinstance(error, GncOptError):
         return str(error)

@@ -19,7 +19,7 @@ ShowRuns: TypeAlias = Callable[[int, int], None]
 
 
 @contextmanager
-def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
+def show_solve_progress(name: str, console: Console | None = None) -> Iterator[Show]:
     """Show the iterations of a solve; yields ``show(iteration, objective, infeasibility)``.
 
     On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
@@ -66,7 +66,9 @@ class _SolveMeter:
 
 
 @contextmanager
-def refinement_meter(name: str, tolerance: float, console: Console | None = None) -> Iterator[ShowPass]:
+def show_refinement_progress(
+    name: str, tolerance: float, console: Console | None = None
+) -> Iterator[ShowPass]:
     """Show each completed iteration of a refinement to a tolerance; yields ``show(record)``."""
     console = _make_rich_console() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
@@ -89,7 +91,7 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
 
 
 @contextmanager
-def search_meter(
+def show_search_progress(
     name: str, total: int, sense: float = 1.0, console: Console | None = None
 ) -> Iterator[ShowEnding]:
     """Show completed tasks and the best objective; yields ``show(objective)``; ``sense`` < 0: maximise."""
@@ -106,7 +108,7 @@ def search_meter(
 
 
 @contextmanager
-def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
+def show_campaign_progress(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
     """Show the numbers of completed and failed runs; yields ``show(runs, failed)`` for additional runs."""
     with _progress_bar("runs", total, console) as advance:
         all_failed = 0

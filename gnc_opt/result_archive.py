@@ -33,7 +33,7 @@ class DataclassPacking:
     classes: tuple[type, ...]
     left_out: Mapping[type, tuple[str, ...]] = field(default_factory=dict)
 
-    def stored_fields(self, kind: Any) -> list[str]:
+    def list_stored_fields(self, kind: Any) -> list[str]:
         return [f.name for f in fields(kind) if f.init and f.name not in self.left_out.get(kind, ())]
 
     def pack(self, value: Any, place: str, arrays: Arrays) -> Any:
@@ -52,21 +52,21 @@ class DataclassPacking:
             return {"type": self._get_type_name(value, place), "value": value.value}
         if is_dataclass(value):
             members = {
-                name: self.pack(getattr(value, name), _field_path(place, name), arrays)
-                for name in self.stored_fields(type(value))
+                name: self.pack(getattr(value, name), _join_path(place, name), arrays)
+                for name in self.list_stored_fields(type(value))
             }
             return {"type": self._get_type_name(value, place), "fields": members}
         if isinstance(value, Mapping):
             if not all(isinstance(key, str) for key in value):
                 raise GncOptError(f"'{place}' cannot be saved: its keys are not all names.")
             return {
-                "map": {key: self.pack(item, _field_path(place, key), arrays) for key, item in value.items()}
+                "map": {key: self.pack(item, _join_path(place, key), arrays) for key, item in value.items()}
             }
         if isinstance(value, (tuple, list)):
             return self._pack_sequence(value, place, arrays)
         if isinstance(value, (float, np.floating)):
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
-        return _to_json_value(value.item() if isinstance(value, np.generic) else value, place)
+        return _convert_to_json_value(value.item() if isinstance(value, np.generic) else value, place)
 
     def unpack(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
         if isinstance(tree, list):
@@ -95,7 +95,7 @@ class DataclassPacking:
         if _are_stackable_arrays(value):
             whole = _store_array(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
-        trees = [self.pack(item, _field_path(place, str(i)), arrays) for i, item in enumerate(value)]
+        trees = [self.pack(item, _join_path(place, str(i)), arrays) for i, item in enumerate(value)]
         if not all(is_dataclass(item) for item in value):
             return trees
         texts = [json.dumps(tree) for tree in trees]
@@ -127,7 +127,7 @@ def _store_array(array: Array, place: str, arrays: Arrays) -> str:
     return name
 
 
-def _to_json_value(value: Any, place: str) -> Any:
+def _convert_to_json_value(value: Any, place: str) -> Any:
     if value is None or isinstance(value, (str, bool, int)):
         return value
     raise _unpackable_type_error(value, place)
@@ -137,7 +137,7 @@ def _unpackable_type_error(value: Any, place: str) -> GncOptError:
     return GncOptError(f"'{place}' cannot be saved: files cannot store a {type(value).__name__}.")
 
 
-def _field_path(place: str, name: str) -> str:
+def _join_path(place: str, name: str) -> str:
     return f"{place}.{name}" if place else name
 
 

@@ -37,7 +37,7 @@ def package_version(name: str) -> str:
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def limit_to_one_thread() -> Iterator[None]:
     """Limit BLAS and LAPACK to one thread, as context manager or decorator."""
     with _find_thread_controller().limit(limits=1, user_api="blas"):
         yield

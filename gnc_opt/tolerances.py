@@ -76,7 +76,7 @@ def are_equal(found: Array, expected: Array) -> bool:
     return bool(change <= CONSTANT * np.max(np.abs(expected), initial=0.0))
 
 
-def are_dependent(singular_values: ArrayLike) -> bool:
+def is_rank_deficient(singular_values: ArrayLike) -> bool:
     """Return whether singular values (largest first) belong to a matrix with dependent rows or columns."""
     values = np.asarray(singular_values)
     return bool(values[-1] <= ROUNDING * values[0])

@@ -28,7 +28,7 @@ from gnc_opt.arguments import StrictAttributes, expect, read_integer, suggest_ke
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.variables import Layout
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
 from gnc_opt.text_formatting import PrintableResult, count_text
@@ -151,13 +151,9 @@ class LinearCovariance(StrictAttributes, PrintableResult):
         raise unknown_name("signal", signal, "the linear covariance", known)
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
-def linear_covariance(
-    scenario: Scenario,
-    *,
-    every: int = 1,
-) -> LinearCovariance:
+def linear_covariance(scenario: Scenario, *, every: int = 1) -> LinearCovariance:
     """Return the covariances of a closed loop's errors along its nominal run, by source.
 
     Parameters

@@ -26,7 +26,7 @@ from gnc_opt.control.loop_margins import Margins, mask_input_output_states, stab
 from gnc_opt.control.sampled_data import map_to_continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.actuators import ZeroOrderHold
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, StepContext
 from gnc_opt.simulation.closed_loop import ClosedLoop
@@ -157,7 +157,7 @@ class LoopResponse(StrictAttributes):
             np.all(np.abs(self._closed_loop_transfer(_LOOKS * np.pi / self.dt, index)) < ROUNDING)
         )
 
-    @one_thread()
+    @limit_to_one_thread()
     def _closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
         w = read_numbers(omega, "the frequencies").reshape(-1)
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
@@ -199,7 +199,7 @@ def _estimate_pole_error() -> ArgumentError:
     )
 
 
-@one_thread()
+@limit_to_one_thread()
 def loop_response(
     loop: ClosedLoop,
     *,

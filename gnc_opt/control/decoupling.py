@@ -26,7 +26,7 @@ from gnc_opt.control.open_loop import (
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.tolerances import are_dependent
+from gnc_opt.tolerances import is_rank_deficient
 
 SINGULAR = "singular"
 """Name of the alarm."""
@@ -83,7 +83,7 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
     worst = int(np.argmin(signed))
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
     there = pair.evaluate_along_reference(reference, times[[worst]], matrix)[0]
-    if lost or are_dependent(np.linalg.svd(there, compute_uv=False)):
+    if lost or is_rank_deficient(np.linalg.svd(there, compute_uv=False)):
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
             f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "

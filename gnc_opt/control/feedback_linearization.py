@@ -43,10 +43,10 @@ from gnc_opt.control.sampled_data import (
 )
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 
-@one_thread()
+@limit_to_one_thread()
 def design_feedback_linearization(
     model: Model,
     reference: Reference | ArrayLike,

@@ -26,7 +26,7 @@ from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import as_expression
-from gnc_opt.tolerances import ROUNDING, are_dependent
+from gnc_opt.tolerances import ROUNDING, is_rank_deficient
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 """Controlled outputs: one or several names, SX expressions of (t, x, p), or a mapping from names to these."""
@@ -305,7 +305,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     )
     d, a, b, outputs, last, e = (np.asarray(m.full()) for m in function(t, x, u, x, u))
     singular = np.linalg.svd(e, compute_uv=False)
-    if are_dependent(singular):
+    if is_rank_deficient(singular):
         raise DesignError(
             f"the decoupling matrix is singular at t = {t:g} s (singular values {singular}): "
             "the outputs cannot be steered independently there."

@@ -42,13 +42,13 @@ from gnc_opt.control.sampled_data import compute_spectral_radius, discretize_zer
 from gnc_opt.control.sliding_mode import build_switching_control
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
-from gnc_opt.runtime_environment import one_thread
-from gnc_opt.tolerances import are_dependent
+from gnc_opt.runtime_environment import limit_to_one_thread
+from gnc_opt.tolerances import is_rank_deficient
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
 
 
-@one_thread()
+@limit_to_one_thread()
 def design_integral_sliding_mode(
     model: Model,
     reference: Reference | ArrayLike,
@@ -147,7 +147,7 @@ def _build_projected_surface(
     b = ca.densify(ca.simplify(pair.substitute_reference(ca.jacobian(pair.lie_derivative_of(e), pair.u))))
     first = pair.evaluate_along_reference(reference, np.array([reference.initial_time]), b)[0]
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
-    if first.shape[0] < first.shape[1] or are_dependent(singular):
+    if first.shape[0] < first.shape[1] or is_rank_deficient(singular):
         raise DesignError(
             f"the controls of model '{pair.model.name}' have linearly dependent effects on its states (singular "
             f"values of B: {singular}): allocate them first, and design for independent controls."

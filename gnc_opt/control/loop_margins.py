@@ -22,7 +22,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.control.sampled_data import map_to_continuous_poles
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 _AT_ZERO = 1e-8
@@ -58,7 +58,7 @@ class Margins:
     disk: float
 
 
-@one_thread()
+@limit_to_one_thread()
 def stability_margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
     """Return the margins of the stable loop ``v = -gain e``; dt (s) for a sampled plant (A, B)."""
     omega = _build_frequency_grid(a, a - b @ gain, dt)

@@ -38,7 +38,7 @@ from gnc_opt.control.sampled_data import discretize, map_to_continuous_poles
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import are_equal
 
 
@@ -67,10 +67,7 @@ def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[R
     return [
         ReportEntry("gain margin up", found.gain_up, "", "largest factor of the gain, other loops closed"),
         ReportEntry(
-            "gain margin down",
-            found.gain_down,
-            "",
-            "smallest factor of the gain, other loops closed",
+            "gain margin down", found.gain_down, "", "smallest factor of the gain, other loops closed"
         ),
         ReportEntry("phase margin", np.degrees(found.phase), "deg", "of each control, other loops closed"),
         ReportEntry("delay margin", found.delay, "s", "of each control, other loops closed"),
@@ -78,7 +75,7 @@ def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[R
     ]
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def design_lqr(
     model: Model,

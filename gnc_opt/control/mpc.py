@@ -42,7 +42,7 @@ from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_equal
 
 QP_TOLERANCE = 1e-6
@@ -54,7 +54,7 @@ _HORIZON_MAX_STEPS = 500
 _DAQP = {"primal_tol": 1e-11, "dual_tol": 1e-12}
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def design_mpc(
     model: Model,
@@ -161,11 +161,7 @@ def design_mpc(
         span=(reference.initial_time, reference.final_time),
         explanation=DesignReport(
             f"{name} of '{model.name}' along {reference!r}",
-            (
-                *_report_mpc(gains, windows, rows, model.states),
-                *beyond,
-                *margin,
-            ),
+            (*_report_mpc(gains, windows, rows, model.states), *beyond, *margin),
         ),
     )
     code = _build_qp_code(windows, rows, model)

@@ -59,7 +59,7 @@ from gnc_opt.control.sampled_data import (
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError, quote
 from gnc_opt.model.model import Model
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 
 def _build_sliding_mode_command(
@@ -257,7 +257,7 @@ Slopes: TypeAlias = float | Sequence[Any] | Mapping[str, Any]
 """Slope lambda (1/s): a number, one per component, or a mapping from outputs to lambda or to the r - 1 poles."""
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def design_sliding_mode(
     model: Model,

@@ -33,7 +33,7 @@ from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class GainSchedule:
         return np.vstack([self.reference(times, dt), rows])
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def design_tvlqr(
     model: Model,
@@ -137,11 +137,7 @@ def _build_tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     return law_function(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 
-def _report_tvlqr(
-    deviation: ErrorDynamics,
-    reference: Reference,
-    gains: Gains,
-) -> list[ReportEntry]:
+def _report_tvlqr(deviation: ErrorDynamics, reference: Reference, gains: Gains) -> list[ReportEntry]:
     times = choose_reference_sample_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])

@@ -23,11 +23,11 @@ from gnc_opt.estimation.linearization import Approximation, SigmaRegression, Tan
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_filter_options
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_state_vector, as_vector
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import EQUAL
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def design_ekf(
     model: Model,
@@ -77,7 +77,7 @@ def design_ekf(
     return design.build_estimator(TangentModel(), "extended Kalman filter")
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def design_ukf(
     model: Model,

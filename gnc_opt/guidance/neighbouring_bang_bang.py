@@ -40,7 +40,7 @@ from gnc_opt.errors import ArgumentError, DesignError, quote
 from gnc_opt.guidance.bang_bang_plan import PlanPrediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS
 from gnc_opt.tolerances import CONVEX, RANK, TINY
 
@@ -150,7 +150,7 @@ _CORRECTION_WEIGHT_SHARE = 0.04
 """Correction, as a share of the duration, whose weight equals an accepted error."""
 
 
-@one_thread()
+@limit_to_one_thread()
 def design_neighbouring_optimal(
     solution: Solution,
     regulator: Controller,

@@ -27,7 +27,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import MOVED_START
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme, get_family
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 
 class Resolver:
@@ -86,7 +86,7 @@ class Resolver:
         self._flight = None if flight is None else flight.with_newton_step()
         self._arcs = KnownArcs.from_solution(solution) if solution.structure or self.tol is not None else None
 
-    @one_thread()
+    @limit_to_one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
         """Return the solution of a variation; ``solution.provenance["way"]`` is its `SolveMethod`.
 
@@ -183,7 +183,7 @@ DEFAULT_TOLERANCE = 1e-6
 """Default tolerance of a refinement."""
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def solve(
     problem: Problem,

@@ -43,7 +43,7 @@ def hamiltonian_unit(solution: Solution) -> str:
     return "" if unit in ("", time) else derivative_unit(unit, time)
 
 
-def hamiltonian_terms_size(solution: Solution, leg: PhaseSolution) -> float:
+def find_largest_hamiltonian_term(solution: Solution, leg: PhaseSolution) -> float:
     """Return the largest sum of the magnitudes of the terms lambda_i dx_i/dt along a phase."""
     t = leg.point_times
     terms = leg.lam(t) * solution.phase_functions(leg.name).rates(t, leg.x(t), leg.u(t))

@@ -16,11 +16,11 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    legend_above,
-    legend_on_top,
+    draw_legend_on_top,
     line_style,
     new_axes_rows,
     new_figure,
+    place_legend_above,
     variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
@@ -86,7 +86,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_locator(MaxNLocator(5, symmetric=True))
-        legend_on_top(figure, axes)
+        draw_legend_on_top(figure, axes)
     return figure
 
 
@@ -116,9 +116,9 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
             _draw_distribution(ax, campaign, name, finite)
-            _draw_limit(ax, campaign.limits.get(name), finite)
+            _draw_measure_limit(ax, campaign.limits.get(name), finite)
             ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
-        legend_on_top(figure, axes)
+        draw_legend_on_top(figure, axes)
     return figure
 
 
@@ -137,7 +137,7 @@ def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> 
     ax.set_ylabel("share of runs")
 
 
-def _draw_limit(ax: Axes, limit: float | None, finite: Any) -> None:
+def _draw_measure_limit(ax: Axes, limit: float | None, finite: Any) -> None:
     if limit is None:
         return
     ends = ax.get_xlim()
@@ -177,7 +177,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
         ax.set_xlabel(axis_label("time", "s"))
         ax.set_ylabel(axis_label(variable_name_text(name), found.unit))
         ax.set_xlim(found.times[0], found.times[-1])
-        legend_above(ax)
+        place_legend_above(ax)
     return figure
 
 

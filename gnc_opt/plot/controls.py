@@ -27,8 +27,8 @@ from gnc_opt.plot.axes import (
     component_legend_labels,
     draw_components,
     draw_phase_boundaries,
+    find_largest_hamiltonian_term,
     find_zero_crossings,
-    hamiltonian_terms_size,
     hamiltonian_unit,
     label_time_axes,
     sample_densely,
@@ -40,9 +40,9 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    legend_above,
-    legend_on_top,
+    draw_legend_on_top,
     new_axes_rows,
+    place_legend_above,
     variable_name_text,
 )
 from gnc_opt.text_formatting import derivative_unit
@@ -55,10 +55,7 @@ _ARC_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"
 
 
 def plot_controls(
-    solution: Solution,
-    names: Sequence[str] | None = None,
-    *,
-    phase: str | None = None,
+    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Figure:
     """Return a figure of the controls, with the switching function beside each bounded component.
 
@@ -84,7 +81,7 @@ def plot_controls(
     2
     """
     legs = select_phases(solution, phase)
-    rows = _list_rows(legs, find_declared_controls(legs, names))
+    rows = _list_plot_rows(legs, find_declared_controls(legs, names))
     if not rows:
         raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     paired = [i is not None and solution.problem is not None for _, i in rows]
@@ -97,7 +94,7 @@ def plot_controls(
                 if not has_control(leg, name):
                     continue
                 if i is None:
-                    _draw_whole_control(pictures[0], leg, name)
+                    _draw_all_components(pictures[0], leg, name)
                 else:
                     _draw_bounded_component(pictures[0], leg, name, i)
                 if pair:
@@ -105,7 +102,7 @@ def plot_controls(
         for ax in drawn:
             draw_phase_boundaries(ax, legs)
         label_time_axes(figure, time_unit(solution))
-        legend_on_top(figure, [ax for ax in drawn if ax.get_legend() is None])
+        draw_legend_on_top(figure, [ax for ax in drawn if ax.get_legend() is None])
     return figure
 
 
@@ -126,7 +123,7 @@ def find_declared_controls(legs: Sequence[PhaseSolution], names: Sequence[str] |
     return plain + [name for name, c in composed.items() if _is_declared_control(c, composed.values())]
 
 
-def _list_rows(legs: Sequence[PhaseSolution], names: Sequence[str]) -> list[tuple[str, int | None]]:
+def _list_plot_rows(legs: Sequence[PhaseSolution], names: Sequence[str]) -> list[tuple[str, int | None]]:
     """Return name and component of each row; None for all components of a control without bounds or fixed."""
     rows: list[tuple[str, int | None]] = []
     for name in names:
@@ -158,13 +155,13 @@ def _draw_bounded_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> 
     ax.set_ylabel(axis_label(component_legend_labels(signal)[i], signal.unit))
 
 
-def _draw_whole_control(ax: Axes, leg: PhaseSolution, name: str) -> None:
+def _draw_all_components(ax: Axes, leg: PhaseSolution, name: str) -> None:
     signal = leg.saturated_control(name)
     labels = component_legend_labels(signal)
     draw_components(ax, *sample_densely(signal, leg.applied.jump_times), labels)
     ax.set_ylabel(axis_label(variable_name_text(name), signal.unit))
     if len(labels) > 1:
-        legend_above(ax)
+        place_legend_above(ax)
 
 
 def _is_declared_control(control: ComposedControl, others: Iterable[ComposedControl]) -> bool:
@@ -218,7 +215,7 @@ def _compute_negligible_switching(solution: Solution, leg: PhaseSolution, name: 
     """Return the switching function that changes H by 1e-7 of its terms over the range of the control."""
     t, rows = leg.point_times, leg.controls.slice(name)
     row = rows.start + i
-    terms = hamiltonian_terms_size(solution, leg)
+    terms = find_largest_hamiltonian_term(solution, leg)
     reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
     if not (np.isfinite(reach) and reach > 0):
         reach = float(np.max(np.abs(leg.u(t)[rows]))) or 1.0

@@ -15,7 +15,7 @@ from gnc_opt.plot.style import (
     QUIET,
     apply_style,
     axis_label,
-    legend_on_top,
+    draw_legend_on_top,
     line_style,
     new_figure,
     variable_name_text,
@@ -65,7 +65,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
             lines = figure.axes[0].get_lines()
             for line, t in zip(lines, response.times, strict=False):
                 line.set_label(f"{t:g} s")
-            legend_on_top(figure, figure.axes[:1])
+            draw_legend_on_top(figure, figure.axes[:1])
     return figure
 
 

@@ -27,8 +27,8 @@ from gnc_opt.plot.style import (
     QUIET,
     apply_style,
     axis_label,
+    draw_legend_on_top,
     figure_width,
-    legend_on_top,
     variable_name_text,
 )
 
@@ -82,9 +82,9 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             if few.dcm_BL is None:
                 ax.plot(*few.position[:, k : k + 1], ".", color=COLORS[0], markersize=9, zorder=5)
             else:
-                drawn.append(_draw_box(ax, few.position[:, k], few.dcm_BL[:, :, k], size, COLORS[0]))
+                drawn.append(_draw_vehicle(ax, few.position[:, k], few.dcm_BL[:, :, k], size, COLORS[0]))
         for i, (name, place) in enumerate(bodies.items(), 1):
-            drawn.append(_draw_box(ax, place, np.eye(3), size, COLORS[i % len(COLORS)], label=name))
+            drawn.append(_draw_vehicle(ax, place, np.eye(3), size, COLORS[i % len(COLORS)], label=name))
         for name in view.keep_out:
             surface = ellipsoid_points(*view.keep_out_volume(name))
             ax.plot_wireframe(
@@ -92,12 +92,12 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             )
             drawn.append(surface.reshape(3, -1))
         _set_equal_scales(ax, np.hstack(drawn), path, view.down)
-        _fill_figure(figure, ax)
-        legend_on_top(figure, [ax])
+        _fit_axes_to_figure_width(figure, ax)
+        draw_legend_on_top(figure, [ax])
     return figure
 
 
-def _fill_figure(figure: Figure, ax: Any) -> None:
+def _fit_axes_to_figure_width(figure: Figure, ax: Any) -> None:
     """Magnify the axes until the frame fills the width or `MOTION_MAX_HEIGHT`; cut the figure to its height."""
     corners = np.array(list(itertools.product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim()))).T
     shown = ax.transData.transform(np.transpose(proj_transform(*corners, ax.get_proj())[:2])) / figure.dpi
@@ -110,7 +110,7 @@ def _fill_figure(figure: Figure, ax: Any) -> None:
     ax.set_position((*(corner / size), *(factor * side / size)))
 
 
-def _draw_box(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str, label: str = "") -> Array:
+def _draw_vehicle(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str, label: str = "") -> Array:
     """Draw a vehicle as a box along its axes, the rows of ``dcm_BL``; return the corners (3, 8)."""
     edges = size * np.array(VEHICLE_HALF_EDGES)
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * edges

@@ -13,9 +13,9 @@ from gnc_opt.plot.style import (
     QUIET,
     apply_style,
     axis_label,
-    legend_above,
     line_style,
     new_axes_rows,
+    place_legend_above,
     variable_name_text,
 )
 from gnc_opt.simulation.simulation_run import LoggedSignal, Run
@@ -64,13 +64,13 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
             if kind == "states":
                 _draw_reference(ax, run, name)
             elif kind == "controls" and name in run.layouts["command"]:
-                _draw_signal(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
+                _draw_signal_rows(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
             looks = [
                 {"label": variable_name_text(label), **line_style(i)} for i, label in enumerate(signal.labels)
             ]
-            _draw_signal(ax, signal, looks)
+            _draw_signal_rows(ax, signal, looks)
             ax.set_ylabel(axis_label(variable_name_text(signal.name), signal.unit))
-            legend_above(ax)
+            place_legend_above(ax)
             ax.set_xlim(run.times[0], run.times[-1])
         axes[-1].set_xlabel("time (s)")
     return figure
@@ -83,7 +83,7 @@ def _draw_reference(ax: Axes, run: Run, name: str) -> None:
         ax.plot(run.times, row, label="reference" if i == 0 else "_", **_FOLLOWED)
 
 
-def _draw_signal(ax: Axes, signal: LoggedSignal, looks: Sequence[dict[str, Any]]) -> None:
+def _draw_signal_rows(ax: Axes, signal: LoggedSignal, looks: Sequence[dict[str, Any]]) -> None:
     """Draw the components of a signal; the last style is used for all further components."""
     for i, row in enumerate(signal.values):
         look = {"label": "_", **looks[min(i, len(looks) - 1)]}

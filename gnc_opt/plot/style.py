@@ -62,7 +62,7 @@ def apply_style() -> Iterator[None]:
 
 
 @contextmanager
-def narrow_figures() -> Iterator[None]:
+def draw_narrow_figures() -> Iterator[None]:
     """Inside a ``with`` block, draw figures for narrow screens: half as wide, with all axes in one column."""
     earlier = _NARROW.set(True)
     try:
@@ -144,7 +144,7 @@ def unit_text(unit: str) -> str:
     return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
 
 
-def legend_above(ax: Axes) -> None:
+def place_legend_above(ax: Axes) -> None:
     """Put the axis' legend above it, where it cannot hide data."""
     labels = (re.sub(r"\\[a-z]+|\W|_", "", text) for text in ax.get_legend_handles_labels()[1])
     narrow = 2 if max(map(len, labels), default=0) > _LONG_NAME else 3
@@ -152,7 +152,7 @@ def legend_above(ax: Axes) -> None:
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2)
 
 
-def legend_on_top(figure: Figure, axes: Sequence[Any], columns: int = 5) -> None:
+def draw_legend_on_top(figure: Figure, axes: Sequence[Any], columns: int = 5) -> None:
     """Put one legend of the labels in some axes at the top of a figure; two columns in narrow figures."""
     handles = {h.get_label(): h for ax in axes for h in ax.get_legend_handles_labels()[0]}
     if _NARROW.get():

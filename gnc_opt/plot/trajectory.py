@@ -20,7 +20,7 @@ from gnc_opt.plot.axes import (
     cost_unit,
     draw_components,
     draw_phase_boundaries,
-    hamiltonian_terms_size,
+    find_largest_hamiltonian_term,
     hamiltonian_unit,
     label_time_axes,
     sample_densely,
@@ -32,10 +32,10 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    legend_above,
-    legend_on_top,
+    draw_legend_on_top,
     new_axes_rows,
     new_figure,
+    place_legend_above,
     variable_name_text,
 )
 from gnc_opt.text_formatting import derivative_unit
@@ -48,10 +48,7 @@ _LIMIT_IN_VIEW, _ACTIVE_SHARE = 2.0, 1e-4
 
 
 def plot_states(
-    solution: Solution,
-    names: Sequence[str] | None = None,
-    *,
-    phase: str | None = None,
+    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Figure:
     """Return a figure that shows states over time, one axis per (vector) state; bounds in view are dashed.
 
@@ -77,10 +74,7 @@ def plot_states(
 
 
 def plot_costates(
-    solution: Solution,
-    names: Sequence[str] | None = None,
-    *,
-    phase: str | None = None,
+    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Figure:
     """Return a figure that shows the costates of states over time, one axis per (vector) state.
 
@@ -102,7 +96,7 @@ def plot_costates(
     return _draw_states_or_costates(solution, names, phase, costates=True)
 
 
-def negligible_costates(legs: Sequence[PhaseSolution]) -> dict[str, float]:
+def find_negligible_costates(legs: Sequence[PhaseSolution]) -> dict[str, float]:
     """Return by state the costate that is rounding: 1e-9 of the largest effect of any costate over its state's size."""
     sizes = {
         (leg.name, v.name): [
@@ -139,7 +133,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     if not labels or solution.problem is None:
         return None
     with apply_style():
-        figure, axes = _time_axes(len(labels))
+        figure, axes = _make_time_axes(len(labels))
         for label, i, leg in rows:
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
         for ax, label in zip(axes, labels, strict=True):
@@ -204,11 +198,11 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
             along = sample_densely(_applied_hamiltonian_function(solution, leg), leg.applied.jump_times)
             draw_components(ax, *along, ["applied controls"])
             ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
-        set_minimum_y_range(ax, SMALL * max(hamiltonian_terms_size(solution, leg) for leg in legs))
+        set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in legs))
         draw_phase_boundaries(ax, legs)
         ax.set_xlabel(f"time ({time_unit(solution)})")
         ax.set_ylabel(axis_label("Hamiltonian", hamiltonian_unit(solution)))
-        legend_on_top(figure, [ax])
+        draw_legend_on_top(figure, [ax])
     return figure
 
 
@@ -217,9 +211,9 @@ def _draw_states_or_costates(
 ) -> Figure:
     legs = select_phases(solution, phase)
     names = select_variable_names(legs, "states", names)
-    negligible = negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
+    negligible = find_negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
     with apply_style():
-        figure, axes = _time_axes(len(names))
+        figure, axes = _make_time_axes(len(names))
         for ax, name in zip(axes, names, strict=True):
             owners = [leg for leg in legs if name in leg.states]
             for leg in owners:
@@ -232,12 +226,12 @@ def _draw_states_or_costates(
             ax.set_ylabel(axis_label(text, unit))
             draw_phase_boundaries(ax, legs, negligible[name])
             if variable.size > 1:
-                legend_above(ax)
+                place_legend_above(ax)
         label_time_axes(figure, time_unit(solution))
     return figure
 
 
-def _time_axes(number: int) -> tuple[Figure, list[Axes]]:
+def _make_time_axes(number: int) -> tuple[Figure, list[Axes]]:
     """Return a figure with a number of time axes, in two columns if they are many; the last one may be wide."""
     full = [1] * number if number <= MOST_ROWS else [2] * (number // 2) + [1] * (number % 2)
     return new_axes_rows(full, 2.1)

@@ -31,7 +31,7 @@ def write_page(folder: Path, text: str) -> Path:
 
 def save_figures(folder: Path, draw: Callable[[], Iterable[tuple[str, Any]]]) -> dict[str, Path]:
     """Write figures by file stem as SVG, also narrow ones in a folder of that name; return the paths by stem."""
-    from gnc_opt.plot.style import narrow_figures, save_figure
+    from gnc_opt.plot.style import draw_narrow_figures, save_figure
 
     def save_all(where: Path) -> dict[str, Path]:
         files = {}
@@ -41,7 +41,7 @@ def save_figures(folder: Path, draw: Callable[[], Iterable[tuple[str, Any]]]) ->
             files[stem] = save_figure(figure, where / f"{stem}.svg")
         return files
 
-    with narrow_figures():
+    with draw_narrow_figures():
         save_all(folder / "narrow")
     return save_all(folder)
 

@@ -31,11 +31,11 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     """
     return {
         "problem": found.problem_name,
-        **_attributes_dict(found, "starts", "finished", "seed", "interrupted"),
+        **_convert_attributes(found, "starts", "finished", "seed", "interrupted"),
         "failures": dict(found.failures),
         "minima": [
             {
-                **_attributes_dict(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
+                **_convert_attributes(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
                 "standing": minimum.check_result,
                 "starts": list(minimum.starts),
                 "coarse_objectives": list(minimum.coarse_objectives),
@@ -93,7 +93,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "verdict": None if verdict is None else _verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
                 "structure": [
-                    {**_attributes_dict(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
+                    {**_convert_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
                     for arc in solution.structure
                 ],
                 "refinement": None if solution.history is None else _refinement_dict(solution.history),
@@ -139,7 +139,7 @@ def _lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
     if bound is None:
         return None
     return {
-        **_attributes_dict(bound, "value", "certified", "theorem"),
+        **_convert_attributes(bound, "value", "certified", "theorem"),
         "gap": solution.gap,
         "states": list(bound.states),
     }
@@ -147,8 +147,8 @@ def _lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
 
 def _verdict_dict(verdict: Verdict) -> dict[str, Any]:
     members = ("name", "value", "tolerance", "where", "meaning", "sufficient", "loss", "unit")
-    conditions = [{**_attributes_dict(c, *members), "result": c.result.value} for c in verdict.conditions]
-    return {**_attributes_dict(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
+    conditions = [{**_convert_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
+    return {**_convert_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
 
 
 def _refinement_dict(history: History) -> dict[str, Any]:
@@ -156,13 +156,13 @@ def _refinement_dict(history: History) -> dict[str, Any]:
         "status": history.status.value,
         "passes": len(history.passes),
         "error": history.final_iteration.error,
-        **_attributes_dict(history, "tolerance", "seconds"),
+        **_convert_attributes(history, "tolerance", "seconds"),
     }
 
 
 def _phase_dict(leg: PhaseSolution) -> dict[str, Any]:
     return {
-        **_attributes_dict(leg, "name", "initial_time", "final_time"),
+        **_convert_attributes(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
         "states": _list_layout(leg.states),
@@ -170,7 +170,7 @@ def _phase_dict(leg: PhaseSolution) -> dict[str, Any]:
     }
 
 
-def _attributes_dict(value: Any, *names: str) -> dict[str, Any]:
+def _convert_attributes(value: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names}
 
 

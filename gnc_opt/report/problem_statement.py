@@ -28,7 +28,7 @@ _TIME = "<mi>t</mi>"
 
 def problem_statement_html(problem: Problem) -> str:
     """Return the cost, the boundary constraints, the free parameters and all phases as HTML."""
-    writer = Formulas(_name_boundaries(problem))
+    writer = Formulas(_name_boundary_symbols(problem))
     shown: dict[str, str] = {}
     phases = "".join(_phase_section(problem, leg, shown) for leg in problem.phases.values())
     return (
@@ -42,7 +42,7 @@ def problem_statement_html(problem: Problem) -> str:
 # --- cost and ends ----------------------------------------------------------------------------------------
 
 
-def _name_boundaries(problem: Problem) -> dict[int, str]:
+def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
     """Return the names of boundary states, times, integrals and free parameters."""
     names = component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
     several = len(problem.phases) > 1
@@ -156,7 +156,7 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
                 *_state_table_rows(leg),
                 *(
                     (name, "", "", interval_text(leg.numbers.controls, rows), unit)
-                    for name, rows, unit in _iterate_variables(leg.model.controls)
+                    for name, rows, unit in _iterate_layout_components(leg.model.controls)
                 ),
                 *((name, "", "", value, unit) for name, value, unit in times),
             ],
@@ -170,7 +170,7 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
     return "".join(body)
 
 
-def _iterate_variables(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
+def _iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
     for v in layout.variables:
         place = layout.slice(v.name)
         yield (
@@ -184,7 +184,7 @@ def _state_table_rows(leg: Phase) -> list[tuple[str, ...]]:
     numbers = leg.numbers
     return [
         (name, *(interval_text(box, rows) for box in (numbers.initial, numbers.final, numbers.states)), unit)
-        for name, rows, unit in _iterate_variables(leg.model.states)
+        for name, rows, unit in _iterate_layout_components(leg.model.states)
     ]
 
 
@@ -192,7 +192,7 @@ def _model_parameters_table(problem: Problem, leg: Phase) -> str:
     values = leg.model.parameter_values
     rows = [
         (name, "free" if name.split(" [")[0] in problem.parameters else _format_numbers(values[rows]), unit)
-        for name, rows, unit in _iterate_variables(leg.model.parameters)
+        for name, rows, unit in _iterate_layout_components(leg.model.parameters)
     ]
     return html_table(("parameter", "value", "unit"), rows)
 

@@ -150,11 +150,7 @@ def write_campaign_report(
         + figure_html(files, "distributions", CAMPAIGN_CAPTIONS["distributions"]),
         "Motion": motion,
         "Dispersions": _figures_html_by_prefix(files, "dispersion_", CAMPAIGN_CAPTIONS["dispersion"]),
-        "Envelopes": _figures_html_by_prefix(
-            files,
-            "envelope_",
-            CAMPAIGN_CAPTIONS["envelope"],
-        ),
+        "Envelopes": _figures_html_by_prefix(files, "envelope_", CAMPAIGN_CAPTIONS["envelope"]),
         "Failures": html_table(("run", "cause"), failures),
         "Parameters": _drawn_parameters_table(campaign),
         "Software": command_html(command)
@@ -174,10 +170,10 @@ def write_campaign_report(
 
 
 def _results_table(campaign: Campaign) -> str:
-    from gnc_opt.simulation.campaign_tables import campaign_notes, campaign_rows
+    from gnc_opt.simulation.campaign_tables import build_campaign_rows, list_campaign_notes
 
-    titles, *rows = campaign_rows(campaign)
-    notes = "".join(f"<p>{escape(note)}</p>" for note in campaign_notes(campaign))
+    titles, *rows = build_campaign_rows(campaign)
+    notes = "".join(f"<p>{escape(note)}</p>" for note in list_campaign_notes(campaign))
     return html_table((titles[0], "unit", *titles[2:]), rows) + notes
 
 

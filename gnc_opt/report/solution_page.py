@@ -22,7 +22,7 @@ from gnc_opt.planning.solution.text_summary import (
 from gnc_opt.planning.solution.verdict import REMEDIES, Condition, Verdict, format_violation, worst_condition
 from gnc_opt.plot.axes import cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
-from gnc_opt.plot.trajectory import negligible_costates
+from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
 from gnc_opt.report.problem_statement import linkage_rows, problem_statement_html
 from gnc_opt.text_formatting import derivative_unit, html_table
@@ -93,10 +93,10 @@ def solution_page_html(
         + join_figures(first, "controls"),
         "Motion": motion,
         "Problem": "" if solution.problem is None else problem_statement_html(solution.problem),
-        "States": join_figures(*{"states"} - {first}) + _ends_table(solution, "state"),
+        "States": join_figures(*{"states"} - {first}) + _boundary_values_table(solution, "state"),
         "Path constraints": join_figures("constraints"),
         "Costates and Hamiltonian": join_figures("costates", "hamiltonian")
-        + _ends_table(solution, "costate"),
+        + _boundary_values_table(solution, "costate"),
         "Arcs": _arcs_table(solution),
         "Refinement": f"<p>Mesh: {escape(mesh_text(solution))}.</p>"
         + _refinement_table(solution.history)
@@ -142,15 +142,15 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
     groups = [(group, worst_condition(found)) for group, found in verdict.condition_groups.items()]
-    checks = [(group, *_condition_cells(c, f"{c.name}: ")) for group, c in groups]
+    checks = [(group, *_format_condition_cells(c, f"{c.name}: ")) for group, c in groups]
     return (
-        _failure_table(solution, verdict)
+        _open_conditions_table(solution, verdict)
         + html_table(("check", *_CONDITION_TITLES), checks)
         + f'<p class="quiet">{CHECK_NOTE}</p>'
     )
 
 
-def _failure_table(solution: Solution, verdict: Verdict) -> str:
+def _open_conditions_table(solution: Solution, verdict: Verdict) -> str:
     """Return the first open condition with place, size in the unit of the objective and remedy; others by name."""
     if not verdict.open_conditions:
         return ""
@@ -171,7 +171,7 @@ def _failure_table(solution: Solution, verdict: Verdict) -> str:
 _CONDITION_TITLES = ("result", "violation", "tolerance", "largest at")
 
 
-def _condition_cells(condition: Condition, prefix: str = "") -> tuple[str, ...]:
+def _format_condition_cells(condition: Condition, prefix: str = "") -> tuple[str, ...]:
     numbers = (format_violation(value) for value in (condition.value, condition.tolerance))
     return condition.result.value.lower(), *numbers, prefix + condition.location_text
 
@@ -225,10 +225,10 @@ def control_effort(leg: PhaseSolution, name: str) -> float:
 # --- further sections -------------------------------------------------------------------------------------
 
 
-def _ends_table(solution: Solution, kind: str) -> str:
+def _boundary_values_table(solution: Solution, kind: str) -> str:
     """Return start, end, smallest and largest value of each state or costate; rounding errors are 0."""
     legs = list(solution.phases.values())
-    negligible = negligible_costates(legs)
+    negligible = find_negligible_costates(legs)
     rows = []
     for leg in legs:
         values = (leg.x if kind == "state" else leg.lam)(leg.sample_times())
@@ -251,14 +251,14 @@ def _phase_table(solution: Solution, titles: tuple[str, ...], rows: Sequence[tup
 def _conditions_table(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
-    rows = [(c.name, *_condition_cells(c)) for c in verdict.conditions]
+    rows = [(c.name, *_format_condition_cells(c)) for c in verdict.conditions]
     meanings = "".join(
         f"<p><strong>{escape(c.name)}</strong>: {escape(c.meaning)}</p>" for c in verdict.conditions
     )
     return html_table(("condition", *_CONDITION_TITLES), rows) + f'<div class="quiet">{meanings}</div>'
 
 
-def _arc_text(arc: Arc) -> str:
+def _format_arc(arc: Arc) -> str:
     if arc.start == arc.end:
         return f"touches the {arc.kind.value} limit at {arc.end:.7g}"
     return f"{arc.kind.value} {arc.start:.7g} to {arc.end:.7g}"
@@ -270,7 +270,7 @@ def _arcs_table(solution: Solution) -> str:
     for arc in solution.structure:
         channels.setdefault((arc.phase, arc.channel), []).append(arc)
     rows = [
-        (*place, "; ".join(map(_arc_text, arcs)))
+        (*place, "; ".join(map(_format_arc, arcs)))
         for place, arcs in channels.items()
         if any(arc.kind is not ArcKind.INTERIOR for arc in arcs)
     ]

@@ -106,7 +106,7 @@ def minimise_output_cost(
     return np.stack(columns, axis=1)
 
 
-def compute_min_max_shift(u: Any, n: Array) -> Any:
+def find_least_peak_shift(u: Any, n: Array) -> Any:
     """Return the SX factor lambda for which the largest ``|u + lambda n|`` is smallest."""
     best, peak = ca.SX(0), ca.mmax(ca.fabs(u))
     for i, j in itertools.combinations(range(n.size), 2):
@@ -185,7 +185,7 @@ class Allocation(Block):
             return plus @ positive + minus @ (positive - signal)
         u = pseudo_inverse(self.matrix, *about) @ signal
         n = null_vector(self.matrix, *about) if self.method == "min-max" else None
-        return u if n is None else u + compute_min_max_shift(u, n) * n
+        return u if n is None else u + find_least_peak_shift(u, n) * n
 
 
 @dataclass(frozen=True)
@@ -366,10 +366,10 @@ class WheelArray(Block):
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
         n = None if self.balance == "none" else null_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
-            wanted = wanted + compute_min_max_shift(wanted, n) * n
+            wanted = wanted + find_least_peak_shift(wanted, n) * n
         elif n is not None:
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
-            shift = -compute_min_max_shift(h_w - wanted * tick.h, n) / tick.h
+            shift = -find_least_peak_shift(h_w - wanted * tick.h, n) / tick.h
             wanted = wanted + _clip_null_space_shift(shift, wanted, n, p["max_torque"]) * n
         torque = clip(wanted, -p["max_torque"], p["max_torque"])
         torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)

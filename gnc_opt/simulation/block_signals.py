@@ -57,11 +57,11 @@ class BlockLink:
     outputs: Kinds
 
 
-def list_sizes_and_units(layout: Layout) -> Kinds:
+def map_sizes_and_units(layout: Layout) -> Kinds:
     return {v.name: (v.size, v.unit) for v in layout.variables}
 
 
-def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[BlockLink], Kinds]:
+def chain_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[BlockLink], Kinds]:
     """Return the links of a chain of blocks, and the signals after the last block.
 
     Raises

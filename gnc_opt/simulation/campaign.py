@@ -191,17 +191,17 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def pass_rate(self, name: str | None = None, confidence: float = CONFIDENCE) -> PassRate:
         """Return the share of runs that are OK and within the named limit, or all; raise `GncOptError` without runs."""
-        return estimate_pass_rate(int(np.sum(self.passed(name))), self._require_runs(), confidence)
+        return estimate_pass_rate(int(np.sum(self.passed(name))), self._require_finished_runs(), confidence)
 
     def percentile(self, name: str, level: float, confidence: float = CONFIDENCE) -> Percentile:
         """Return a percentile of a measure; ``level`` in (0, 1). Runs without a value count as infinite."""
-        self._require_runs()
+        self._require_finished_runs()
         return estimate_percentile(self.measure(name), level, confidence)
 
     def maximum(self, name: str) -> float:
         """Return the largest value of a measure; infinite if a run has no value."""
-        self._require_runs()
-        return float(np.max(_nan_to_infinity(self.measure(name))))
+        self._require_finished_runs()
+        return float(np.max(_replace_nan_by_infinity(self.measure(name))))
 
     @property
     def status_counts(self) -> dict[RunStatus, int]:
@@ -222,7 +222,7 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def worst(self, name: str, count: int = 5) -> list[int]:
         """Return the indices of the runs with the largest values of a measure, in descending order."""
-        order = np.argsort(-_nan_to_infinity(self.measure(name)), kind="stable")
+        order = np.argsort(-_replace_nan_by_infinity(self.measure(name)), kind="stable")
         return [int(i) for i in self.indices[order[:count]]]
 
     def rerun(self, index: int) -> Run:
@@ -307,7 +307,7 @@ class Campaign(StrictAttributes, PrintableResult):
             _require_same_campaign(campaign, flight, path)
         return replace(campaign, flight=flight)
 
-    def _require_runs(self) -> int:
+    def _require_finished_runs(self) -> int:
         if not self.outcomes:
             raise GncOptError("no run of the campaign has ended: run it longer.")
         return len(self.outcomes)
@@ -337,5 +337,5 @@ CAMPAIGN_FILES = FileFormat(
 )
 
 
-def _nan_to_infinity(values: Array) -> Array:
+def _replace_nan_by_infinity(values: Array) -> Array:
     return np.where(np.isnan(values), np.inf, values)

@@ -183,7 +183,7 @@ class CampaignTask:
         except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:
                 return [RunBatch(batch, None, None, format_error(error))]
-            return [flown for half in split_batch(batch) for flown in self.simulate_runs(half)]
+            return [flown for half in halve_batch(batch) for flown in self.simulate_runs(half)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,7 @@ def find_remaining_batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch
     ]
 
 
-def split_batch(batch: Batch) -> tuple[Batch, ...]:
+def halve_batch(batch: Batch) -> tuple[Batch, ...]:
     """Return the two halves of a batch; empty for a single run."""
     if len(batch) == 1:
         return ()

@@ -37,17 +37,17 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
     lines = [f"campaign of {runs} runs{interrupted}, seed {campaign.seed}: {counts or 'none has ended'}"]
     if not runs:
         return lines[0]
-    rows = campaign_rows(campaign)
+    rows = build_campaign_rows(campaign)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         cells = [
             c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append(("  " + "  ".join(cells)).rstrip())
-    return "\n".join([*lines, *(f"  {note}" for note in campaign_notes(campaign))])
+    return "\n".join([*lines, *(f"  {note}" for note in list_campaign_notes(campaign))])
 
 
-def campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
+def build_campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
     """Return header and rows of the table: percentiles, maximum, limit and pass rate of each printed measure."""
     rows = [["at the end", "", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed"]]
     for name in select_printed_measures(campaign):
@@ -61,7 +61,7 @@ def campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
     return rows
 
 
-def campaign_notes(campaign: CampaignStatistics) -> list[str]:
+def list_campaign_notes(campaign: CampaignStatistics) -> list[str]:
     """Return the notes on confidence levels, events and causes of failure."""
     note = f"intervals: {100 * CONFIDENCE:g} % confidence"
     if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
@@ -109,12 +109,7 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
         "outcomes": {status.value: count for status, count in campaign.status_counts.items()},
         "events": campaign.event_totals,
         "failures": [
-            {
-                "run": index,
-                "status": outcome.status.value,
-                "what": outcome.what,
-                "time": outcome.time,
-            }
+            {"run": index, "status": outcome.status.value, "what": outcome.what, "time": outcome.time}
             for index, outcome in campaign.failures.items()
         ],
         "measures": {name: _measure_dict(campaign, name) for name in select_printed_measures(campaign)}

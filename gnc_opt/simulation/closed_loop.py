@@ -21,7 +21,7 @@ from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step import list_alarm_labels, list_watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
-from gnc_opt.simulation.loop_assembly import LoopBlocks, LoopWiring, wire_loop
+from gnc_opt.simulation.loop_assembly import LoopBlocks, LoopWiring, connect_loop
 from gnc_opt.simulation.loop_kernel import LoopKernel, build_kernel
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
@@ -111,10 +111,10 @@ class ClosedLoop:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
-            parts = _as_tuple(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}")
+            parts = _read_tuple(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}")
             set_(self, name, parts)
-        set_(self, "events", _as_tuple(self.events, Event, "events", "write Event(name, expression)"))
-        quantities = _as_tuple(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
+        set_(self, "events", _read_tuple(self.events, Event, "events", "write Event(name, expression)"))
+        quantities = _read_tuple(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
         set_(self, "quantities", quantities)
         blocks = LoopBlocks(
             tuple(self.actuators),
@@ -138,7 +138,7 @@ class ClosedLoop:
         set_(
             self,
             "wiring",
-            wire_loop(self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits),
+            connect_loop(self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits),
         )
 
     # --- what can be dispersed ----------------------------------------------------------------------------
@@ -234,16 +234,16 @@ class ClosedLoop:
         nominal = self.parameters(x0, parameters)
         times = self._control_step_times(t0, tf)
         rows = self._sample_reference_schedule(times)
-        flight = self._with_accurate_steps(nominal, times, rows)
+        flight = self._choose_accurate_steps(nominal, times, rows)
         return replace(flight, replanner=self.replanner)
 
-    def _with_accurate_steps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
+    def _choose_accurate_steps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
-        modes = accuracy.initial_modes(times[0], *self._initial_plant_values(nominal))
+        modes = accuracy.compute_initial_modes(times[0], *self._read_initial_plant_values(nominal))
         return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes)
 
-    def _initial_plant_values(self, nominal: Array) -> tuple[Array, Array]:
+    def _read_initial_plant_values(self, nominal: Array) -> tuple[Array, Array]:
         """Return the plant's states (n_states,) and parameters (n_parameters,) from a parameter column."""
         named = [
             [nominal[self.layout.slice(f"{group}.{name}")] for name in layout.names]
@@ -311,12 +311,12 @@ class ClosedLoop:
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
             quantities=self.wiring.quantities.layout,
-            classifier=self._outcome_classifier(),
+            classifier=self._build_outcome_classifier(),
             minor_steps=self.minor_steps,
-            estimates=self._estimate_indices(),
+            estimates=self._index_estimated_states(),
         )
 
-    def _outcome_classifier(self) -> OutcomeClassifier:
+    def _build_outcome_classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
             tuple(list_watched_labels(self.wiring)),
             tuple(list_alarm_labels(self.wiring)),
@@ -365,7 +365,7 @@ class ClosedLoop:
             return np.r_[signals.slice("x_ref")]
         return None
 
-    def _estimate_indices(self) -> Any:
+    def _index_estimated_states(self) -> Any:
         """Return the indices of the estimated states in the memory; None without an estimator."""
         memory, states = self.controller.memory, self.controller.estimated
         if states is None:
@@ -377,7 +377,7 @@ class ClosedLoop:
         return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
 
 
-def _as_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+def _read_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
         raise ArgumentError(f"the {name} of a closed loop are {quote(given)}: give a list; {remedy}.")

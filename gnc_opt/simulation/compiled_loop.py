@@ -275,9 +275,9 @@ class CompiledLoop:
         planned = course is None or course.schedule is self.schedule
         followed = self._schedule_rows if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
-        numbers = self._normal_number_source(seed, known.shape[1] - first_noise)
-        written = again and planned and len(self._leg_boundaries) == 2
-        for first, last in itertools.pairwise(self._leg_boundaries):
+        numbers = self._make_normal_number_source(seed, known.shape[1] - first_noise)
+        written = again and planned and len(self._leg_boundary_steps) == 2
+        for first, last in itertools.pairwise(self._leg_boundary_steps):
             rows = known[: last - first]
             if not written:
                 rows[:, 0] = self.times[first:last]
@@ -285,7 +285,7 @@ class CompiledLoop:
             rows[:, first_noise:] = numbers(first, last)
             yield first, rows
 
-    def _normal_number_source(self, seed: Any, size: int) -> Callable[[int, int], Array]:
+    def _make_normal_number_source(self, seed: Any, size: int) -> Callable[[int, int], Array]:
         """Return a function of two steps that draws the standard normal numbers (n, size) for the steps between."""
         generator = np.random.Generator(np.random.Philox(_make_seed_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
@@ -295,7 +295,7 @@ class CompiledLoop:
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
-    def _leg_boundaries(self) -> list[int]:
+    def _leg_boundary_steps(self) -> list[int]:
         """Steps at which a leg starts, and the end: every `LEG` steps, at re-plans and at sampling times."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
@@ -335,7 +335,7 @@ class CompiledLoop:
 
     def _initial_memory_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return the initial X of a run and its companion (2, n_state), and their constants."""
-        (X, C), (other, others) = (folded.initial_column(known, P) for folded in self._step_executors)
+        (X, C), (other, others) = (folded.compute_initial_column(known, P) for folded in self._step_executors)
         return np.stack([X, other]), (C, others)
 
     def _propagate_time_span(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
@@ -398,11 +398,7 @@ class CompiledLoop:
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _collect_final_values(
-        self,
-        ends: Array,
-        refused: dict[int, str],
-        followed: Array,
-        replans: Array | None = None,
+        self, ends: Array, refused: dict[int, str], followed: Array, replans: Array | None = None
     ) -> FinalValues:
         """Return the final values from the kernel states of runs and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T

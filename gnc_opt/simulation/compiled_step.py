@@ -46,13 +46,13 @@ class StepExecutor:
             flown += 1
             flown += self._machine_code_function(final.copy(), rows[flown:], C, final)
 
-    def initial_column(self, known: Array, P: Array) -> tuple[Array, Array]:
+    def compute_initial_column(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return the initial X (n_state,) and the constants (n_constants,) of a run."""
         start, constants = self.kernel.start, self.kernel.constants
         X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
         P = np.ascontiguousarray(P)
-        self._evaluate_into("start", lambda: start, (np.ascontiguousarray(known), P), X)
-        self._evaluate_into("constants", lambda: constants, (P,), C)
+        self._evaluate_into_results("start", lambda: start, (np.ascontiguousarray(known), P), X)
+        self._evaluate_into_results("constants", lambda: constants, (P,), C)
         return X, C
 
     def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
@@ -60,9 +60,9 @@ class StepExecutor:
         def leg() -> Any:
             return self._leg_function(lambda x, w, c, n: [self.step_without_log.fold(n)(x, w, c)], len(rows))
 
-        self._evaluate_into(len(rows), leg, (X, rows, C), final)
+        self._evaluate_into_results(len(rows), leg, (X, rows, C), final)
 
-    def _evaluate_into(
+    def _evaluate_into_results(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
     ) -> None:
         """Write the results of a function of contiguous arrays to ``results``, without conversions."""
@@ -89,7 +89,7 @@ class StepExecutor:
             )
 
         columns[0] = X
-        self._evaluate_into(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
+        self._evaluate_into_results(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
         return columns.T, logs.T
 
     @cached_property

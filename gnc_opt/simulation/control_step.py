@@ -60,7 +60,7 @@ class ControlStep:
                 ("alarm", 1),
                 ("alarm time", 1),
                 ("quantities", 5 * len(wiring.quantities)),
-                *self._event_entries(
+                *self._event_record_entries(
                     ("armed", len(wiring.events.owners)),
                     *event_record_layout(wiring.events, wiring.plant.states.size),
                 ),
@@ -78,11 +78,11 @@ class ControlStep:
                 ("measured", self.measured.size),
                 ("commands", commands),
                 ("applied", controls),
-                *self._event_entries(*event_note_layout(wiring.plant.states.size)),
+                *self._event_record_entries(*event_note_layout(wiring.plant.states.size)),
             )
         )
 
-    def _event_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
+    def _event_record_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
     def _memory_sizes(self, links: Sequence[BlockLink], kind: str) -> list[int]:
@@ -218,7 +218,7 @@ class ControlStep:
             f, t + begin, x, length, n, wave.sample_for_integration(begin, length / n), notify_watches
         )
 
-    def make_tick(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
+    def make_step_context(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
         return StepContext(w["t"] + i * self.h, self.h, self.wiring.dt, self.split_state(state["plant"]))
 
     def update_disturbances(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
@@ -230,13 +230,13 @@ class ControlStep:
             new[key] = link.block.update(tick, state[key], self.split_parameters(link), w[key])  # type: ignore[attr-defined]
         return new
 
-    def accumulate_totals(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
+    def add_effort_totals(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
         """Add effort, energy and saturation of the applied controls over a time (s)."""
         new["effort"] += time * ca.fabs(applied)
         new["energy"] += time * applied**2
         new["saturation"] += time * saturated
 
-    def complete_step(
+    def finish_step_and_log(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, told: dict[str, Any], z: Any
     ) -> Any:
         """Return the completed state after a control step, and its log."""

@@ -79,8 +79,8 @@ class Normal(Dispersion):
             read_positive(self.truncate, "truncate of Normal()")
 
     def check_nominal(self, name: str, nominal: Array) -> None:
-        _check_size(self.std, nominal, f"the standard deviation of '{name}'")
-        _check_size(self.mean, nominal, f"the mean deviation of '{name}'")
+        _check_parameter_size(self.std, nominal, f"the standard deviation of '{name}'")
+        _check_parameter_size(self.mean, nominal, f"the mean deviation of '{name}'")
         _check_relative_dispersion(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
@@ -129,8 +129,8 @@ class Uniform(Dispersion):
             )
 
     def check_nominal(self, name: str, nominal: Array) -> None:
-        _check_size(self.low, nominal, f"the lower end of '{name}'")
-        _check_size(self.high, nominal, f"the upper end of '{name}'")
+        _check_parameter_size(self.low, nominal, f"the lower end of '{name}'")
+        _check_parameter_size(self.high, nominal, f"the upper end of '{name}'")
         _check_relative_dispersion(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
@@ -200,7 +200,7 @@ class RandomDirection(Dispersion):
     radius: Magnitude
 
     def __post_init__(self) -> None:
-        _check_magnitude(self.radius, "the radius of Sphere()")
+        _check_magnitude_distribution(self.radius, "the radius of Sphere()")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         return nominal + _draw_magnitude(self.radius, generator) * _draw_direction(generator, nominal.size)
@@ -258,7 +258,7 @@ class RandomRotation(Dispersion):
     angle: Magnitude
 
     def __post_init__(self) -> None:
-        _check_magnitude(self.angle, "the angle of Turn()")
+        _check_magnitude_distribution(self.angle, "the angle of Turn()")
 
     def check_nominal(self, name: str, nominal: Array) -> None:
         if nominal.size not in (3, 4):
@@ -330,7 +330,7 @@ def _require_finite(value: Any, what: str) -> Array:
     return numbers
 
 
-def _check_size(value: ArrayLike, nominal: Array, what: str) -> None:
+def _check_parameter_size(value: ArrayLike, nominal: Array, what: str) -> None:
     as_vector(value, nominal.size, what, ArgumentError)
 
 
@@ -345,7 +345,7 @@ def _add_deviation(nominal: Array, deviation: Array, relative: bool) -> Array:
     return nominal * (1 + deviation) if relative else nominal + deviation
 
 
-def _check_magnitude(value: Any, what: str) -> None:
+def _check_magnitude_distribution(value: Any, what: str) -> None:
     if isinstance(value, (Normal, Uniform)):
         value.check_nominal(what, np.ones(1))
         if value.relative:

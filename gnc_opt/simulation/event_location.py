@@ -104,12 +104,12 @@ class _EventPassage:
                 *event_note_layout(n),
             )
         )
-        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._context_entries()
+        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_context_inputs()
         self.lowest = self._build_crossing_function()
         self.newton = self._newton_or_bisection_step()
         self.effect = self._event_effect_function()
 
-    def _context_entries(self) -> list[tuple[str, int]]:
+    def _list_context_inputs(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
 
     def _create_passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
@@ -117,7 +117,7 @@ class _EventPassage:
 
     def build_function(self) -> Any:
         q, t, p, *context = self._create_passage_symbols(("q", self.places.size))
-        one = self._leg_to_next_event()
+        one = self._build_leg_to_next_event()
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
             after = one(after, t, p, *context)
@@ -127,7 +127,7 @@ class _EventPassage:
         v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
         return ca.Function("passage", [q, t, p, *context], [self.places.join(v)])
 
-    def _leg_to_next_event(self) -> Any:
+    def _build_leg_to_next_event(self) -> Any:
         """Return the function of a leg to the next event or to the end; inactive when the step is complete."""
         inputs = self._create_passage_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
@@ -137,7 +137,7 @@ class _EventPassage:
             v["x"], v["armed"], v["s"], self.h, *context
         )
         whole = self.places.join(
-            self._advance_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
+            self._join_leg_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
         )
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._create_passage_symbols(("q", self.places.size), *bounds)
@@ -152,7 +152,7 @@ class _EventPassage:
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
-    def _advance_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
+    def _join_leg_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
         seen = join_quantity_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
@@ -169,7 +169,7 @@ class _EventPassage:
         x, armed, y, *_, lost, _, seen = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
         beyond = self.places.join(
-            self._advance_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
+            self._join_leg_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
         )
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
         given = self._create_passage_symbols(*more, ("first", 1), ("last", 1))
@@ -185,7 +185,7 @@ class _EventPassage:
             ("x", self.leg.size1_in(0)),
             ("armed", self.n_rows),
             ("s", 1),
-            *self._context_entries(),
+            *self._list_context_inputs(),
         )
         r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
         keep = ca.Function("keep", inputs, [r])
@@ -205,7 +205,7 @@ class _EventPassage:
         )
         v = self.places.split(q)
         moment = SAME_TIME * self.h
-        improve = self._root_search_step()
+        improve = self._build_root_search_step()
         r = ca.vertcat(last, first, last, 4 * self.h, 0)
         for _ in range(60):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
@@ -214,7 +214,7 @@ class _EventPassage:
         y_later = self.leg(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._advance_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
+        met = self._join_leg_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
         w = self.places.split(self.effect(self.places.join(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
@@ -229,7 +229,7 @@ class _EventPassage:
         event_occurred = w["count"] - v["count"]
         for code, ends in (
             (len(self.events) + 1, endless),
-            *self._unsatisfied_resets(through, event_occurred),
+            *self._find_unsatisfied_resets(through, event_occurred),
         ):
             ends = ca.logic_and(ends, w["stop"] < 0.5)
             w["stop"] = ca.if_else(ends, code, w["stop"])
@@ -239,21 +239,21 @@ class _EventPassage:
         w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
         return ca.Function("happen", given, [self.places.join(w)])
 
-    def _unsatisfied_resets(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
+    def _find_unsatisfied_resets(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
         """Yield, for each event with a reset, its code and whether its row stays at zero and falls through."""
         for j, event in enumerate(self.events.declared):
             if event.reset:
                 own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
                 yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), event_occurred[j])
 
-    def _root_search_step(self) -> Any:
+    def _build_root_search_step(self) -> Any:
         r, x, armed, s, crossing = symbols = [
             ca.MX.sym(name, size)
             for name, size in (
                 ("r", 5), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
             )
         ]  # fmt: skip
-        context = [ca.MX.sym(name, size) for name, size in self._context_entries()]
+        context = [ca.MX.sym(name, size) for name, size in self._list_context_inputs()]
         inputs = [*symbols, *context]
         keep = ca.Function("keep", inputs, [r])
         _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)

@@ -168,8 +168,8 @@ class Events:
         holds, _ = self.effects(t, x, p)
         flags = []
         for j in range(len(self)):
-            blind = ca.logic_and(ca.logic_not(_is_number(y[self.owners.index(j)])), holds[j] != 0)
-            flags.append(ca.logic_or(blind, ca.logic_not(_is_number(holds[j]))))
+            blind = ca.logic_and(ca.logic_not(_is_not_nan(y[self.owners.index(j)])), holds[j] != 0)
+            flags.append(ca.logic_or(blind, ca.logic_not(_is_not_nan(holds[j]))))
         return ca.vertcat(*flags)
 
     @property
@@ -186,7 +186,7 @@ class Events:
         t, x, _, p = plant.arguments()
         rate = ca.SX.sym("dx_dt", plant.states.size)
         signed = [
-            (sign * _read_condition(event, plant), owner)
+            (sign * _read_event_condition(event, plant), owner)
             for owner, event in enumerate(declared)
             for sign in _SIGNS[event.direction]
         ]
@@ -204,12 +204,12 @@ class Events:
         )
 
 
-def _is_number(value: Any) -> Any:
+def _is_not_nan(value: Any) -> Any:
     """Return whether a value is not NaN; "x == x" is simplified to true for symbols."""
     return ca.fabs(value) <= ca.inf
 
 
-def _read_condition(event: Event, plant: Model) -> Any:
+def _read_event_condition(event: Event, plant: Model) -> Any:
     """Return the expression of an event; raise an error if it cannot have a zero crossing."""
     found, what = (
         _read_expression(event, event.expression, "the expression", plant),

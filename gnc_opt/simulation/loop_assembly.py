@@ -17,7 +17,7 @@ from gnc_opt.errors import ArgumentError, did_you_mean
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.block import Block, StepContext
-from gnc_opt.simulation.block_signals import BlockLink, Kinds, link_blocks, list_sizes_and_units
+from gnc_opt.simulation.block_signals import BlockLink, Kinds, chain_blocks, map_sizes_and_units
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event, Events
 from gnc_opt.simulation.recorded_quantities import Quantities, Quantity
@@ -26,7 +26,7 @@ from gnc_opt.simulation.recorded_quantities import Quantities, Quantity
 def check_measured_signals(plant: Model, controller: Controller) -> None:
     """Raise an error if the plant lacks a state or output that the controller measures or follows."""
     for variable in controller.states.variables:
-        _check_variable(variable, plant, controller, "measures")
+        _check_signal_variable(variable, plant, controller, "measures")
         if variable.name in plant.outputs and any(
             ca.which_depends(plant.output_expression(variable.name), plant.symbols("control"), 1, True)
         ):
@@ -36,10 +36,10 @@ def check_measured_signals(plant: Model, controller: Controller) -> None:
             )
     for variable in controller.reference_layout.variables if controller.estimated is not None else ():
         if variable.name in plant.states:  # estimated states need not exist in the plant
-            _check_variable(variable, plant, controller, "estimates")
+            _check_signal_variable(variable, plant, controller, "estimates")
 
 
-def _check_variable(variable: Variable, plant: Model, controller: Controller, verb: str) -> None:
+def _check_signal_variable(variable: Variable, plant: Model, controller: Controller, verb: str) -> None:
     kind = "output" if variable.name in plant.outputs else "state"
     layout = plant.outputs if kind == "output" else plant.states
     if variable.name not in layout:
@@ -182,7 +182,7 @@ class LoopBlocks:
     quantities: tuple[Quantity, ...] = ()
 
 
-def wire_loop(
+def connect_loop(
     plant: Model,
     controller: Controller,
     blocks: LoopBlocks,
@@ -199,13 +199,13 @@ def wire_loop(
             )
     every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
     require_distinct_names([block.name for block in every], "blocks of the closed loop")
-    actuators, applied = link_blocks(blocks.actuators, list_sizes_and_units(controller.commands), "command")
+    actuators, applied = chain_blocks(blocks.actuators, map_sizes_and_units(controller.commands), "command")
     check_applied_signals(plant, applied, controller)
     sensors = _link_sensors(controller, blocks.sensors)
-    targets = list_sizes_and_units(plant.controls) | {
-        n: (size, f"{unit}/s") for n, (size, unit) in list_sizes_and_units(plant.states).items()
+    targets = map_sizes_and_units(plant.controls) | {
+        n: (size, f"{unit}/s") for n, (size, unit) in map_sizes_and_units(plant.states).items()
     }
-    pushes = [link_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
+    pushes = [chain_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (
         Events.from_declarations(plant, blocks.events),
         Quantities.from_declarations(plant, blocks.quantities),
@@ -225,7 +225,7 @@ def wire_loop(
     for link, step in wiring.link_step_lengths:
         link.block.check_sizes(link.size, step, dt)
     _check_sensor_functions(wiring)
-    _check_trim(wiring)
+    _require_feedforward_at_trim(wiring)
     return wiring
 
 
@@ -243,7 +243,7 @@ def _check_sensor_functions(wiring: LoopWiring) -> None:
         block.step(tick, signal, block.initial_memory(signal, p, tick), p, noise)
 
 
-def _check_trim(wiring: LoopWiring) -> None:
+def _require_feedforward_at_trim(wiring: LoopWiring) -> None:
     begun = [link.block.name for link in wiring.actuators if link.block.starts_at_trim]
     for name in wiring.controller.commands.names if begun else ():
         if f"{name}_ff" not in wiring.controller.signals:
@@ -254,8 +254,8 @@ def _check_trim(wiring: LoopWiring) -> None:
 
 
 def _link_sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
-    states = list_sizes_and_units(controller.states)
-    links, seen = link_blocks(blocks, states, "measured state")
+    states = map_sizes_and_units(controller.states)
+    links, seen = chain_blocks(blocks, states, "measured state")
     if seen != states:
         raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")
     return tuple(links)

@@ -19,7 +19,7 @@ from gnc_opt.simulation.block_signals import ColumnLayout, stack_signals
 from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.event_location import build_event_passage, event_note_layout
 from gnc_opt.simulation.loop_assembly import LoopWiring
-from gnc_opt.simulation.recorded_quantities import create_empty_record, join_quantity_records
+from gnc_opt.simulation.recorded_quantities import create_empty_quantity_record, join_quantity_records
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:
@@ -63,10 +63,10 @@ class _EventfulStep:
         ])  # fmt: skip
         now, notes = begin(x, w, P), ca.MX.zeros(self.event_notes.size)
         for i in range(wiring.minor_steps):
-            minor, skip = self._minor_step_functions(i)
+            minor, skip = self._build_minor_step_functions(i)
             either = ca.Function.if_else("minor", skip, minor)
             now, notes = either(self.state.split(now)["stop"] > 0.5, now, notes, w, P, u)
-        return list(self._closing_function()(x, now, notes, w, y, u, z))
+        return list(self._build_step_end_function()(x, now, notes, w, y, u, z))
 
     @property
     def event_notes(self) -> ColumnLayout:
@@ -74,13 +74,13 @@ class _EventfulStep:
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
         return ColumnLayout((*sums, *event_note_layout(self.wiring.plant.states.size)))
 
-    def _minor_step_functions(self, i: int) -> tuple[Any, Any]:
+    def _build_minor_step_functions(self, i: int) -> tuple[Any, Any]:
         """Return ``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and its inactive version."""
         wiring, h = self.wiring, self.h
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
         state, w = self.state.split(column), self.known.split(known)
-        new, tick = dict(state), self.base.make_tick(i, w, state)
+        new, tick = dict(state), self.base.make_step_context(i, w, state)
         waves, saturated = self.base.apply_actuators(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
@@ -98,7 +98,7 @@ class _EventfulStep:
         v, n = places.split(q), self.event_notes.split(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
-        self.base.accumulate_totals(new, applied, saturated, v["s"])
+        self.base.add_effort_totals(new, applied, saturated, v["s"])
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
         n |= {k: v[k] for k, _ in event_note_layout(x.shape[0])}
         book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.event_notes.join(n)])
@@ -116,7 +116,7 @@ class _EventfulStep:
         minor = ca.Function("minor", inputs, list(book(after, notes_, *rest)))
         return minor, ca.Function("skip", inputs, [column_, notes_])
 
-    def _closing_function(self) -> Any:
+    def _build_step_end_function(self) -> Any:
         """Return ``(X before, X, notes, w, y, u, z) -> (X_next, log)``, evaluated after the last minor step."""
         before, column, known = (
             ca.SX.sym(name, size)
@@ -133,7 +133,7 @@ class _EventfulStep:
         }
         told |= {name: n[name] for name, _ in event_note_layout(self.wiring.plant.states.size)}
         state, t = self.state.split(before), self.known.split(known)["t"]
-        log = self.base.complete_step(new, state, t, told, z)
+        log = self.base.finish_step_and_log(new, state, t, told, z)
         return ca.Function("closing", [before, column, noted, known, y, u, z], [self.state.join(new), log])
 
 
@@ -179,14 +179,14 @@ def build_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
 
 class _KernelBuilder(ControlStep):
     def build(self) -> LoopKernel:
-        constants, act = self._act_functions()
-        step, easy = self._step_function(constants, act), self._fast_step_function(constants, act)
-        measure = self._measure_function(constants)
+        constants, act = self._build_actuation_functions()
+        step, easy = self._build_step_function(constants, act), self._build_fast_step_function(constants, act)
+        measure = self._build_measurement_function(constants)
         return LoopKernel(
-            constants, self._start_function(), step, easy, measure, self.state, self.known, self.log
+            constants, self._build_start_function(), step, easy, measure, self.state, self.known, self.log
         )
 
-    def _start_function(self) -> Any:
+    def _build_start_function(self) -> Any:
         wiring = self.wiring
         column = ca.SX.sym("w", self.known.size)
         w = self.known.split(column)
@@ -194,7 +194,7 @@ class _KernelBuilder(ControlStep):
         y, sensors = self.apply_sensors(x, w["t"], None, w)
         tick = StepContext(w["t"], self.h, wiring.dt, self.split_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
-        parts |= {"plant": x, **sensors, "quantities": create_empty_record(len(wiring.quantities))}
+        parts |= {"plant": x, **sensors, "quantities": create_empty_quantity_record(len(wiring.quantities))}
         parts |= self.initial_actuator_memories(tick, w["r"])
         if wiring.events:
             parts |= self.initial_event_record(w["t"], x)
@@ -203,7 +203,7 @@ class _KernelBuilder(ControlStep):
                 ca.SX.zeros(link.size), self.split_parameters(link), tick
             )
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
-        kind = _symbol_type(wiring.controller.start)
+        kind = _get_symbol_type(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
         y_, state = before(w_, p_)
         values = self.state.split(state)
@@ -211,42 +211,44 @@ class _KernelBuilder(ControlStep):
         values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
         return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
 
-    def _step_function(self, constants: Any, act: Any) -> Any:
-        inputs, after, log, _ = self._step_expressions(self.wiring.controller.step, constants, act)
+    def _build_step_function(self, constants: Any, act: Any) -> Any:
+        inputs, after, log, _ = self._build_step_expressions(self.wiring.controller.step, constants, act)
         step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
         return freeze_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
 
-    def _fast_step_function(self, constants: Any, act: Any) -> Any:
+    def _build_fast_step_function(self, constants: Any, act: Any) -> Any:
         easy = self.wiring.controller.easy
         if easy is None:
             return None
-        inputs, after, _, (enough,) = self._step_expressions(easy, constants, act)
+        inputs, after, _, (enough,) = self._build_step_expressions(easy, constants, act)
         step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
         return freeze_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
-    def _step_expressions(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
+    def _build_step_expressions(
+        self, law: Any, constants: Any, act: Any
+    ) -> tuple[list[Any], Any, Any, list[Any]]:
         """Return the symbols X, w, C, and X_next, log and the validity of an easy law for one step."""
-        kind = ca.MX if self.wiring.events else _symbol_type(law)
+        kind = ca.MX if self.wiring.events else _get_symbol_type(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
-        y, sensed = self._sense_function()(x, w, c[: self.P.shape[0]])
+        y, sensed = self._build_sensing_function()(x, w, c[: self.P.shape[0]])
         known = self.known.split(w)
         u, memory, *enough = law(known["t"], y, known["r"], self.state.split(x)["memory"])
         return inputs, *act(sensed, w, c, y, u, memory), enough
 
-    def _measure_function(self, constants: Any) -> Any:
+    def _build_measurement_function(self, constants: Any) -> Any:
         x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)
         c = ca.MX.sym("C", constants.size1_out(0))
-        y, _ = self._sense_function()(x, w, c[: self.P.shape[0]])
+        y, _ = self._build_sensing_function()(x, w, c[: self.P.shape[0]])
         return ca.Function("measure", [x, w, c], [y], ["X", "w", "C"], ["y"])
 
-    def _sense_function(self) -> Any:
+    def _build_sensing_function(self) -> Any:
         x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         state, w = self.state.split(x), self.known.split(column)
         y, sensors = self.apply_sensors(state["plant"], w["t"], state, w)
         return ca.Function("sense", [x, column, self.P], [y, self.state.join(state | sensors)])
 
-    def _act_functions(self) -> tuple[Any, Any]:
+    def _build_actuation_functions(self) -> tuple[Any, Any]:
         """Return the constants, and the minor steps with totals: ``(X, w, C, y, u, z_next) -> (X_next, log)``."""
         wiring = self.wiring
         column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
@@ -256,7 +258,7 @@ class _KernelBuilder(ControlStep):
         new = self.update_disturbances(state, w)
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
-            tick = self.make_tick(i, w, new)
+            tick = self.make_step_context(i, w, new)
             waves, saturated = self.apply_actuators(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch, extremes = (
@@ -270,8 +272,8 @@ class _KernelBuilder(ControlStep):
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
             mean += applied / wiring.minor_steps
-            self.accumulate_totals(new, applied, saturated, self.h)
-        log = self.complete_step(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z)
+            self.add_effort_totals(new, applied, saturated, self.h)
+        log = self.finish_step_and_log(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z)
         # values derived from P only are computed once per run
         results = [self.state.join(new), log, found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)
@@ -283,5 +285,5 @@ class _KernelBuilder(ControlStep):
         )
 
 
-def _symbol_type(function: Any) -> Any:
+def _get_symbol_type(function: Any) -> Any:
     return ca.SX if function.is_a("SXFunction") else ca.MX

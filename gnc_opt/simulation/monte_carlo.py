@@ -23,9 +23,9 @@ from gnc_opt.simulation.campaign_batch import (
     RunBatch,
     collect_batch_results,
     find_remaining_batches,
+    halve_batch,
     load_stored_runs,
     merge_batches,
-    split_batch,
     store_runs,
 )
 from gnc_opt.simulation.closed_loop import ClosedLoop
@@ -67,7 +67,7 @@ class SuccessCriteria:
         for name, value in self.limits.items():
             if name not in self.measures:
                 empty.measure(name)
-            _read_limit(name, value)
+            _read_measure_limit(name, value)
         for name, function in self.measures.items():
             if name in empty.measures:
                 raise ArgumentError(f"the campaign has a measure '{name}' already: choose another name.")
@@ -77,7 +77,7 @@ class SuccessCriteria:
     def apply_to_campaign(self, campaign: Campaign) -> Campaign:
         """Return the campaign with limits and user-defined measures added."""
         campaign = replace(
-            campaign, limits={name: _read_limit(name, value) for name, value in self.limits.items()}
+            campaign, limits={name: _read_measure_limit(name, value) for name, value in self.limits.items()}
         )
         return replace(
             campaign,
@@ -97,7 +97,7 @@ def read_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCrit
     )
 
 
-def _read_limit(name: str, value: float) -> float:
+def _read_measure_limit(name: str, value: float) -> float:
     return read_positive(value, f"the limit of '{name}'", or_zero=True)
 
 
@@ -207,13 +207,13 @@ def monte_carlo(
         if before:
             show(*_count_failures(before))
         todo = find_remaining_batches(n, [part.batch for part in before])
-        done = pool.map(CampaignTask.simulate_runs, todo, store_batch, split_batch)
+        done = pool.map(CampaignTask.simulate_runs, todo, store_batch, halve_batch)
     flown = sorted(
         [*before, *(part for batch in done for part in collect_batch_results(batch))],
         key=lambda part: part.batch.start,
     )
     _require_one_completed_run(flown)
-    flown = _restore_parameters(flown, mission)
+    flown = _restore_drawn_parameters(flown, mission)
     campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
     return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted))
 
@@ -221,9 +221,9 @@ def monte_carlo(
 def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
-    from gnc_opt.progress_display import campaign_meter
+    from gnc_opt.progress_display import show_campaign_progress
 
-    return campaign_meter(total)
+    return show_campaign_progress(total)
 
 
 def _share_campaign_task(
@@ -232,7 +232,7 @@ def _share_campaign_task(
     remedy = 'define custom dispersions at the top level of a module, or use executor="serial"'
     shared = SharedObject.from_picklable(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):
-        shared.pack_parcel()  # also checked for inherited memory, so that the campaign runs on any executor
+        shared.pickle_shared_object()  # also checked for inherited memory, so that the campaign runs on any executor
     return shared
 
 
@@ -254,7 +254,7 @@ def _require_one_completed_run(flown: Sequence[RunBatch]) -> None:
     raise GncOptError(f"no run could be simulated ({flown[0].mishap}): {remedy}.")
 
 
-def _restore_parameters(flown: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
+def _restore_drawn_parameters(flown: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
     found = []
     for part in flown:
         P = part.parameters

@@ -81,7 +81,7 @@ class Quantities:
         return cls(layout, ca.Function("quantities", plant.arguments(), [y]))
 
 
-def create_empty_record(count: int) -> Any:
+def create_empty_quantity_record(count: int) -> Any:
     """Return the empty record (5 count,) of ``count`` quantities: see `join_quantity_records`."""
     values = (-ca.inf, ca.inf, 0.0, ca.inf, ca.inf)
     return ca.DM(np.repeat([float(v) for v in values], count))
@@ -89,13 +89,13 @@ def create_empty_record(count: int) -> Any:
 
 def join_quantity_records(one: Any, other: Any) -> Any:
     """Return the record of two consecutive intervals: maximum, minimum, integral, first and last values; SX or MX."""
-    a, b = _split_record(one), _split_record(other)
+    a, b = _split_quantity_record(one), _split_quantity_record(other)
     first = ca.if_else(ca.fabs(a[3]) < ca.inf, a[3], b[3])
     last = ca.if_else(ca.fabs(b[4]) < ca.inf, b[4], a[4])
     return ca.vertcat(ca.fmax(a[0], b[0]), ca.fmin(a[1], b[1]), a[2] + b[2], first, last)
 
 
-def _split_record(record: Any) -> tuple[Any, ...]:
+def _split_quantity_record(record: Any) -> tuple[Any, ...]:
     n = record.shape[0] // 5
     return tuple(record[i * n : (i + 1) * n] for i in range(5))
 
@@ -105,14 +105,14 @@ class Extremes:
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
-        self.record = ca.SX(create_empty_record(len(quantities)))
+        self.record = ca.SX(create_empty_quantity_record(len(quantities)))
 
     def __call__(self, taken: IntegrationStep, applied: Callable[[float], Any]) -> None:
         """Add an integration step to the record."""
         if not len(self.quantities):
             return
         nodes = np.linspace(0, 1, 4 * self.panels + 1).tolist()
-        y = [self._evaluate_rows(taken, nu, ca.densify(applied(nu))) for nu in nodes]
+        y = [self._evaluate_quantity_rows(taken, nu, ca.densify(applied(nu))) for nu in nodes]
         panels = [y[4 * k : 4 * k + 5] for k in range(self.panels)]
         terms = [w * each for panel in panels for w, each in zip(BOOLE_WEIGHTS, panel, strict=True)]
         total = taken.length / self.panels * sum(terms)
@@ -121,10 +121,10 @@ class Extremes:
         )
         flown = ca.repmat(taken.length > 0, step.shape[0], 1)
         self.record = join_quantity_records(
-            self.record, ca.if_else(flown, step, ca.SX(create_empty_record(len(self.quantities))))
+            self.record, ca.if_else(flown, step, ca.SX(create_empty_quantity_record(len(self.quantities))))
         )
 
-    def _evaluate_rows(self, taken: IntegrationStep, nu: float, u: Any) -> Any:
+    def _evaluate_quantity_rows(self, taken: IntegrationStep, nu: float, u: Any) -> Any:
         x = taken.x if nu == 0 else taken.after if nu == 1 else taken.interpolate_state(nu)[0]
         return self.quantities.rows(taken.time + nu * taken.length, x, u, self.parameters)
 

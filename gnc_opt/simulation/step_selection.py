@@ -80,7 +80,7 @@ class StepSelection:
     asked: float
     substeps: int | None
 
-    def initial_modes(self, t: float, x: Array, p: Array) -> Array:
+    def compute_initial_modes(self, t: float, x: Array, p: Array) -> Array:
         """Return the initial modes of the plant (n_states,), complex, 1/s; empty if a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
@@ -91,7 +91,7 @@ class StepSelection:
             return flight_with(self.substeps)
         substeps = count_steps_for_stability(modes, self.step)
         if substeps > MAX_SUBSTEPS:
-            raise self._too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
+            raise self._make_too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
         flight = flight_with(substeps)
         duration = float(flight.times[-1] - flight.times[0])
         substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
@@ -110,12 +110,12 @@ class StepSelection:
             if substeps >= MAX_SUBSTEPS:
                 if least <= self.asked:
                     return best
-                raise self._too_fast_error(
+                raise self._make_too_fast_error(
                     f"leave an error of {least:.1e} where {self.asked:.1e} is required"
                 )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
 
-    def _too_fast_error(self, why: str) -> ArgumentError:
+    def _make_too_fast_error(self, why: str) -> ArgumentError:
         return ArgumentError(
             f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
             f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."

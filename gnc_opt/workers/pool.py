@@ -22,7 +22,7 @@ from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from gnc_opt.arguments import expect
 from gnc_opt.errors import GncOptError
-from gnc_opt.workers.processes import Object, Parcel, SharedObject, WorkerProcesses, open_parcel
+from gnc_opt.workers.processes import Object, Parcel, SharedObject, WorkerProcesses, open_shared_object
 
 MOST_CRASHES = 8
 """Number of consecutive items that killed their own process, after which no more items are tried."""
@@ -117,7 +117,7 @@ class WorkerPool(Generic[Object]):
             if sends or isinstance(
                 executor, ProcessPoolExecutor
             ):  # ProcessPoolExecutor may hang if pickling fails
-                self._parcel = shared.pack_parcel()
+                self._parcel = shared.pickle_shared_object()
 
     def __enter__(self) -> WorkerPool[Object]:
         return self
@@ -187,7 +187,7 @@ class WorkerPool(Generic[Object]):
         waiting, pending, room = (
             deque(items),
             dict[Future[Answer], int](),
-            _count_task_slots(self._executor),
+            _count_simultaneous_tasks(self._executor),
         )
         idle, deserted = 0, False
         while waiting or pending:
@@ -322,7 +322,7 @@ def _has_lost_workers(executor: Executor) -> bool:
     return getattr(client, "status", "running") != "running" or not client.scheduler_info().get("workers")
 
 
-def _count_task_slots(executor: Executor) -> int:
+def _count_simultaneous_tasks(executor: Executor) -> int:
     """Return the largest number of simultaneous tasks of an executor; each holds a copy of the shared object."""
     client: Any = getattr(executor, "_client", None)
     threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else (os.cpu_count() or 1)
@@ -334,4 +334,4 @@ _TURN = threading.RLock()
 
 def _run_task_in_turn(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
     with _TURN:  # compiled functions are not thread-safe
-        return task(open_parcel(parcel), item)
+        return task(open_shared_object(parcel), item)

@@ -50,14 +50,14 @@ class SharedObject(Generic[Object]):
     @classmethod
     def from_picklable(cls, value: Object, name: str, remedy: str) -> SharedObject[Object]:
         """Return a shared object that is pickled itself."""
-        return cls(value, name, remedy, partial(_return_unchanged, value))
+        return cls(value, name, remedy, partial(_return_object_unchanged, value))
 
     @property
     def parcel(self) -> LocalParcel[Object]:
         """Parcel for this process and processes that inherit its memory."""
         return LocalParcel(self.value, self._make_pickle_error(""))
 
-    def pack_parcel(self) -> bytes:
+    def pickle_shared_object(self) -> bytes:
         """Return the parcel for other processes.
 
         Raises
@@ -87,7 +87,7 @@ class LocalParcel(Generic[Object]):
         raise self.error
 
 
-def open_parcel(parcel: Parcel[Any]) -> Any:
+def open_shared_object(parcel: Parcel[Any]) -> Any:
     """Return the object of a parcel; a pickled one is created once per process."""
     return parcel.value if isinstance(parcel, LocalParcel) else _unpickle_once(parcel)
 
@@ -97,7 +97,7 @@ def _unpickle_once(parcel: bytes) -> Any:
     return pickle.loads(parcel)()
 
 
-def _return_unchanged(value: Object) -> Object:
+def _return_object_unchanged(value: Object) -> Object:
     return value
 
 
@@ -118,13 +118,13 @@ class WorkerProcesses:
     def __init__(self, shared: SharedObject[Any]) -> None:
         self._context: Any = multiprocessing.get_context("fork" if is_fork_default() else None)
         self._parcel: LocalParcel[Any] | Path = (
-            shared.parcel if is_fork_default() else self._write_parcel(shared)
+            shared.parcel if is_fork_default() else self._write_pickled_object(shared)
         )
         self._executor: ProcessPoolExecutor | None = None
 
-    def _write_parcel(self, shared: SharedObject[Any]) -> Path:
+    def _write_pickled_object(self, shared: SharedObject[Any]) -> Path:
         """Return a file with the pickled object; process arguments of more than 64 kB may block."""
-        packed = shared.pack_parcel()
+        packed = shared.pickle_shared_object()
         try:
             folder = tempfile.mkdtemp(prefix="gnc_opt-")
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -148,7 +148,7 @@ class WorkerProcesses:
         """Replace the existing processes by new ones."""
         self.end_processes()
         self._executor = ProcessPoolExecutor(
-            count, self._context, initializer=_initialise_process, initargs=(self._parcel,)
+            count, self._context, initializer=_initialise_worker_process, initargs=(self._parcel,)
         )
 
     def end_processes(self, at_once: bool = False) -> None:
@@ -174,13 +174,13 @@ def _kill_processes(executor: Any) -> None:
 # --- in the processes -------------------------------------------------------------------------------------
 
 
-def _initialise_process(parcel: LocalParcel[Any] | Path) -> None:
+def _initialise_worker_process(parcel: LocalParcel[Any] | Path) -> None:
     """Get the object, ignore Ctrl-C (handled by the parent), and limit the threads to one."""
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"
-    _OBJECT[:] = [open_parcel(parcel.read_bytes() if isinstance(parcel, Path) else parcel)]
+    _OBJECT[:] = [open_shared_object(parcel.read_bytes() if isinstance(parcel, Path) else parcel)]
 
 
 def _exit_with_parent() -> None:

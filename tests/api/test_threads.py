@@ -9,7 +9,7 @@ from testing.models import dynamics, one_phase
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import gnc_opt as go
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 
 def counts() -> set[int]:
@@ -18,10 +18,10 @@ def counts() -> set[int]:
 
 def test_one_inside_and_as_many_as_before_outside() -> None:
     with threadpool_limits(2, user_api="blas"):
-        with one_thread():
+        with limit_to_one_thread():
             assert counts() == {1}
         assert counts() == {2}
-        with pytest.raises(ZeroDivisionError), one_thread():
+        with pytest.raises(ZeroDivisionError), limit_to_one_thread():
             _ = 1 / 0
         assert counts() == {2}
 

@@ -11,7 +11,7 @@ import rich.console
 from testing.models import one_phase
 
 import gnc_opt as go
-from gnc_opt.progress_display import campaign_meter
+from gnc_opt.progress_display import show_campaign_progress
 
 HOSTILE = "<script>alert('a')</script> & <b>"
 TAGS = {"div", "p", "strong", "table", "thead", "tbody", "tr", "th", "td", "pre"}
@@ -90,7 +90,7 @@ def test_progress_needs_no_widgets(
 ) -> None:
     """Rich would ask for ipywidgets, and show nothing without them."""
     monkeypatch.setattr(rich.console, "_is_jupyter", lambda: True)
-    with warnings.catch_warnings(), campaign_meter(3) as show:
+    with warnings.catch_warnings(), show_campaign_progress(3) as show:
         warnings.simplefilter("error")
         show(1, 0)
         show(2, 1)

@@ -27,7 +27,7 @@ from gnc_opt.plot import (
     plot_states,
     save_figure,
 )
-from gnc_opt.plot.style import legend_above, legend_on_top, narrow_figures, new_axes_rows
+from gnc_opt.plot.style import draw_legend_on_top, draw_narrow_figures, new_axes_rows, place_legend_above
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +239,7 @@ def test_bounded_components_have_a_row_with_their_switching_function_and_others_
     assert len(figure.axes) == 7 and [columns.count(k) for k in range(2)] == [4, 3]
     assert len(figure.axes[6].get_lines()) == 3  # the control without bounds
     assert [ax.get_xlabel() == "time (s)" for ax in figure.axes] == [False] * 6 + [True]
-    with narrow_figures():
+    with draw_narrow_figures():
         stacked = plot_controls(flight())
     assert {ax.get_subplotspec().colspan.start for ax in stacked.axes} == {0}
     assert stacked.get_figwidth() < 0.6 * figure.get_figwidth()
@@ -286,11 +286,11 @@ def test_a_vector_control_is_shown_by_magnitude_and_components(least: float) -> 
 def test_long_labels_of_a_narrow_figure_are_below_each_other() -> None:
     columns = []
     for label in ("short", "a label of more than half the width"):
-        with narrow_figures():
+        with draw_narrow_figures():
             figure, (ax,) = new_axes_rows([1], 2.0)
             ax.plot([0.0, 1.0], label="run")
             ax.plot([1.0, 0.0], label=label)
-            legend_on_top(figure, [ax])
+            draw_legend_on_top(figure, [ax])
         FigureCanvasAgg(figure).draw()
         boxes = [text.get_window_extent() for text in figure.legends[0].get_texts()]
         assert max(box.x1 for box in boxes) < figure.bbox.x1
@@ -298,10 +298,10 @@ def test_long_labels_of_a_narrow_figure_are_below_each_other() -> None:
     assert columns == [2, 1]
     columns = []
     for name in ("$v_{\\mathrm{L}}$", "direction"):
-        with narrow_figures():
+        with draw_narrow_figures():
             _, (ax,) = new_axes_rows([1], 2.0)
             for i in range(3):
                 ax.plot([0.0, 1.0], label=f"{name}[{i}]")
-            legend_above(ax)
+            place_legend_above(ax)
         columns.append(ax.get_legend()._ncols)
     assert columns == [3, 2]

@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.verdict import REMEDIES
-from gnc_opt.progress_display import solve_meter
+from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_page import control_effort
 
@@ -211,7 +211,7 @@ def test_json_of_a_failed_solve(failed: go.Solution) -> None:
 def run_meter(terminal: bool, iterations: int) -> str:
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=terminal, width=100, color_system=None)
-    with solve_meter("cart", console) as show:
+    with show_solve_progress("cart", console) as show:
         for i in range(iterations):
             show(i, 2.0 + 1.0 / (i + 1), 10.0**-i)
     return stream.getvalue()
@@ -234,7 +234,7 @@ def test_meter_on_a_terminal_ends_with_the_last_iteration() -> None:
 def test_meter_closes_when_the_solve_breaks() -> None:
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, color_system=None)
-    with pytest.raises(ZeroDivisionError), solve_meter("cart", console) as show:
+    with pytest.raises(ZeroDivisionError), show_solve_progress("cart", console) as show:
         show(3, 1.0, 1.0)
         raise ZeroDivisionError
     assert "iteration 3" in stream.getvalue().splitlines()[-1]

@@ -123,13 +123,13 @@ from gnc_opt.report.html_document import html_document
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
-    compute_min_max_shift,
+    find_least_peak_shift,
     null_vector,
     pseudo_inverse,
     read_effect_matrix,
 )
 from gnc_opt.simulation.block import StepContext
-from gnc_opt.simulation.block_signals import ColumnLayout, link_blocks
+from gnc_opt.simulation.block_signals import ColumnLayout, chain_blocks
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.compiled_step import StepExecutor
 from gnc_opt.simulation.confidence_intervals import (

@@ -110,12 +110,12 @@ class MeshProblem:
         if not self.progress:
             yield None
             return
-        from gnc_opt.progress_display import solve_meter
+        from gnc_opt.progress_display import show_solve_progress
 
         worth = (
             self.problem.sense * self.scaling.objective if with_cost else 1.0
         )  # in the sense and unit of the user
-        with solve_meter(self.problem.name) as show:
+        with show_solve_progress(self.problem.name) as show:
             yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
 
     def build_solution(self, result: NlpResult) -> Solution:

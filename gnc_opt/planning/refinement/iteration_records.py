@@ -85,9 +85,9 @@ def print_iterations(
     """Return a context manager whose value prints a pass, or does nothing; see `gnc_opt.progress_display`."""
     if not shown:
         return nullcontext(lambda _: None)
-    from gnc_opt.progress_display import refinement_meter
+    from gnc_opt.progress_display import show_refinement_progress
 
-    return refinement_meter(name, tol)
+    return show_refinement_progress(name, tol)
 
 
 def is_stagnating(errors: Sequence[float], tol: float) -> bool:

@@ -13,12 +13,12 @@ from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.program_start import mesh_with_fixed_breaks
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def refine(
     solution: Solution,

@@ -302,13 +302,13 @@ def worst_path_violation(samples: PhaseSamples) -> Worst:
     found = find_limit_violations(samples, Limits.from_interval(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING
-    shares = _distances_to_path_limits(found, samples)
+    shares = _compute_limit_distances(found, samples)
     i = int(np.argmax(shares))
     what = f"{leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
     return Worst(float(shares[i]), samples.describe_time(found.times[i], what))
 
 
-def _distances_to_path_limits(found: Violations, samples: PhaseSamples) -> Array:
+def _compute_limit_distances(found: Violations, samples: PhaseSamples) -> Array:
     """Return first-order distances (m,) from path limits, relative to the magnitude of the trajectory."""
     at, rows, columns = (found.times, found.x, found.u), found.limits.rows, np.arange(found.times.size)
     by_state = samples.functions.path_state_jacobian(*at)[rows, :, columns] * samples.state_scale

@@ -37,11 +37,11 @@ from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.problem_relaxation import Relaxation, find_relaxations
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficient_conditions import is_convex
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 
 
-@one_thread()
+@limit_to_one_thread()
 def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     """Return the solution with a lower bound of its problem's cost, if one is found: `Solution.bound`, `Solution.gap`.
 

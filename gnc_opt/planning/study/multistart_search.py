@@ -31,7 +31,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, merge_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.optimality_check import verify
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_formatting import PrintableResult
 
 MISS = 0.1
@@ -181,7 +181,7 @@ def _format_failures(failures: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def multistart(
     problem: Problem | Builder,
@@ -385,9 +385,9 @@ def _count_minima_to_refine(minima: Sequence[Minimum], within: float | None) -> 
 def _progress_meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
     if not visible:
         return nullcontext(lambda objective: None)
-    from gnc_opt.progress_display import search_meter
+    from gnc_opt.progress_display import show_search_progress
 
-    return search_meter(name, total, sense)
+    return show_search_progress(name, total, sense)
 
 
 # --- worker tasks -----------------------------------------------------------------------------------------

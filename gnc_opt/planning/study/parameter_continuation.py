@@ -22,7 +22,7 @@ from gnc_opt.planning.study.kkt_sensitivity import predict_solution
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.renamed import StatusWord
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_formatting import PrintableResult
 
 Family: TypeAlias = Callable[[float], Problem]
@@ -113,7 +113,7 @@ class Continuation(PrintableResult):
         return "\n".join([*lines, *self.events])
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def continuation(
     problem_of: Family,

@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.transcription.mesh import MeshLike
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_formatting import PrintableResult
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class Sweep(PrintableResult):
         return "\n".join(lines)
 
 
-@one_thread()
+@limit_to_one_thread()
 @suggest_keywords
 def sweep(
     problem_of: Family,

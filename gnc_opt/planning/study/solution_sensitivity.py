@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.solution_extraction import model_parameters, stat
 from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
 from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ FREE_CONTROL_CURVATURE_MIN_SHARE = 1e-10
 _POINTS: WeakKeyDictionary[Solution, KktPoint] = WeakKeyDictionary()
 
 
-@one_thread()
+@limit_to_one_thread()
 def sensitivity(
     solution: Solution,
     parameter: str | None = None,

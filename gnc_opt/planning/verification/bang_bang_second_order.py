@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, P
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.trajectory_quality import find_index_of_largest
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.critical_cone import best_direction_gradient
+from gnc_opt.planning.verification.critical_cone import compute_best_direction_gradient
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
@@ -86,7 +86,7 @@ def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
     )
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
     at = beside, leg.x(beside), leg.applied(beside), leg.lam(beside), leg.path_multiplier(beside)
-    values = best_direction_gradient(s, *at)
+    values = compute_best_direction_gradient(s, *at)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
     unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
@@ -119,7 +119,7 @@ def _switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) 
 
 
 def _evaluate_switching_functions(s: PhaseSamples) -> Array:
-    return best_direction_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
+    return compute_best_direction_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
 
 
 def _find_zero_without_crossing(s: PhaseSamples) -> str:

@@ -63,7 +63,9 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_gain_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
-        means = average_over_time(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
+        means = average_over_time(
+            s.times, np.abs(_average_segments(s, np.copysign(gain, s.control_gradient)))
+        )
         root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
         # The location is that of the largest mean.
         by_phase = np.where(means == np.max(means, axis=1, keepdims=True), root_mean[:, None], 0.0)
@@ -72,7 +74,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     return worst
 
 
-def _segment_means(s: PhaseSamples, values: Array) -> Array:
+def _average_segments(s: PhaseSamples, values: Array) -> Array:
     lengths = np.maximum(s.segment_integrals(np.ones(s.times.size)), TINY)
     return np.asarray((s.segment_integrals(values) / lengths)[:, s.segments])
 

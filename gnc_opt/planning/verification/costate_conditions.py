@@ -41,7 +41,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_index_of_largest
 from gnc_opt.planning.transcription.collocation_families import GAUSS
-from gnc_opt.planning.verification.feasibility import reach_of_path_constraints
+from gnc_opt.planning.verification.feasibility import compute_path_changes
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
@@ -57,7 +57,7 @@ def add_active_constraints_at_ends(
         (s, end, at, rows)
         for s in samples
         for end, at in ENDS
-        if (rows := _path_constraints_active_at_end(s, at)).size
+        if (rows := _find_paths_active_at_end(s, at)).size
     ]
     if not met:
         return solution, ends
@@ -67,7 +67,7 @@ def add_active_constraints_at_ends(
         box = leg.path_interval()
         for row in rows:
             label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
-            expression = _path_expression_at_end(leg, row, end)
+            expression = _build_path_expression_at_end(leg, row, end)
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
@@ -82,7 +82,7 @@ def add_active_constraints_at_ends(
     return stated, boundary_gradients(stated)
 
 
-def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
+def _find_paths_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
     leg, pure = s.leg, s.pure_paths
     if not pure.size:
@@ -96,7 +96,7 @@ def _path_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
 
-def _path_expression_at_end(leg: Phase, row: int, end: str) -> ca.SX:
+def _build_path_expression_at_end(leg: Phase, row: int, end: str) -> ca.SX:
     t, x, _, _ = leg.model.arguments()
     time = leg.initial_time if end == "initial" else leg.final_time
     return ca.substitute(
@@ -112,7 +112,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
         share, total = _adjoint_residuals(s, s.mu, scales, tolerance)
         if s.leg.scheme != GAUSS and s.pure_paths.size:
             share = np.fmin(
-                share, _adjoint_residuals(s, _path_multipliers_without_impulses(s), scales, tolerance)[0]
+                share, _adjoint_residuals(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
         i = int(np.argmax(np.abs(total[:, k]) * along.radius))
@@ -140,7 +140,7 @@ def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: fl
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
 
-def _path_multipliers_without_impulses(s: PhaseSamples) -> Array:
+def _subtract_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) from interior points of segments; boundary points have atoms."""
     leg = s.leg
     inner = [
@@ -235,7 +235,7 @@ def check_complementarity(
                 leg.path_multipliers,
                 paths,
                 leg.path_bounds,
-                reach_of_path_constraints(s, scales, times, x, u),
+                compute_path_changes(s, scales, times, x, u),
             ),
         ):
             if labels:
@@ -292,7 +292,7 @@ def check_parameter_stationarity(
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
-        atoms = _parameter_gradients_of_impulses(s, ends)
+        atoms = _differentiate_impulses(s, ends)
         gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier of a bound is -gradient.
@@ -306,7 +306,7 @@ def check_parameter_stationarity(
     return Worst(float(violation[i]), f"parameter {solution.free_parameters.labels[i]}")
 
 
-def _parameter_gradients_of_impulses(s: PhaseSamples, ends: EndGradients) -> Array:
+def _differentiate_impulses(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
     leg = s.leg
     pushes = [explain_transversality(s, at, ends).multipliers for at in (0, -1)]

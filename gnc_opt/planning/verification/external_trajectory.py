@@ -38,7 +38,7 @@ from gnc_opt.planning.solution.verdict import FIRST_ORDER, Condition, ConditionR
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
 
 
@@ -51,7 +51,7 @@ def reformulate_samples(
 
 def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array) -> SampledPhase:
     stated = leg.model if leg.restatement is None else leg.restatement.model
-    own = _reorder_samples(own, problem.phases[leg.name].model, stated)
+    own = _reorder_sampled_variables(own, problem.phases[leg.name].model, stated)
     if leg.restatement is None:
         return own
     arguments = [*stated.arguments(), problem.parameter_symbols()]
@@ -67,7 +67,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array
     return replace(own, u=u)
 
 
-def _reorder_samples(own: SampledPhase, given: Model, model: Model) -> SampledPhase:
+def _reorder_sampled_variables(own: SampledPhase, given: Model, model: Model) -> SampledPhase:
     """Return samples of a model with the same variables, some of which are states instead of controls."""
     if given.states.names == model.states.names:
         return own
@@ -105,7 +105,7 @@ Values = Any
 """Arrays (n, n_times) in the order of the model, or a mapping from names; for several phases a mapping of these."""
 
 
-@one_thread()
+@limit_to_one_thread()
 def verify_trajectory(
     problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = CONDITION_TOLERANCE
 ) -> Verdict:
@@ -170,7 +170,7 @@ def verify_trajectory(
     verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate(problem)
     if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
         return verdict
-    other = _check_reformulated(problem, twin, samples, q, tol)
+    other = _check_reformulated_trajectory(problem, twin, samples, q, tol)
     prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
     return verdict if prefers_stated else other
 
@@ -201,9 +201,9 @@ def _mark_interpolation_errors_inconclusive(
     few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
     if not failed or few:
         return verdict
-    thinned = {name: _halve_samples(leg) for name, leg in samples.items()}
+    thinned = {name: _drop_every_second_sample(leg) for name, leg in samples.items()}
     coarse = verify(_build_solution(problem, thinned, q), tol=tol)
-    if not all(_vanishes_with_denser_samples(c, coarse[c.name].value / c.value) for c in failed):
+    if not all(_is_sampling_error(c, coarse[c.name].value / c.value) for c in failed):
         return verdict
     where = "the samples are too coarse: give denser ones"
     return replace(
@@ -215,7 +215,7 @@ def _mark_interpolation_errors_inconclusive(
     )
 
 
-def _vanishes_with_denser_samples(failed: Condition, growth: float) -> bool:
+def _is_sampling_error(failed: Condition, growth: float) -> bool:
     """Return whether an error that grows if every second sample is omitted is due to the samples.
 
     Defects are integrals over the steps: denser samples of the same trajectory have smaller ones.
@@ -224,7 +224,7 @@ def _vanishes_with_denser_samples(failed: Condition, growth: float) -> bool:
     return grows and failed.value <= failed.tolerance * growth**HALVED_STEPS
 
 
-def _halve_samples(samples: SampledPhase) -> SampledPhase:
+def _drop_every_second_sample(samples: SampledPhase) -> SampledPhase:
     t = samples.t
     twice = np.append(np.diff(t) == 0, False)
     kept = np.arange(t.size) % 2 == 0
@@ -233,7 +233,7 @@ def _halve_samples(samples: SampledPhase) -> SampledPhase:
     return SampledPhase(t[kept], samples.x[:, kept], samples.u[:, kept])
 
 
-def _check_reformulated(
+def _check_reformulated_trajectory(
     problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase], q: Array, tol: float
 ) -> Verdict:
     """Return the verdict in the reformulated controls, without norms and kinks

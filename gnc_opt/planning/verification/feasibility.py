@@ -131,7 +131,7 @@ def check_limits(
         if s.leg.path_labels:
             for at in (s, s.resample_evenly(SCANNED_PATHS)):
                 worst = worst.select_worse(_worst_path_violation(s, at, scales))
-            worst = worst.select_worse(_path_violation_cost(s, scales))
+            worst = worst.select_worse(_find_costliest_path_violation(s, scales))
     return make_condition(
         "limits",
         worst,
@@ -173,29 +173,29 @@ def _worst_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> 
     found = find_limit_violations(at, limits, applied=True)
     if not found.times.size:
         return NOTHING
-    shares = _distances_to_path_limits(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
+    shares = _compute_limit_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
     i = int(np.argmax(shares))
     excess = limits.compute_excess(at.times, at.x, at.u)
     rows, k = np.nonzero(excess > 0)
     here = at.times[k], at.x[:, k], at.u[:, k]
-    beside = _distances_to_path_limits(s, scales, limits.select_limits(rows), excess[rows, k], here)
+    beside = _compute_limit_distances(s, scales, limits.select_limits(rows), excess[rows, k], here)
     most = max(float(shares[i]), float(np.max(beside, initial=0.0)))
     what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
     return Worst(most, s.describe_time(found.times[i], what))
 
 
-def _distances_to_path_limits(
+def _compute_limit_distances(
     s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = reach_of_path_constraints(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = compute_path_changes(s, scales, *at)[rows, np.arange(rows.size)]
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def reach_of_path_constraints(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
+def compute_path_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
     """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
@@ -205,7 +205,7 @@ def reach_of_path_constraints(s: PhaseSamples, scales: Scales, times: Array, x: 
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
 
 
-def _path_violation_cost(s: PhaseSamples, scales: Scales) -> Worst:
+def _find_costliest_path_violation(s: PhaseSamples, scales: Scales) -> Worst:
     values, box = s.functions.paths(s.times, s.x, s.u), s.leg.path_bounds
     above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)

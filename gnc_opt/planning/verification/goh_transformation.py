@@ -108,8 +108,8 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     itself = np.ones(squares.size, dtype=bool)
     for s in samples:
         part = cone.point.transcription.parts[s.leg.name]
-        singular = _undetermined_singular_segments(cone, s)
-        strong[_junction_time_variables(s, part, singular)] = True
+        singular = _find_undetermined_segments(cone, s)
+        strong[_list_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
                 last = part.collocation.boundary_states[_find_driven_states(s, i), -1]
@@ -124,7 +124,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     return replace(cone, strong=strong, unit=unit)
 
 
-def _undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
+def _find_undetermined_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     """Return the segments of the cone's mesh (n_controls, K) on which a control is singular and undetermined."""
     part = cone.point.transcription.parts[s.leg.name]
     singular = mask_singular_segments(s)
@@ -132,7 +132,7 @@ def _undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask
         singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
     return singular[
         :, _index_containing_segments(s.leg.mesh, part.collocation.mesh)
-    ] & _segments_without_active_limits(cone, part)
+    ] & _mask_unlimited_segments(cone, part)
 
 
 def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
@@ -151,7 +151,7 @@ def _index_containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
     return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
 
 
-def _segments_without_active_limits(cone: CriticalCone, part: PhaseIndices) -> Mask:
+def _mask_unlimited_segments(cone: CriticalCone, part: PhaseIndices) -> Mask:
     """Return the segments (n_controls, K) without a fixed control, state or path constraint."""
     collocation, n = part.collocation, cone.point.x.size
     inner = ~np.isin(collocation.point_states, collocation.boundary_states)
@@ -161,7 +161,7 @@ def _segments_without_active_limits(cone: CriticalCone, part: PhaseIndices) -> M
     return ~np.logical_or.reduceat(held, collocation.mesh.point_offsets[:-1], axis=1)
 
 
-def _junction_time_variables(s: PhaseSamples, part: PhaseIndices, singular: Mask) -> Indices:
+def _list_junction_time_variables(s: PhaseSamples, part: PhaseIndices, singular: Mask) -> Indices:
     """Return the time variables at which singular arcs begin or end without a bound-to-bound jump of a control."""
     movable, switches = s.leg.mesh.movable, find_inner_switches(s)[0]
     beside = np.any(singular, axis=0)
@@ -180,14 +180,14 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
     :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` in the directions free of the conditions. If it is negative, a pulse
     just before the end reduces the cost.
     """
-    channels = np.flatnonzero(_undetermined_singular_segments(cone, s)[:, -1])
+    channels = np.flatnonzero(_find_undetermined_segments(cone, s)[:, -1])
     if not channels.size or not _do_end_conditions_depend_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
     last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
     at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
     numbers = s.functions.weights, s.functions.p, s.functions.q
-    slopes = _hamiltonian_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
+    slopes = _differentiate_hamiltonian_mixed(point.problem, s)(*at_end, *numbers)[0].full()
     by_control = s.functions.input_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
     mixed = span[:, None] * slopes[channels] @ by_control
     by_control = by_control / point.scaling.variables[last, None]
@@ -214,13 +214,13 @@ def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, cha
     ends, final = endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have common straightening coordinates.
-    slopes = _hamiltonian_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
+    slopes = _differentiate_hamiltonian_mixed(problem, s).sparsity_out(1 if channels.size == 1 else 0)
     depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
     limited = np.isfinite(s.leg.final_bounds.lower) | np.isfinite(s.leg.final_bounds.upper)
     return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
 
 
-def _hamiltonian_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
+def _differentiate_hamiltonian_mixed(problem: Problem, s: PhaseSamples) -> Any:
 
     def build_mixed_function() -> Any:
         slope = s.functions.functions["switching"]

@@ -107,7 +107,7 @@ def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
     for group in s.functions.coupled_controls:
         search = _MinimumSearch(s, group, chosen)
         vector = find_vector_control(s, group)
-        u[group] = search.scale_to_controls(
+        u[group] = search.convert_shares_to_controls(
             search.find_global_minima() if vector is None else search.minimise_over_vector(vector)
         )
     return s.times[chosen], u
@@ -124,13 +124,13 @@ class _MinimumSearch:
     cost_rate: float = 0.0
 
     @cached_property
-    def _control_box(self) -> tuple[Array, Array]:
+    def _control_search_box(self) -> tuple[Array, Array]:
         lower, upper = (limit[self.group, None] for limit in control_search_bounds(self.s))
         return lower, upper - lower
 
     @cached_property
     def _applied_shares(self) -> Array:
-        lower, span = self._control_box
+        lower, span = self._control_search_box
         flown = self.s.u[np.ix_(self.group, self.chosen)]
         return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
 
@@ -148,7 +148,7 @@ class _MinimumSearch:
         )
 
     def _insert_group_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
-        columns, (lower, span) = self.chosen[at], self._control_box
+        columns, (lower, span) = self.chosen[at], self._control_search_box
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
         return self.s.times[columns], self.s.x[:, columns], u
@@ -189,7 +189,7 @@ class _MinimumSearch:
     def _path_gradients(self, shares: Array, at: Indices) -> Array:
         jacobian = (
             self.s.functions.path_control_jacobian(*self._insert_group_controls(shares, at))[:, self.group]
-            * self._control_box[1]
+            * self._control_search_box[1]
         )
         return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
 
@@ -198,7 +198,7 @@ class _MinimumSearch:
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
         s, group, (times, x, u) = self.s, self.group, self._insert_group_controls(shares, at)
-        lam, span = s.lam[:, self.chosen[at]], self._control_box[1]
+        lam, span = s.lam[:, self.chosen[at]], self._control_search_box[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
@@ -240,19 +240,19 @@ class _MinimumSearch:
         u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
         least, most = (limit[magnitude, None] for limit in control_search_bounds(s))
         u[magnitude] = np.where(slope[magnitude] > strength, least, most)
-        lower, span = self._control_box
+        lower, span = self._control_search_box
         away = u[self.group] - lower
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
-    def scale_to_controls(self, shares: Array) -> Array:
+    def convert_shares_to_controls(self, shares: Array) -> Array:
         """Return the controls (group, n_times) for shares of their range; as applied without a range."""
-        lower, span = self._control_box
+        lower, span = self._control_search_box
         return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
 
     def find_global_minima(self) -> Array:
         """Return the minimising controls (group, n_times) from descents from all trial points."""
         shares, _, _, _, best = self._sample_trial_points()
-        return self._descend_from_best_of(np.zeros((self.group.size, 0)), shares[:, best])
+        return self._descend_from_best_points(np.zeros((self.group.size, 0)), shares[:, best])
 
     def find_largest_gain(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
@@ -274,7 +274,7 @@ class _MinimumSearch:
             return HamiltonianGain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: max(1, when.size // 4)]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.average_gain(self._descend_from_best_of(kept, shares[:, best]))
+        return self.average_gain(self._descend_from_best_points(kept, shares[:, best]))
 
     def _sample_trial_points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return trial points, their times, H, and the first and the best point of each time.
@@ -298,7 +298,7 @@ class _MinimumSearch:
         value, first = self.evaluate_hamiltonian(shares, at), np.arange(n) * (at.size // n)
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
-    def _descend_from_best_of(self, kept: Array, best: Array) -> Array:
+    def _descend_from_best_points(self, kept: Array, best: Array) -> Array:
         every = np.arange(self.chosen.size)
         trials = np.stack([self._applied_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
@@ -323,7 +323,7 @@ class _MinimumSearch:
         scale = s.control_span[group, None]
         if self.deviation is not None:
             scale = np.where(self.deviation[group, None] > 0, self.deviation[group, None], scale)
-        physical = moves * self._control_box[1]
+        physical = moves * self._control_search_box[1]
         length = np.max(np.abs(physical) / scale, axis=0)
         direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
         slopes = s.switching_functions[np.ix_(group, self.chosen)]

@@ -60,7 +60,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # samples on the surface are on neither side
             for k in np.flatnonzero(row[signed[1:]] * row[signed[:-1]] < 0):
-                found = _find_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
+                found = _find_rate_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
                     return found
         rest = _find_sliding_on_kink(s, kinks, values)
@@ -143,7 +143,7 @@ def _evaluate_kink_arguments(
     return evaluate_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
 
 
-def _find_jump(
+def _find_rate_jump(
     s: PhaseSamples, kinks: KinkFunctions, i: int, between: Array, tolerance: float
 ) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""

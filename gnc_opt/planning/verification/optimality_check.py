@@ -36,8 +36,8 @@ from gnc_opt.planning.verification.nonsmooth_points import (
 from gnc_opt.planning.verification.reduced_hessian import (
     build_critical_cone,
     check_reduced_hessian,
-    cost_rounding_error,
-    state_and_control_spans,
+    compute_variation_scales,
+    estimate_cost_rounding_error,
 )
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
@@ -54,12 +54,12 @@ from gnc_opt.planning.verification.stored_data_check import (
 )
 from gnc_opt.planning.verification.sufficient_conditions import (
     attains_lower_bound,
-    controls_determined_by_slope,
     has_unique_solution,
     is_convex,
+    mask_bang_bang_controls,
 )
 from gnc_opt.planning.verification.switching_times import check_switching_times
-from gnc_opt.runtime_environment import one_thread
+from gnc_opt.runtime_environment import limit_to_one_thread
 
 CONDITION_TOLERANCE = 1e-5
 
@@ -86,7 +86,7 @@ _INCOMPLETE = "The condition holds for all available numbers, but a number is mi
 _CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is unknown."
 
 
-@one_thread()
+@limit_to_one_thread()
 def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
     """Return the verdict on a solution: its trajectory and costates are checked against the problem, densely in time.
 
@@ -302,8 +302,8 @@ def _check_second_variation(
     solution = with_free_touch_times(solution)
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
     samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
-    rounding = cost_rounding_error(samples)
-    cone = build_critical_cone(solution, samples, rounding, state_and_control_spans)
+    rounding = estimate_cost_rounding_error(samples)
+    cone = build_critical_cone(solution, samples, rounding, compute_variation_scales)
     if not cone.point.is_finite:
         return [
             _inconclusive_condition("second order", "a derivative of the problem is not finite", _CANNOT_VARY)
@@ -333,7 +333,7 @@ def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
 
 
 def _has_unique_solution(problem: Problem, samples: list[PhaseSamples]) -> bool:
-    known = {s.leg.name: controls_determined_by_slope(s) for s in samples}
+    known = {s.leg.name: mask_bang_bang_controls(s) for s in samples}
     return len(known) == len(problem.phases) and has_unique_solution(problem, known)
 
 

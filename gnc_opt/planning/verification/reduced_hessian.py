@@ -139,19 +139,19 @@ def build_critical_cone(
         return found
 
     cone = CriticalCone.from_program_point(ProgramPoint.from_solution(solution, meshes, scales, rounding))
-    if sizes is not state_and_control_spans:
+    if sizes is not compute_variation_scales:
         return cone
     return fix_constraints_at_arc_entries(
         transform_to_goh_variables(fix_free_directions(cone, samples), samples), samples
     )
 
 
-def state_and_control_spans(s: PhaseSamples) -> tuple[Array, Array]:
+def compute_variation_scales(s: PhaseSamples) -> tuple[Array, Array]:
     """Return the variations of states and controls along a phase."""
     return compute_state_variations(s), s.control_span
 
 
-def cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:
+def estimate_cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:
     """Return the rounding error of the cost: the share `COSTATE_MIN_SHARE_OF_COST` of its magnitude."""
     return COSTATE_MIN_SHARE_OF_COST * max((s.cost_magnitude for s in samples), default=0.0)
 
@@ -297,7 +297,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
     n = hessian.shape[0]
     if n == 0:
         return None
-    if steep and (found := _find_steep_direction(space, hessian)) is not None:
+    if steep and (found := _find_negative_direction(space, hessian)) is not None:
         return found
     inverse = space.projected_hessian_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
@@ -311,7 +311,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _find_steep_direction(space: NullSpace, hessian: Any) -> Array | None:
+def _find_negative_direction(space: NullSpace, hessian: Any) -> Array | None:
     """Return a direction of large negative curvature, whose inverse vanishes; None without one."""
     project = space.projection_operator
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))

@@ -136,7 +136,7 @@ def _analyse_singular_arc(
     )
     derivatives = problem.cache(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
-        least = _singular_curvature(s, channels, regular, here)
+        least = _compute_singular_curvature(s, channels, regular, here)
         bends = (
             f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
         )
@@ -161,7 +161,7 @@ def _analyse_singular_arc(
     return arc(0, 0.0, f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 
-def _singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
+def _compute_singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
     """Return the smallest curvature of H along singular controls with optimal regular ones, relative to H."""
     unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
     hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)

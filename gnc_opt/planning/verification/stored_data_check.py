@@ -105,9 +105,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     for name, leg in checked.phases.items():
         for what in _EXACT:
             for a, b in zip(
-                _list_problem_data(stored.phases[name], what), _list_problem_data(leg, what), strict=True
+                _list_numerical_data(stored.phases[name], what), _list_numerical_data(leg, what), strict=True
             ):
-                off = float(np.max(_relative_difference(a, b), initial=0.0))
+                off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
     return make_condition(
@@ -218,12 +218,12 @@ def _find_first_nonfinite(owner: Solution | PhaseSolution, place: str, with_cost
     return NOTHING
 
 
-def _list_problem_data(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
+def _list_numerical_data(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
     value = getattr(leg, name)
     return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
 
 
-def _relative_difference(a: Array, b: Array) -> Array:
+def _compute_relative_difference(a: Array, b: Array) -> Array:
     """Return |a - b| relative to the larger one; infinite if exactly one is infinite or a number is missing."""
     if a.shape != b.shape:
         return np.array([np.inf])

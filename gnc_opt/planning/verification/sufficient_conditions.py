@@ -99,7 +99,7 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
     return left.size == 0 or _has_full_column_rank(rows[:, left])
 
 
-def controls_determined_by_slope(s: PhaseSamples) -> Mask:
+def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
     opens = mask_lasting_intervals(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
@@ -213,7 +213,7 @@ def _boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Arra
     for leg in problem.phases.values():
         p = _parameter_interval(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
-        boxes += [*ends, *leg.time_ranges(), _bound_integrals(problem, leg, q), p]
+        boxes += [*ends, *leg.time_ranges(), _compute_integral_bounds(problem, leg, q), p]
     return compute_ranges(_build_boundary_function(problem, expressions), [*boxes, q]).lower
 
 
@@ -226,10 +226,10 @@ def attains_lower_bound(
     if not max(worths) <= tolerance * amount:
         return False
     near = problem.sense * cost - cost_lower_bound(problem) <= tolerance**2 * amount
-    return bool(near and np.all(_excess_over_lower_bounds(solution) <= tolerance**2))
+    return bool(near and np.all(_compute_bound_excess(solution) <= tolerance**2))
 
 
-def _excess_over_lower_bounds(solution: Solution) -> Array:
+def _compute_bound_excess(solution: Solution) -> Array:
     problem = solution.need_problem("verify").clone()
     terms = list(_split_sum_terms(problem.sense * problem.cost))
     for leg in problem.phases.values():
@@ -286,7 +286,7 @@ def _parameter_interval(leg: Phase) -> Interval:
     return Interval(leg.model.parameter_values, leg.model.parameter_values)
 
 
-def _bound_integrals(problem: Problem, leg: Phase, q: Interval) -> Interval:
+def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Interval:
     (initial, final), numbers = leg.time_ranges(), leg.numbers
     times = Interval(initial.lower, final.upper)
     integrands = leg.cache("integrands by all", lambda: _integrand_function(problem, leg))

@@ -35,10 +35,10 @@ from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.planning.solution.trajectory_quality import Worst
 from gnc_opt.planning.verification.lagrangian_limit_terms import (
     active_limit_gradients,
+    compute_touch_point_terms,
     find_costate_jumps,
-    find_costly_limits,
-    find_held_controls,
-    touch_terms,
+    mask_controls_at_limits,
+    mask_costly_limits,
 )
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
@@ -97,7 +97,7 @@ class ShiftedTrajectory:
         # With unstable dynamics, full steps exceed the range of the second-order expansion.
         steps = 1 / np.maximum(1, np.max(np.abs(slopes), axis=0, initial=0.0) / LARGEST_MOVE)
         slopes *= steps
-        basis = steps[:, None] * _directions_keeping_end_conditions(slopes[:, :n], slopes[:, n:])
+        basis = steps[:, None] * _find_end_preserving_directions(slopes[:, :n], slopes[:, n:])
         if not np.any(basis[:n]):
             return None
         pairs = itertools.combinations(basis.T, 2)
@@ -247,7 +247,7 @@ class _ShiftedPhase:
         return np.sort(np.clip([*own, *self.times], *self.times), axis=0)
 
     @cached_property
-    def common_steps(self) -> Array:
+    def equal_steps(self) -> Array:
         """Return which steps are equal in all columns (n_steps,)."""
         same = np.all(self.step_ends == self.step_ends[:, :1], axis=1)
         return np.asarray(same[:-1] & same[1:])
@@ -255,7 +255,7 @@ class _ShiftedPhase:
     @cached_property
     def applied_controls(self) -> Array:
         """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
-        first, last = self.step_ends[:-1, 0][self.common_steps], self.step_ends[1:, 0][self.common_steps]
+        first, last = self.step_ends[:-1, 0][self.equal_steps], self.step_ends[1:, 0][self.equal_steps]
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
@@ -264,10 +264,10 @@ class _ShiftedPhase:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
         a, b = self.step_ends[step], self.step_ends[step + 1]
         middle = 0.5 * (a + b)
-        place = int(np.count_nonzero(self.common_steps[:step]))
+        place = int(np.count_nonzero(self.equal_steps[:step]))
         found = []
         for k, t in enumerate((a, middle, b)):
-            if self.common_steps[step]:
+            if self.equal_steps[step]:
                 u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
             else:
                 u = _applied_controls(self.samples.leg, t, middle)
@@ -321,7 +321,7 @@ class _ShiftedPhase:
             for time in states.keys() & set(b.tolist()):
                 states[time][:, b == time] = y[:n, b == time]
         touched = [
-            touch_terms(self.problem, self.samples, self.functions, t, jump, states[t])
+            compute_touch_point_terms(self.problem, self.samples, self.functions, t, jump, states[t])
             for t, jump in jumps.items()
         ]
         misses = [term / cost for term in touched] + [
@@ -345,7 +345,7 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
     most = np.max(own.deviation, axis=1, initial=0.0)
     lower, upper = leg.control_bounds.is_near_limits(u, NOTABLE * most)
     inside = ~(lower | upper)
-    inside &= ~find_held_controls(problem, s, times)
+    inside &= ~mask_controls_at_limits(problem, s, times)
     if not np.any(inside):
         return []
     shapes = response * (deviation**2 * inside)
@@ -360,7 +360,7 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
 def _has_active_limits(s: PhaseSamples) -> bool:
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))[s.pure_paths]
-    return bool(np.any(find_costly_limits(s, s.times)) or np.any(at_ends))
+    return bool(np.any(mask_costly_limits(s, s.times)) or np.any(at_ends))
 
 
 def _parameter_variations(
@@ -391,7 +391,7 @@ def _steps_within_limits(
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _directions_keeping_end_conditions(shifts: Array, others: Array) -> Array:
+def _find_end_preserving_directions(shifts: Array, others: Array) -> Array:
     """Return a basis (n_unknowns, d) that preserves the end conditions, from their slopes: jumps with their
     corrections, followed by directions without jumps."""
     inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)

@@ -24,8 +24,8 @@ from gnc_opt.planning.verification.bang_bang_second_order import explain_inappli
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.lagrangian_limit_terms import (
     find_costate_jumps,
-    find_costly_limits,
-    find_held_controls,
+    mask_controls_at_limits,
+    mask_costly_limits,
 )
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
@@ -67,7 +67,7 @@ def _are_jumps_optimised(jumps: list[Jump], samples: list[PhaseSamples]) -> bool
     if not explain_inapplicable_theorem(samples):
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
-    limited = any(np.any(find_costly_limits(s, s.times)) or find_costate_jumps(s) for s in samples)
+    limited = any(np.any(mask_costly_limits(s, s.times)) or find_costate_jumps(s) for s in samples)
     movable = all(s.leg.mesh.movable for s in samples)
     return movable and not limited and len(set(times)) == len(times)
 
@@ -81,7 +81,7 @@ def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
         inner = leg.breaks[1:-1]
         before, after = leg.applied(inner, "left"), leg.applied(inner)
         large = np.abs(after - before) > SMALL * np.maximum(change, TINY)[:, None]
-        for i, k in np.argwhere(large & ~_are_constrained(problem, s, inner)):
+        for i, k in np.argwhere(large & ~_mask_constrained_controls(problem, s, inner)):
             jumps.append(Jump(leg.name, float(inner[k]), int(i), before[i, k], after[i, k]))
     for s, following in itertools.pairwise(order):
         a, b = s.leg, following.leg
@@ -90,7 +90,7 @@ def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
         before, after = a.applied(a.breaks[-1], "left"), b.applied(b.breaks[0])
         change = np.maximum(np.ptp(s.u, axis=1), np.ptp(following.u, axis=1))
         size = np.abs(after - before)
-        held = _are_constrained(problem, s, a.breaks[-1:]) | _are_constrained(
+        held = _mask_constrained_controls(problem, s, a.breaks[-1:]) | _mask_constrained_controls(
             problem, following, b.breaks[:1]
         )
         for i in np.flatnonzero((size > SMALL * np.maximum(change, size)) & ~held[:, 0]):
@@ -112,7 +112,7 @@ def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)
 
 
-def _are_constrained(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
+def _mask_constrained_controls(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
     """Return whether an active path constraint or state limit determines each control near times, (m, n_times)."""
     near = np.argmin(np.abs(s.times[:, None] - times), axis=0)
     sides = [np.clip(near + k, 0, s.times.size - 1) for k in (-3, 3)]
@@ -122,5 +122,5 @@ def _are_constrained(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
     # Beside the end of an arc at a limit its multiplier may be next to nothing.
     pushed = np.any(s.state_multiplier != 0, axis=0) | np.any(s.mu != 0, axis=0)
     between = ~(lower | upper) & pushed
-    held = [find_held_controls(problem, s, s.times[at]) | between[:, at] for at in sides]
+    held = [mask_controls_at_limits(problem, s, s.times[at]) | between[:, at] for at in sides]
     return np.asarray(held[0] | held[1])

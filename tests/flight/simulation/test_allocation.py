@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from testing.internals import _clip_null_space_shift, compute_min_max_shift, null_vector, pseudo_inverse
+from testing.internals import _clip_null_space_shift, find_least_peak_shift, null_vector, pseudo_inverse
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.errors import DesignError
@@ -87,7 +87,7 @@ def test_two_wheels_left_are_refused_with_numbers():
 def test_min_max_shift_is_the_linear_programme(n):
     n = np.array(n)
     u = ca.SX.sym("u", 4)
-    shift = ca.Function("shift", [u], [compute_min_max_shift(u, n)])
+    shift = ca.Function("shift", [u], [find_least_peak_shift(u, n)])
     for torque in np.random.default_rng(1).normal(size=(30, 4)):
         peak = np.max(np.abs(torque + float(shift(torque)) * n))
         rows = np.vstack([np.column_stack([n, -np.ones(4)]), np.column_stack([-n, -np.ones(4)])])

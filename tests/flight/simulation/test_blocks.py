@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import ActuatorWave, StepContext, link_blocks, pseudo_inverse, read_effect_matrix
+from testing.internals import ActuatorWave, StepContext, chain_blocks, pseudo_inverse, read_effect_matrix
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.simulation import (
@@ -238,8 +238,8 @@ SIGNALS = {"f": (3, "N"), "t": (3, "N m"), "g": (1, "N")}
 
 def test_a_second_signal_of_one_name_is_refused():
     with pytest.raises(ArgumentError, match="defines 't' again"):
-        link_blocks([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
-    _, left = link_blocks([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
+        chain_blocks([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
+    _, left = chain_blocks([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
     assert left["f"] == (2, "")
 
 

@@ -58,7 +58,7 @@ from gnc_opt.planning.verification.singular_arcs import (
     check_generalised_legendre_clebsch,
 )
 from gnc_opt.planning.verification.stored_data_check import (
-    _relative_difference,
+    _compute_relative_difference,
     boundary_gradients,
     has_costates,
     recompute_from_problem,
@@ -138,9 +138,9 @@ def test_multipliers_that_bounds_cannot_exert() -> None:
 
 def test_difference_in_shares_of_the_larger() -> None:
     a, b = np.array([1.0, 4.0, np.inf, np.inf, 0.0, -3.0]), np.array([1.0, 5.0, np.inf, 2.0, 0.0, 3.0])
-    np.testing.assert_allclose(_relative_difference(a, b), [0.0, 0.2, 0.0, np.inf, 0.0, 2.0])
-    np.testing.assert_allclose(_relative_difference(a[:2], a[:3]), [np.inf])
-    assert _relative_difference(np.array([np.nan]), np.array([1.0])) == [np.inf]
+    np.testing.assert_allclose(_compute_relative_difference(a, b), [0.0, 0.2, 0.0, np.inf, 0.0, 2.0])
+    np.testing.assert_allclose(_compute_relative_difference(a[:2], a[:3]), [np.inf])
+    assert _compute_relative_difference(np.array([np.nan]), np.array([1.0])) == [np.inf]
 
 
 # --- what cost and integrals amount to --------------------------------------------------------------------

@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    best_direction_gradient,
+    compute_best_direction_gradient,
     find_vector_control,
     fix_free_directions,
 )
@@ -289,7 +289,7 @@ def test_a_push_would_begin_along_the_primer_vector(angle: float) -> None:
     s = samples(flight(0.0), angle)
     coasts = s.u[MAGNITUDE] < 1e-9
     assert np.sum(coasts) > 20
-    found = best_direction_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
+    found = compute_best_direction_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
     primer = np.linalg.norm(s.lam[2:], axis=0)
     np.testing.assert_allclose(found[MAGNITUDE, coasts], 1 - primer[coasts], atol=1e-12)
     np.testing.assert_array_equal(found[:, ~coasts], s.control_gradient[:, ~coasts])
