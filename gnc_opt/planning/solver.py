@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any, Literal
 
-from gnc_opt.arguments import expect_type, read_positive, suggest_keywords
+from gnc_opt.arguments import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
@@ -72,7 +72,7 @@ class Resolver:
     """
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
-        expect_type(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
+        expect(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
         self._problem = solution.need_problem("solve")
         if not solution.status.solved:
             raise ProblemError(
@@ -107,7 +107,7 @@ class Resolver:
         SolveError
             All methods failed.
         """
-        expect_type(
+        expect(
             problem, Problem, "the argument of Resolver.solve()", "give for example problem.with_initial(...)"
         )
         within, moved = clip_start_to_bounds(problem)
@@ -120,7 +120,7 @@ class Resolver:
                 "with_initial(), with_parameters() or similar, or create a Resolver from its own solution."
             )
         if near is not None:
-            expect_type(
+            expect(
                 near, Solution, "the start of Resolver.solve()", "give for example near=resolver.solve(...)"
             )
             if _variable_names(near) != _variable_names(self.solution):
@@ -250,12 +250,10 @@ def solve(
     >>> print(f"{found.objective:.6f} {found.history.status.value}")
     2.000000 converged
     """
-    expect_type(
-        problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)"
-    )
+    expect(problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)")
     get_family(scheme)
     if guess is not None:
-        expect_type(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+        expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
         within_bounds, moved = clip_start_to_bounds(problem)
         if moved:
             found = solve(
@@ -264,12 +262,10 @@ def solve(
             )  # fmt: skip
             return _with_provenance(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
-    expect_type(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
+    expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
     options = SolverOptions() if options is None else options
-    expect_type(
-        options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)"
-    )
+    expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
     in_a_loop = tol == "auto" and guess is not None
     if tol == "auto":
         tol = None if in_a_loop else DEFAULT_TOLERANCE
