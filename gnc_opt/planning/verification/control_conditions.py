@@ -51,8 +51,8 @@ def compute_hamiltonian_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
 def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
     """Return the first-order decrease of H by interior controls, or their distance to the minimum of H.
 
-    It is the root mean square over the phase of segment means, with their sign. Inside a segment deviations change the
-    cost only to second order, so that the root of the tolerance applies.
+    It is the largest integral between two ends of segments, with its sign: this displaces the states, in shares of
+    their reach. Faster deviations change the cost only to second order, so that the root of the tolerance applies.
     """
     worst = NOTHING
     for s in samples:
@@ -63,20 +63,16 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_gain_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
-        means = average_over_time(
-            s.times, np.abs(_average_segments(s, np.copysign(gain, s.control_gradient)))
-        )
-        root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
+        totals = np.pad(s.segment_integrals(np.copysign(gain, s.control_gradient)), ((0, 0), (1, 0)))
+        moved = np.cumsum(totals, axis=1) / max(s.span, TINY)
         # The location is that of the largest mean.
-        by_phase = np.where(means == np.max(means, axis=1, keepdims=True), root_mean[:, None], 0.0)
-        violation = np.maximum(by_phase, average_over_time(s.times, gain) * np.sqrt(tolerance))
+        lasts = average_over_time(s.times, gain)
+        most = lasts == np.max(lasts, axis=1, keepdims=True)
+        violation = np.maximum(
+            np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
+        )
         worst = worst.select_worse(_locate_worst_control(s, violation, "dH/du of "))
     return worst
-
-
-def _average_segments(s: PhaseSamples, values: Array) -> Array:
-    lengths = np.maximum(s.segment_integrals(np.ones(s.times.size)), TINY)
-    return np.asarray((s.segment_integrals(values) / lengths)[:, s.segments])
 
 
 def _compute_distance_to_minimum(s: PhaseSamples, scales: Scales) -> Array:
@@ -211,23 +207,19 @@ def check_legendre_clebsch(
         "eigenvalue, relative to the scale of H). A negative eigenvalue indicates a maximum, a zero eigenvalue is "
         "inconclusive."
     )
-    found = [_find_least_lasting_curvature(s) for s in samples]
-    vanishing = [place is not None and abs(value) <= tolerance for value, place in found]
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
-    found = [
-        _find_least_lasting_curvature(s, ~here) if affine else told
-        for s, here, told, affine in zip(samples, singular, found, vanishing, strict=True)
-    ]
+    found = [_find_least_lasting_curvature(s, ~here) for s, here in zip(samples, singular, strict=True)]
     places = [(value, place) for value, place in found if place is not None]
     if not places:
-        nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
+        along = any(np.any(here) for here in singular)
+        nowhere = "no control between its bounds" + (" but along singular arcs" if along else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
     result = combine_condition_results(least >= tolerance, not least > -tolerance)
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
-def _find_least_lasting_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
+def _find_least_lasting_curvature(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.hamiltonian_gain)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)

@@ -40,7 +40,6 @@ from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_index_of_largest
-from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.verification.feasibility import compute_path_changes
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
@@ -110,23 +109,27 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
         share, total = _adjoint_residuals(s, s.mu, scales, tolerance)
-        if s.leg.scheme != GAUSS and s.pure_paths.size:
+        if s.pure_paths.size:
             share = np.fmin(
                 share, _adjoint_residuals(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
-        i = int(np.argmax(np.abs(total[:, k]) * along.radius))
-        place = s.describe_segment(k, f"adjoint equation of {s.leg.states.labels[i]}")
+        place = s.describe_segment(k, f"adjoint equation of {_name_state(s, total[:, k], along.radius)}")
         worst = worst.select_worse(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
             jumps = explain_costate_jumps(s)[0]
             share = along.largest_change(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
-            i = int(np.argmax(np.abs(jumps[:, k]) * along.radius))
-            place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {s.leg.states.labels[i]}")
+            label = _name_state(s, jumps[:, k], along.radius)
+            place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {label}")
             worst = worst.select_worse(Worst(float(share[k]), place))
     return worst
+
+
+def _name_state(s: PhaseSamples, gradient: Array, radius: Array) -> str:
+    """Return the label of the state whose gradient costs most along its reach."""
+    return s.leg.states.labels[int(np.argmax(np.abs(gradient) * radius))]
 
 
 def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
@@ -167,8 +170,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
             violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_costate_gap_effect(s, left))
-            i = int(np.argmax(np.abs(left) * ellipsoid.radius))
-            place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
+            place = f"phase {s.leg.name}, {end}, costate of {_name_state(s, left, ellipsoid.radius)}"
             worst = worst.select_worse(Worst(violation, place))
         drifts = np.array([push.drift for push in pushes.values()])
         worst = worst.select_worse(_check_time_transversality(s, ends, drifts, scales))

@@ -174,9 +174,7 @@ class _MinimumSearch:
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
             times, x, u = self._insert_group_controls(shares[:, off], at[off])
             paths = functions.paths(times, x, u)
-            beyond = np.where(
-                functions.mixed_paths[:, None], np.clip(paths, *self._path_limits[:, :, at[off]]) - paths, 0
-            )
+            beyond = np.clip(paths, *self._path_limits[:, :, at[off]]) - paths
             there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
             if not np.any(there):
                 break

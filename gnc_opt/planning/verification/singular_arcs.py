@@ -70,7 +70,7 @@ class SingularArc:
     least: float
     why: str = ""
     channels: tuple[int, ...] = field(default=(), compare=False)
-    samples: tuple[int, int] = field(default=(0, 0), compare=False)
+    samples: tuple[int, ...] = field(default=(), compare=False)
 
 
 def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) -> Condition:

@@ -177,10 +177,10 @@ class ShiftedTrajectory:
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         moved, reach = psi - psi[:, -1:], self.scales.constraints[0]
         unreached = np.max(np.abs(moved), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        size = np.where(reach > 0, reach, unreached)  # without range: links of times
+        size = np.maximum(np.where(reach > 0, reach, unreached), TINY)  # without range: links of times
         box = problem.constraint_interval()
         at = box.is_near_limits(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
-        active = (at[0] | at[1] | box.is_fixed) & (size > 0)
+        active = at[0] | at[1] | box.is_fixed
         rows.append(moved[active] / size[active, None])
         misses = np.vstack(rows)
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
@@ -234,7 +234,7 @@ class _ShiftedPhase:
         cells = divide_segments_into_cells(self.samples.leg.breaks)
         windows = [(np.min(own), np.max(own)) for own in self.times]
         for jump, _ in self.jumps:
-            step = (1 + SMALL) * SHIFT_STEP_SHARE * jump.shorter_arc
+            step = SHIFT_STEP_SHARE * jump.shorter_arc
             windows.append((jump.time - step, jump.time + step))
         inside = np.any([(cells > first) & (cells < last) for first, last in windows], axis=0)
         return np.unique([*cells[~inside], *np.clip(windows, cells[0], cells[-1]).ravel()])

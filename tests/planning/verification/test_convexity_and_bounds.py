@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing import constructed_solutions as by_hand
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -18,8 +19,10 @@ from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
+from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
 from gnc_opt.planning.verification.sufficient_conditions import (
     _split_sum_terms,
+    attains_lower_bound,
     cost_lower_bound,
     has_unique_solution,
     is_convex,
@@ -671,3 +674,26 @@ def test_a_range_of_free_parameters_counts() -> None:
     leg.initial(q=0.0)
     problem.minimize(leg.integral(w) + leg.final_state("q") ** 2)
     assert cost_lower_bound(problem) == -2.0
+
+
+@pytest.mark.parametrize("amount", [1e-3, 1e3])
+@pytest.mark.parametrize(
+    ("moving", "costate", "least"),
+    [(None, 0.5, True), (None, 2.0, False), *((k, 0.0, False) for k in range(3))],
+)
+def test_every_term_of_an_integral_and_the_costates_are_at_their_bounds(
+    moving, costate, least, amount
+) -> None:
+    """x' = a at the cost of a^2 + b^2 + c^2; ``costate`` in shares of the largest one over the size of x."""
+    model, _x, *u = dynamics("idle", "x", "a b c", lambda x, a, b, c: {x: a + 0 * (b + c)})
+    problem, leg = one_phase("idle", model, 0.0, 2.0)
+    problem.minimize(leg.integral(sum(one**2 for one in u[1:]) + u[0] ** 2))
+    shares = np.array([0.0 if k != moving else 1.0 for k in range(3)])
+    flat = [
+        lambda t, k, v=v: np.outer(v, np.ones(t.size)) for v in ([0.0], shares, [1e-5 * costate * amount])
+    ]
+    base = by_hand.phase(problem, *flat, breaks=(0.0, 2.0))
+    solution = recompute_from_problem(by_hand.solution(problem, base))
+    (s,) = samples = list(solution.samples().values())
+    larger = amount * float(s.state_scale[0])
+    assert attains_lower_bound(solution, samples, 0.0, larger, 1e-5) is least

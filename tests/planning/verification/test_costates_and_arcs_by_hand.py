@@ -212,6 +212,21 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
     assert np.array_equal(np.arange(*arc.samples), np.flatnonzero(s.segments == 1))
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_of_an_arc_of_second_order(sign: float) -> None:
+    """x'' = u at the cost of sign x^2: the fourth derivative of H_u is 2 sign u, over the ranges 2 of u and 3 s."""
+    model, x, *_ = dynamics("cart", "x y", "u", lambda x, y, u: {x: y, y: u})
+    problem, leg = one_phase("cart", model, 0.0, 3.0)
+    problem.minimize(leg.integral(sign * x**2))
+    none = [lambda t, k, rows=rows: np.zeros((rows, t.size)) for rows in (2, 1, 2)]
+    s = by_hand.samples(
+        problem, *none, weights=(1.0,), breaks=(0.0, 3.0), control_bounds=by_hand.interval(-1.0, 1.0)
+    )
+    (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
+    expected = sign * 2.0 * 4.0 * 3.0**4 / s.hamiltonian_scale
+    assert (arc.order, arc.least) == (2, pytest.approx(expected))
+
+
 def test_controls_that_curve_h_together_are_not_affine() -> None:
     """u w has no curvature in either: where both rest at zero, the arc's first derivative is of order zero."""
     model, x, _y, u, w = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})

@@ -50,7 +50,11 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_worst_crossing,
     estimate_nearest_multipliers,
 )
-from gnc_opt.planning.verification.external_trajectory import _build_solution, _read_finite_array
+from gnc_opt.planning.verification.external_trajectory import (
+    _build_solution,
+    _read_finite_array,
+    _split_vector_controls,
+)
 from gnc_opt.planning.verification.feasibility import _worst_interval_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
@@ -592,3 +596,15 @@ def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) 
             )  # fmt: skip
             bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
         assert bool(np.all(mask_zero_curvature(s))) is told
+
+
+def test_a_vector_of_size_zero_keeps_its_direction() -> None:
+    model = go.Model("body")
+    v = model.state("v", 2)
+    force, _ = model.vector_control("F", 2)
+    model.ode({v: force})
+    _, leg = one_phase("push", model, 0.0, 1.0)
+    given = np.array([[0.0, -3.0, 0.0, 4.0], [0.0, -4.0, 0.0, -3.0]])
+    size, direction = _split_vector_controls(leg, {"F": given}, 4).values()
+    np.testing.assert_allclose(size, [[0.0, 5.0, 0.0, 5.0]])
+    np.testing.assert_allclose(direction, [[-0.6, -0.6, -0.6, 0.8], [-0.8, -0.8, -0.8, -0.6]])

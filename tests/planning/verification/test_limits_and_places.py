@@ -345,7 +345,7 @@ PLACES: list[tuple[str, Callable[[], go.Solution], str, tuple[float, float] | No
     ("active set", lambda: multiplied("back", "state_multipliers", 2, 12), "phase back", (1.5, 1.75)),
     ("active set", lambda: multiplied("back", "state_impulses", 3, 1), "phase back", (1.25, 1.25)),
 ]  # fmt: skip
-LABELS = ["", "", "v[1]", "[0]", "a[1]", "q[1]", "a[1]", "a[0]", "", "a[1]", "v[0]", "v[1]"]
+LABELS = ["", "", "v[1]", "[0]", "v[1]", "q[1]", "a[1]", "a[0]", "", "a[1]", "v[0]", "v[1]"]
 
 
 @pytest.mark.parametrize(("name", "wrong", "start", "span", "label"),

@@ -12,7 +12,11 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.trajectory_quality import Worst
-from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
+from gnc_opt.planning.verification.switching_time_variations import (
+    Jump,
+    ShiftedTrajectory,
+    _sample_directions,
+)
 from gnc_opt.planning.verification.switching_times import find_jumps
 
 HEIGHT = 0.25
@@ -338,3 +342,12 @@ def test_steps_are_small_where_ends_move_far() -> None:
     ends: Any = None
     found = ClosedForm(solution, [], ends, scales, jumps).find_second_order_decrease()
     assert found is not None and found.value == pytest.approx((0.1 / 8) ** 2, rel=0.01)
+
+
+def test_directions_cost_alike_and_their_terms_add_up() -> None:
+    """L = s^2 + 4 r^2: a step of 1 in s costs as much as one of 1/2 in r, and both together twice of it."""
+    directions, sizes = _sample_directions(np.eye(2), np.array([1.0, 4.0, 5.0]))
+    np.testing.assert_allclose(directions[:, :4], [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
+    np.testing.assert_allclose(directions[:, 5:], -directions[:, :5])
+    np.testing.assert_allclose(sizes, 2.0 * np.array([1.0, 4.0]) @ directions**2)
+    np.testing.assert_allclose(sizes[[0, 1, 2, 3]], [2.0, 2.0, 4.0, 4.0])

@@ -402,3 +402,36 @@ def test_errors_of_interpolation_are_no_failures(samples: int, off: float, word:
     verdict = go.verify_trajectory(problem, t, {"x": states}, {"u": controls})
     assert verdict.outcome.startswith(word)
     assert (word == "not checked") == any("samples are too coarse" in c.where for c in verdict.conditions)
+
+
+@pytest.mark.parametrize(("periods", "passes"), [(1, False), (40, True)])
+def test_fast_deviations_of_a_control_displace_nothing(periods: int, passes: bool) -> None:
+    """The integral of a deviation counts, by as much with denser samples: d cos(w t) has the span 2 d / w."""
+    rate, size = 2.0 * np.pi * periods, 1e-4 * np.sqrt(12.0)  # of the root mean square of 6 - 12 t
+    values = []
+    for n in (481, 961):
+        t, x, u = smooth(n)
+        x = {
+            "q": x["q"] + size * (1 - np.cos(rate * t)) / rate**2,
+            "v": x["v"] + size * np.sin(rate * t) / rate,
+        }
+        verdict = go.verify_trajectory(least_energy(), t, x, {"a": u["a"] + size * np.cos(rate * t)})
+        assert (verdict["stationarity"].result.value == "PASS") == passes
+        values.append(verdict["stationarity"].value)
+    np.testing.assert_allclose(values, 2e-4 / rate, rtol=0.5)
+    assert values[1] == pytest.approx(values[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(("start", "passes"), [(1.0, True), (1.01, False)])
+def test_a_price_of_the_start(start: float, passes: bool) -> None:
+    """Energy 1 / (3 - t_0) of a way of 1 until t = 3, less t_0 / 4: the best start is at 1 s."""
+    model, *_, u = dynamics("mover", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("late", model, (0.0, 2.0), 3.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(u**2) - leg.initial_time / 4)
+    t = np.linspace(start, 3.0, 21)
+    speed = 1.0 / (3.0 - start)
+    verdict = go.verify_trajectory(problem, t, {"x": speed * (t - start)}, {"u": np.full(21, speed)})
+    assert verdict.ok == passes
+    assert passes or "stationarity" in {c.name for c in verdict.failed}
