@@ -241,7 +241,8 @@ class ClosedLoop:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.compute_initial_modes(times[0], *self._read_initial_plant_values(nominal))
-        return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes)
+        duration = float(times[-1] - times[0])
+        return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes, duration)
 
     def _read_initial_plant_values(self, nominal: Array) -> tuple[Array, Array]:
         """Return the plant's states (n_states,) and parameters (n_parameters,) from a parameter column."""

@@ -85,19 +85,19 @@ class StepSelection:
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
-    def select_steps(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:
-        """Return the compiled loop with the number of integration steps that its accuracy requires."""
+    def select_steps(
+        self, flight_with: Callable[[int], CompiledLoop], modes: Array, duration: float
+    ) -> CompiledLoop:
+        """Return the compiled loop with the number of steps that its accuracy requires over a duration (s)."""
         if self.substeps is not None:
             return flight_with(self.substeps)
         substeps = count_steps_for_stability(modes, self.step)
         if substeps > MAX_SUBSTEPS:
             raise self._make_too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
-        flight = flight_with(substeps)
-        duration = float(flight.times[-1] - flight.times[0])
         substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
-        best, least, stalled = flight, np.inf, 0
+        flight = best = flight_with(substeps)
+        least, stalled = np.inf, 0
         while True:
-            flight = flight_with(substeps)
             ending = flight.final_values(flight.nominal[:, None], [0])
             error, outcome = float(ending.state_error[0]), ending.outcomes[0]
             if np.isnan(error) or outcome.status is RunStatus.NOT_FINITE or error <= 0.1 * self.asked:
@@ -114,6 +114,7 @@ class StepSelection:
                     f"leave an error of {least:.1e} where {self.asked:.1e} is required"
                 )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
+            flight = flight_with(substeps)
 
     def _make_too_fast_error(self, why: str) -> ArgumentError:
         return ArgumentError(

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
+from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import (
-    SAMPLES,
     choose_typical_magnitudes,
     estimate_phase_magnitudes,
 )
@@ -49,7 +48,7 @@ def choose_variable_scales(
         scales[collocation.boundary_states] = states[:, None]
         scales[collocation.point_states] = states[:, None]
         scales[collocation.point_controls] = controls[:, None]
-        span = max(abs(build_phase_guess(problem.phases[name], SAMPLES).times[1]), 1e-3)
+        span = max(abs(guess_phase_times(problem.phases[name])[1]), 1e-3)
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     places = transcription.parameter_places
