@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, recover_initial_meshes
+from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine_by_stages
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
@@ -151,7 +151,7 @@ class Resolver:
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.from_solution(near)
             tol = solution_tolerance(self.solution) if self.tol is None else self.tol
-            return solve_by_known_arcs(problem, arcs, tol, "changed")
+            return solve_by_known_arcs(problem, arcs, tol)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
         guess, scheme, limits = (
@@ -331,10 +331,8 @@ def _solve_variation(
         tol = solution_tolerance(known)
     if tol is None or not _is_refined(known):
         return None
-    reached = known.history is None or _is_settled(known)
-    return solve_by_known_arcs(
-        problem, KnownArcs.from_solution(known), tol, "changed" if in_a_loop and reached else "always"
-    )
+    check = not in_a_loop or not (known.history is None or _is_settled(known))
+    return solve_by_known_arcs(problem, KnownArcs.from_solution(known), tol, check)
 
 
 def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> Solution | None:
@@ -344,10 +342,10 @@ def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> S
 
 
 def solve_by_known_arcs(
-    problem: Problem, known: KnownArcs, tol: float, checked: WhenChecked
+    problem: Problem, known: KnownArcs, tol: float, check: bool = False
 ) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
-    found = known.solve_variation(problem, tol, checked)
+    found = known.solve_variation(problem, tol, check)
     return None if found is None else with_solve_method(found, SolveMethod.WARM)
 
 
@@ -373,7 +371,8 @@ def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, 
     settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
     budget.add_work(warm, sum(p.work for p in warm.history.passes) if warm.history is not None else 0.0)
-    if _is_settled(warm) or _is_interrupted(warm) or budget.remaining_work <= 0:
+    ended = warm.status if warm.history is None else warm.history.status
+    if _is_settled(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
         return warm
     cold = solve(problem, limits=replace(limits, max_work=budget.remaining_work), **settings)
     cold = with_solve_method(cold, SolveMethod.COLD)
@@ -383,8 +382,3 @@ def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, 
 
 def solution_tolerance(known: Solution) -> float:
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
-
-
-def _is_interrupted(found: Solution) -> bool:
-    ended = RefinementStatus.INTERRUPTED
-    return found.status is Status.INTERRUPTED or (found.history is not None and found.history.status is ended)

@@ -8,9 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
-
-import numpy as np
 
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -29,7 +26,6 @@ from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_
 from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
-from gnc_opt.tolerances import NOTABLE
 
 WARM_START_MAX_SOLVES = 6
 """Largest number of solves; more indicate that the known solution is not close."""
@@ -42,8 +38,6 @@ WARM_START_MIN_WORK = 1e4
 
 KNOWN_ARCS_MAX_ERROR = 0.1
 """Largest local error of a first pass with known arcs (of 30 successful warm starts, all began below 2e-3)."""
-
-WhenChecked: TypeAlias = Literal["always", "changed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +52,10 @@ class KnownArcs:
         if not solution.structure:
             return cls(solution, {})
         found = detect_structures(replace(solution, structure=()))
-        return cls(solution, {name: _remove_sliver_arcs(s, solution, name) for name, s in found.items()})
+        arcs, phases = solution.structure, solution.phases
+        return cls(solution, {name: s.with_listed_arcs(arcs, phases[name]) for name, s in found.items()})
 
-    def solve_variation(self, problem: Problem, tol: float, checked: WhenChecked) -> Solution | None:
+    def solve_variation(self, problem: Problem, tol: float, check: bool) -> Solution | None:
         """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
 
         Parameters
@@ -69,9 +64,9 @@ class KnownArcs:
             Problem accepted by its `check`.
         tol : float
             On the local errors.
-        checked : {"always", "changed"}
-            When the solution must pass the optimality check, whose verdict it then contains: always, or if its arcs
-            differ from the known ones or its mesh was refined.
+        check : bool
+            Whether the solution must pass the optimality check even if its arcs are the known ones and its mesh was not
+            refined. It contains the verdict.
 
         Raises
         ------
@@ -88,13 +83,10 @@ class KnownArcs:
         candidate = Candidate(*found, "nearby")
         if candidate.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        if not candidate.history.converged:
+        check = check or not self._has_known_structure(candidate)
+        if not candidate.history.converged or (check and not candidate.verdict.ok):
             return None
-        if checked == "changed" and self._has_known_structure(candidate):
-            return build_final_solution([candidate], None, tol, begin, check=False)
-        return (
-            build_final_solution([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
-        )
+        return build_final_solution([candidate], None, tol, begin, check)
 
     def _solve_with_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
         left = {
@@ -103,7 +95,7 @@ class KnownArcs:
         return optimise_switching_times(
             start,
             tol=tol,
-            limits=replace(self._iteration_limits, worst=KNOWN_ARCS_MAX_ERROR),
+            limits=replace(self._iteration_limits, worst=KNOWN_ARCS_MAX_ERROR, sufficient=tol),
             structures=left,
             options=KNOWN_ARCS_OPTIONS,
             segments="kept",
@@ -112,11 +104,8 @@ class KnownArcs:
     def _solve_on_mesh(
         self, start: Solution, problem: Problem, tol: float
     ) -> tuple[Solution, History] | None:
-        meshes = {name: leg.mesh for name, leg in start.phases.items()}
-        scheme = next(iter(start.phases.values())).scheme
-        found = solve_mesh(
-            problem, meshes, scheme=scheme, guess=start, limits=SolveLimits(WARM_MAX_ITERATIONS)
-        )
+        limits = SolveLimits(WARM_MAX_ITERATIONS)
+        found = solve_mesh(problem, scheme=start.scheme, guess=start, limits=limits)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return refine_mesh(found, tol=tol, limits=self._iteration_limits) if found.status.solved else None
@@ -139,18 +128,3 @@ def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:
     passes = () if known.history is None else known.history.passes
     meshes = next((p.meshes for p in passes if p.stage == FIRST), None)
     return read_meshes(meshes, known.phases, known.problem_name)
-
-
-def _remove_sliver_arcs(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
-    """Return a detected structure without pieces between rows that change at the same time."""
-    ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
-    while structure.n_pieces > len(ends) - 1:
-        shortest = int(np.argmin(structure.piece_lengths))
-        fewer = structure.without_piece(shortest)
-        if (
-            structure.piece_lengths[shortest] > NOTABLE * structure.piece_lengths.sum()
-            or fewer.n_pieces != structure.n_pieces - 1
-        ):
-            break
-        structure = fewer
-    return structure

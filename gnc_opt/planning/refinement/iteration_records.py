@@ -39,6 +39,8 @@ class IterationLimits:
         CPU time limit, `time.thread_time`.
     worst : float
         Largest error of a first pass; with a larger one, the structure is rejected.
+    sufficient : float
+        Local error and relative error of the objective at which switching times are final unless arcs or kinks change.
     """
 
     passes: int = 40
@@ -47,6 +49,7 @@ class IterationLimits:
     deadline: float = math.inf
     cpu_deadline: float = math.inf
     worst: float = math.inf
+    sufficient: float = 0.0
 
     def are_exhausted(self, spent: float) -> bool:
         """Return whether no further pass is allowed after the work ``spent``."""

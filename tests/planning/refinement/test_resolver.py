@@ -26,7 +26,6 @@ from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.refinement.arc_warm_start import (
     KnownArcs,
-    _remove_sliver_arcs,
     recover_initial_meshes,
 )
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
@@ -381,22 +380,22 @@ def test_ctrl_c_ends_a_solve_and_begins_no_other(
     assert len(attempts) == 1
 
 
-def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -> None:
-    """The control leaves its bound where the speed reaches its limit; samples may show the one before the other."""
+def test_arcs_of_a_variation_are_those_listed(limited: Resolver) -> None:
+    """Times and kinds of the listed arcs replace those that samples show, unless other rows are at limits."""
     known = limited.solution
     (found,) = KnownArcs.from_solution(known).structures.values()
+    arcs, (leg,) = known.structure, known.phases.values()
+    assert set(found.times) == {t for arc in arcs for t in (arc.start, arc.end)}
+    assert found.list_arcs("leg", (*leg.controls.labels, *leg.path_labels, *leg.states.labels)) == arcs
     begin, reached, left, end = found.times
-    between = (*found.kinds[1][: found.n_controls], *found.kinds[0][found.n_controls :])
-    shown = replace(
-        found,
-        times=(begin, reached, reached + 1e-3, left, end),
-        kinds=(found.kinds[0], between, *found.kinds[1:]),
-        touches=((),) * 5,
-    )
-    mended = _remove_sliver_arcs(shown, known, "leg")
-    assert mended.kinds == found.kinds and mended.times == pytest.approx(found.times, abs=1e-3)
-    longer = replace(shown, times=(begin, reached, reached + 0.2, left, end))
-    assert _remove_sliver_arcs(longer, known, "leg") == longer
+    shown = found.with_times((begin, reached + 1e-3, left - 0.1, end))
+    assert shown.with_listed_arcs(arcs, leg) == found
+    assert shown.with_listed_arcs([arc for arc in arcs if arc.channel == "u"], leg) == shown
+    kinds = ((go.ArcKind.LOWER, go.ArcKind.INTERIOR, go.ArcKind.INTERIOR),) * 2
+    touches = ((), ((2, go.ArcKind.UPPER),), ())
+    touched = replace(found, times=(0.0, 0.5, 1.0), kinds=kinds, touches=touches)
+    moved = touched.with_times((0.0, 0.4, 1.0))
+    assert moved.with_listed_arcs(touched.list_arcs("leg", ("u", "q", "v")), leg) == touched
 
 
 @pytest.mark.slow

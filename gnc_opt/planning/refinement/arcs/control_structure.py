@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind, Kinds
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
 
 KindArray: TypeAlias = NDArray[np.object_]
 """Kinds of the rows in each piece."""
@@ -383,6 +385,30 @@ class PhaseStructure:
             for time, touches in zip(self.times, self.touches, strict=True):
                 found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
         return tuple(found)
+
+    def with_listed_arcs(self, arcs: Sequence[Arc], leg: PhaseSolution) -> PhaseStructure:
+        """Return the structure with times, kinds and touches of listed arcs; inverse of `list_arcs`.
+
+        If the list has other active limits than this structure, detected in the same trajectory, this one is returned.
+        """
+        labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
+        listed = [(labels.index(a.channel), a) for a in arcs if a.phase == leg.name]
+        limits = {i for i, a in listed if a.kind.is_at_limit and i >= self._n_free}
+        known = {i for piece in self.kinds for i in range(self._n_free, len(piece)) if piece[i].is_at_limit}
+        if not listed or limits != known | {i for touches in self.touches for i, _ in touches}:
+            return self
+        inner = {t for _, a in listed for t in (a.start, a.end) if self.times[0] < t < self.times[-1]}
+        times = [self.times[0], *sorted(inner), self.times[-1]]
+        kinds = [self._read_kinds(0.5 * (left + right), listed) for left, right in itertools.pairwise(times)]
+        touches = [tuple((i, a.kind) for i, a in listed if a.start == a.end == t) for t in times]
+        return self._merge_equal_pieces(times, tuple(kinds), touches)
+
+    def _read_kinds(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:
+        """Return the kind of every row at a time; controls that a limit determines are interior or singular."""
+        here = {i: a.kind for i, a in listed if a.start < time < a.end}
+        determined = [ArcKind.INTERIOR if regular else ArcKind.SINGULAR for regular in self.regular]
+        kinds = (here.get(i, ArcKind.INTERIOR) for i in range(len(determined)))
+        return tuple(determined[i] if k is ArcKind.CONSTRAINED else k for i, k in enumerate(kinds))
 
     def merge_pieces(self) -> PhaseStructure:
         """Return the structure with equal adjacent pieces joined."""

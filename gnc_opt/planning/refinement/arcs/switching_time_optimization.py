@@ -214,7 +214,7 @@ class _StructureLoop:
             self._append_iterate(_Iterate(solution, current, record))
             if len(self.iteration_records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
-            if not action:
+            if not action or self._is_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
             changes = set() if _keeps_arc_order(record) else _list_arc_orders(current, plans)
             again, changed = changes & changed, changes | changed
@@ -225,7 +225,14 @@ class _StructureLoop:
     @property
     def target_error(self) -> float:
         """Tolerance of local errors; pieces converge so fast that a small tolerance is inexpensive."""
-        return min(self.tol, EQUAL)  # at the cost of a few iterations, if any
+        return self.limits.sufficient or min(self.tol, EQUAL)  # at the cost of a few iterations, if any
+
+    def _is_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
+        """Return whether the solution is accurate enough, and pieces would only be refined further."""
+        enough, refined_only = self.limits.sufficient, {RAISED, SMOOTHED}
+        if record.error > enough or not set(str(record.actions).split(", ")) <= refined_only:
+            return False
+        return solution.objective_error.relative_error <= enough
 
     @property
     def iteration_records(self) -> list[RefinementIteration]:

@@ -36,7 +36,8 @@ class KnownSwitches:
         if not solution.structure or len(solution.phases) != 1:
             return None
         (s,) = solution.samples().values()
-        return cls(replace(solution, structure=()), detect_phase_structure(s), s.state_scale)
+        structure = detect_phase_structure(s).with_listed_arcs(solution.structure, s.leg)
+        return cls(replace(solution, structure=()), structure, s.state_scale)
 
     def with_newton_step(self) -> KnownSwitches | None:
         """Return the same data with the Newton step; None if Newton's method does not apply."""
