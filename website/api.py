@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -84,10 +85,10 @@ def _page(package: str, names: list[Entry]) -> Iterator[str]:
     yield f"{_docstring(import_module(package))}\n"
     modules = dict.fromkeys(entry.module for entry in names)
     for module in modules:
-        heading = module.removeprefix(f"{package}.").replace("_", " ")
-        yield f"## {heading} {{ data-toc-label='{heading}' }}\n"
+        text = _docstring(import_module(module))
+        yield f"## {re.split('[:;,.]', text)[0]}\n"
         if module != package:
-            yield f"{_docstring(import_module(module))}\n"
+            yield f"{text}\n"
         yield from (f"::: {entry.path}\n" for entry in names if entry.module == module)
 
 

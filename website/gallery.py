@@ -18,6 +18,8 @@ from website.sphinx_math import module_page
 
 ROOT = Path(__file__).parents[1]
 
+SYSTEMS = "Systems"
+
 
 def reference(example: Example) -> Reference | None:
     """Return the known answer; systems compare themselves with their publications instead."""
@@ -32,7 +34,7 @@ def heading(example: Example) -> str:
 
 def by_trade() -> dict[str, list[Example]]:
     """Return the examples by trade, the published systems first; a trade is named by the docstring of its folder."""
-    found: dict[str, list[Example]] = {"Systems": [e for e in examples() if e.is_package]}
+    found: dict[str, list[Example]] = {SYSTEMS: [e for e in examples() if e.is_package]}
     for example in sorted(examples(), key=lambda e: (e.path.parent.name, e.name)):
         if not example.is_package:
             trade = import_module(example.import_name.rpartition(".")[0]).__doc__ or example.path.parent.name

@@ -12,12 +12,13 @@ import re
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, Files
+from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
@@ -32,6 +33,9 @@ FROM_ROOT = {
     "development/changelog.md": "CHANGELOG.md",
 }
 """Pages that are files of the root, by their place in the site."""
+
+SEARCH_FROM_FILES = "iframe-worker.js"
+"""Script of the search for pages that are opened as files; `extra.polyfills` of ``mkdocs.yml`` names it."""
 
 SEARCH_WEIGHTS = {
     "howto": 8.0,
@@ -78,11 +82,13 @@ _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """List what is generated in the navigation."""
+    """Show the version in the header, and list what is generated in the navigation."""
+    config.site_name = f"gnc_opt {version('gnc_opt')}"
     sections = dict(_sections(config.nav))
     sections["Examples"].extend(
         {trade: [{gallery.heading(e): f"gallery/{e.name}.md"} for e in members]}
         for trade, members in gallery.by_trade().items()
+        if trade != gallery.SYSTEMS  # their results are pages of docs/, which lead to the code
     )
     sections["API"].append("api/index.md")
     sections["API"].extend({p.removeprefix("gnc_opt."): f"api/{p}.md"} for p in api.entries())
@@ -102,9 +108,13 @@ def _sections(entries: Any) -> Iterator[tuple[str, list[Any]]]:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what is generated."""
     wanted = bool(config.extra["figures"])
+    systems = {f"gallery/{e.name}.md" for e in examples() if e.is_package}
     texts = {place: (ROOT / name).read_text(encoding="utf-8") for place, name in FROM_ROOT.items()}
     for place, text in (texts | api.pages() | gallery.pages(wanted)).items():
-        files.append(File.generated(config, place, content=text))
+        shown = InclusionLevel.NOT_IN_NAV if place in systems else InclusionLevel.UNDEFINED
+        files.append(File.generated(config, place, content=text, inclusion=shown))
+    shim = Path(__file__).parent / SEARCH_FROM_FILES
+    files.append(File.generated(config, SEARCH_FROM_FILES, content=shim.read_text(encoding="utf-8")))
     if wanted:
         with ProcessPoolExecutor() as pool:
             for found in pool.map(gallery.pictures, examples()):

@@ -1,18 +1,19 @@
 """The picture of the first page: the rendezvous, its controls with switching functions, and its optimality check.
 
-python -m website.overview docs/overview.svg
+`python -m website.figures` draws it with the other pictures of the pages.
 """
 
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from PIL import Image
 
 import gnc_opt as go
 from gnc_opt.plot import save_figure
@@ -134,11 +135,7 @@ def _draw_check(figure: Any, solution: go.Solution) -> None:
         figure.text(0.46, y, value, weight="bold" if what == "conclusion" else "normal")
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Write the figure to the file named first."""
-    save_figure(overview(), arguments[0])
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+def save(path: Path) -> None:
+    """Write the picture as PNG of 128 colours."""
+    save_figure(overview(), path)
+    Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)
