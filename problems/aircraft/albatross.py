@@ -1,7 +1,8 @@
-r"""Albatross: the weakest wind in which a bird soars indefinitely without flapping.
+r"""Albatross: dynamic soaring in the weakest possible wind.
 
-Shows a periodic problem with a free parameter. Speed, climb, heading and height repeat after each cycle, the position
-does not. The parameter, the wind at 10 m, is minimised. The bird gains energy from the wind shear over the sea.
+This example shows a periodic problem with a free parameter. Speed, climb, heading and height repeat after each cycle,
+the position does not. The parameter, the wind at 10 m, is minimised. The bird gains energy from the wind shear over
+the sea.
 
 States: airspeed ``v`` (m/s), ``gamma``, heading ``chi`` from the wind's direction (rad), ``h`` (m). Controls: ``C_L``,
 bank ``mu`` (rad). Parameter: wind ``W10`` at 10 m (m/s).

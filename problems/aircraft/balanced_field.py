@@ -1,7 +1,7 @@
-r"""Balanced field: the shortest runway on which an airliner can stop or take off after an engine failure.
+r"""Balanced field: the shortest runway for take-off or abort after an engine failure.
 
-Shows phases that branch. An engine fails at the speed V1; one branch brakes, the other accelerates, rotates and climbs
-to 35 ft on the other engine. Both end at the same position. The rate of rotation is a parameter.
+This example shows phases that branch. An engine fails at the speed V1; one branch brakes, the other accelerates,
+rotates and climbs to 35 ft on the other engine. Both end at the same position. The rate of rotation is a parameter.
 
 States: ``r`` (m), ``v`` (m/s); while rotating ``alpha`` (rad); in the air ``h`` (m), ``gamma`` (rad). Control:
 ``alpha`` in the air.

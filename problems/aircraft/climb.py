@@ -1,9 +1,9 @@
-r"""Minimum time to climb of a supersonic interceptor: the F-4 of Bryson, Desai and Hoffman, from tables.
+r"""Minimum time to climb of a supersonic interceptor: the F-4 of Bryson, Desai and Hoffman.
 
-Shows dynamics from tables. Thrust is a table of Mach number and altitude, lift slope and drag are tables of the Mach
-number, the atmosphere is one of altitude. `table` makes smooth expressions of them, with extrapolation for the
-solver's iterates. The optimum consists of level acceleration, a dive through Mach 1, a climb at rising energy, and a
-zoom.
+This example shows dynamics from tables. Thrust is a table of Mach number and altitude, lift slope and drag are tables
+of the Mach number, the atmosphere is one of altitude. `table` makes smooth expressions of them, with extrapolation
+for the solver's iterates. The optimum consists of level acceleration, a dive through Mach 1, a climb at rising
+energy, and a zoom.
 
 States: ``h`` (ft), ``v`` (ft/s), ``gamma`` (rad), ``w`` (lb). Control: angle of attack ``alpha`` (rad).
 

@@ -1,7 +1,7 @@
-r"""Dubins path: the shortest path of an aircraft with a limited turn rate to a given position and heading.
+r"""Dubins path: the shortest path with a limited turn rate.
 
-Shows a bang-singular turn rate: circles of the least radius joined by a straight line, on which the switching function
-vanishes. The length has a closed form. A path with the opposite turn is another minimum.
+This example shows a bang-singular turn rate: circles of the least radius joined by a straight line, on which the
+switching function vanishes. The length has a closed form. A path with the opposite turn is another minimum.
 
 States: ``x``, ``y`` (km), heading ``psi`` (rad). Control: turn rate ``u`` (rad/s).
 

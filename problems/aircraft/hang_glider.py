@@ -1,8 +1,9 @@
-r"""Hang glider: how far does it get, sinking 100 m, with one thermal on the way?
+r"""Hang glider: the longest glide with one thermal on the way.
 
-Shows the risk of a fixed mesh. The updraft is narrow compared with the range, and a coarse mesh can miss the sink
-around it: some programs report "optimal" at 1500 m, 20 % too far, and a published 1250.19 m is not converged either.
-The error between the nodes shows which result is accurate; the solver's status does not.
+The glider sinks by 100 m. This example shows the risk of a fixed mesh. The updraft is narrow compared with the range,
+and a coarse mesh can miss the sink around it: some programs report "optimal" at 1500 m, 20 % too far, and a published
+1250.19 m is not converged either. The error between the nodes shows which result is accurate; the solver's status
+does not.
 
 States: ``x``, ``y`` (m), ``v_x``, ``v_y`` (m/s, y upwards). Control: ``lift``, the lift coefficient, 0 to 1.4.
 

@@ -1,7 +1,8 @@
-r"""Heading reversal: the fastest turn of a fighter by 180 degrees that ends at its altitude with nearly its speed.
+r"""Heading reversal: the fastest turn of a fighter by 180 degrees.
 
-Shows the corner speed: below it the lift limit is active, above it the load limit. The fastest turn slows down to it.
-The lift limit couples load factor, speed and altitude.
+The turn ends at its initial altitude with nearly its initial speed. This example shows the corner speed: below it the
+lift limit is active, above it the load limit. The fastest turn slows down to it. The lift limit couples load factor,
+speed and altitude.
 
 States: ``v`` (m/s), ``gamma``, ``chi`` (rad), ``h`` (m). Controls: load factor ``n``, bank ``mu`` (rad). Thrust is
 full, and falls with density to the power 0.7.

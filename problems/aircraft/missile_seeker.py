@@ -1,7 +1,7 @@
-r"""Missile with a seeker: an interceptor hits a crossing target at a given angle and keeps it within its field of view.
+r"""Missile with a seeker: an intercept at a given angle within a limited field of view.
 
-Shows a limit of first order on the angle between velocity and line of sight, with a terminal impact angle. The control
-energy is minimised.
+This example shows a limit of first order on the angle between velocity and line of sight, with a terminal impact
+angle. The control energy is minimised.
 
 States: missile ``x``, ``y`` (km), course ``gamma`` (rad). Control: ``a``, lateral acceleration (g).
 

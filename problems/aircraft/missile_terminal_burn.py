@@ -1,8 +1,8 @@
-r"""Missile terminal burn: the fastest flight at low altitude that ends in a vertical dive onto the target.
+r"""Missile terminal burn: the fastest low flight that ends in a vertical dive.
 
-Shows a constraint that applies to part of the flight and therefore needs two phases: the missile stays above 30 m
-until 7.5 km, then climbs and dives. The load factor couples angle of attack, speed and altitude in a path constraint.
-Full thrust is optimal almost throughout.
+This example shows a constraint that applies to part of the flight and therefore needs two phases: the missile stays
+above 30 m until 7.5 km, then climbs and dives. The load factor couples angle of attack, speed and altitude in a path
+constraint. Full thrust is optimal almost throughout.
 
 States: ``gamma`` (rad), ``v`` (m/s), ``x``, ``h`` (m). Controls: thrust ``T`` (N), angle of attack ``alpha`` (rad).
 

@@ -1,7 +1,8 @@
-r"""Perching: a glider pitches up beyond the stall and reaches a point at low speed, as a bird lands on a wire.
+r"""Perching: a glider that pitches up beyond the stall to land at low speed.
 
-Shows aerodynamics at large angles of attack: lift and drag of flat plates, wing and elevator, are smooth functions of
-the whole range. The elevator's rate is the control.
+The glider reaches a point at low speed, as a bird lands on a wire. This example shows aerodynamics at large angles of
+attack: lift and drag of flat plates, wing and elevator, are smooth functions of the whole range. The elevator's rate
+is the control.
 
 States: ``x``, ``z`` (m), pitch ``theta``, elevator ``phi`` (rad), ``vx``, ``vz`` (m/s), ``q`` (rad/s). Control:
 ``rate`` of the elevator (rad/s).

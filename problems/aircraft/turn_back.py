@@ -1,7 +1,8 @@
-r"""Turn back after engine failure: a glider returns to the runway behind it with the least loss of height.
+r"""Turn back after engine failure: a glide back to the runway with the least loss of height.
 
-Shows a glide in which speed, bank and position are optimised together: a steep turn loses height quickly but is short.
-The lift coefficient is limited, and the end must lie on the runway's line in the opposite direction.
+The engine has failed after take-off. This example shows a glide in which speed, bank and position are optimised
+together: a steep turn loses height quickly but is short. The lift coefficient is limited, and the end must lie on the
+runway's line in the opposite direction.
 
 States: ``x``, ``y``, ``h`` (m), ``v`` (m/s), ``gamma``, ``chi`` (rad). Controls: ``C_L``, bank ``mu`` (rad).
 

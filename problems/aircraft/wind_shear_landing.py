@@ -1,8 +1,8 @@
-r"""Abort landing in a wind shear: the largest minimum altitude of an airliner that flies through a downburst.
+r"""Abort landing in a wind shear: the largest minimum altitude in a downburst.
 
-Shows a minimax objective: the parameter ``lowest``, a lower limit of the altitude, is maximised, so that the
-trajectory touches it several times. The limit is of third order (altitude, climb rate, flight path, rate of the angle
-of attack), and tables of wind and thrust have kinks.
+This example shows a minimax objective: the parameter ``lowest``, a lower limit of the altitude, is maximised, so that
+the trajectory touches it several times. The limit is of third order (altitude, climb rate, flight path, rate of the
+angle of attack), and tables of wind and thrust have kinks.
 
 States: ``x``, ``h`` (ft), airspeed ``v`` (ft/s), ``gamma``, ``alpha`` (rad). Control: ``rate`` of alpha (rad/s).
 

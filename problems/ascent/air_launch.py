@@ -1,6 +1,7 @@
-r"""Air launch: the most mass that a two-stage rocket, dropped from an aircraft at 12 km, brings into orbit.
+r"""Air launch: the largest payload of a two-stage rocket dropped from an aircraft.
 
-Shows a phase without a control: the coast between the stages has a free duration. One steering law covers both burns.
+The aircraft flies at 12 km. This example shows a phase without a control: the coast between the stages has a free
+duration. One steering law covers both burns.
 
 States: ``h`` (m), range angle ``theta`` (rad), ``v_r``, ``v_t`` (m/s), ``m`` (kg). Control: thrust angle ``beta``
 above the local horizontal (rad) while burning.

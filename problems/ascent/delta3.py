@@ -1,8 +1,8 @@
 r"""Delta III: launch to a geostationary transfer orbit with the most mass, in four phases.
 
-Shows several phases with vector states. Each stage has its own thrust and mass flow; where boosters or a stage drop
-off, the mass jumps by a known amount, stated in the linkage. The target orbit is stated by its angular momentum and
-eccentricity vectors, which are smooth. Steering is a unit vector, as in the orbit raising problem.
+This example shows several phases with vector states. Each stage has its own thrust and mass flow; where boosters or a
+stage drop off, the mass jumps by a known amount, stated in the linkage. The target orbit is stated by its angular
+momentum and eccentricity vectors, which are smooth. Steering is a unit vector, as in the orbit raising problem.
 
 States: ``r`` (m), ``v`` (m/s) in an inertial frame at the Earth's centre, ``m`` (kg). Control: ``direction``, the unit
 vector of the thrust. Drag acts against the velocity relative to the turning atmosphere, w = v - Omega x r:

@@ -1,7 +1,7 @@
-r"""Goddard rocket with a speed limit: the highest ascent with at most a tenth of the circular orbital speed.
+r"""Goddard rocket with a speed limit: the highest ascent with limited speed.
 
-Shows a sequence of four different arcs: full thrust, singular, on the state limit, and off. On the limit the thrust
-balances drag and weight.
+The speed is at most a tenth of the circular orbital speed. This example shows a sequence of four different arcs: full
+thrust, singular, on the state limit, and off. On the limit the thrust balances drag and weight.
 
 States: altitude ``h`` from the centre, ``v``, ``m``; units of the Earth's radius, its gravity and the mass at lift-off.
 Control: thrust ``u`` in shares of the largest.

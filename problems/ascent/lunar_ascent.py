@@ -1,7 +1,7 @@
-r"""Lunar ascent: the fastest ascent of a lander's upper stage from the Moon's surface into an orbit of 15 km.
+r"""Lunar ascent: the fastest ascent from the Moon into an orbit of 15 km.
 
-Shows the steering law without an atmosphere: over a flat Moon the tangent of the thrust angle is a ratio of two linear
-functions of time. Over the round Moon of this problem it holds approximately.
+This example shows the steering law without an atmosphere: over a flat Moon the tangent of the thrust angle is a ratio
+of two linear functions of time. Over the round Moon of this problem it holds approximately.
 
 States: ``h`` (m), downrange angle ``theta`` (rad), ``v_r``, ``v_t`` (m/s), ``m`` (kg). Control: thrust angle
 ``beta`` above the local horizontal (rad).

@@ -1,7 +1,7 @@
-r"""Single stage to orbit: the fastest ascent of a rocket with constant thrust through an exponential atmosphere.
+r"""Single stage to orbit: the fastest ascent with constant thrust.
 
-Shows a smooth problem that needs no refinement of structure: the thrust angle alone steers, and its tangent changes
-almost linearly in time.
+This example shows a smooth problem that needs no refinement of structure: the thrust angle alone steers, and its
+tangent changes almost linearly in time.
 
 States: ``x``, ``y`` (m), ``v_x``, ``v_y`` (m/s), ``m`` (kg). Control: thrust angle ``theta`` above the horizon (rad).
 

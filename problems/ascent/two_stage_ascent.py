@@ -1,7 +1,7 @@
 r"""Two stages to orbit: a small launcher within limits of dynamic pressure and axial acceleration.
 
-Shows path limits that determine a control: first the dynamic pressure, then the axial acceleration throttles the
-engine. The lower stage is dropped between the phases; the upper stage coasts between two burns.
+This example shows path limits that determine a control: first the dynamic pressure, then the axial acceleration
+throttles the engine. The lower stage is dropped between the phases; the upper stage coasts between two burns.
 
 States: altitude ``h`` (m), range angle ``theta`` (rad), ``v_r``, ``v_t`` (m/s), ``m`` (kg). Control: vector ``T`` (N),
 radial and tangential.

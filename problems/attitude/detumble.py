@@ -1,8 +1,8 @@
-r"""Detumbling: a rigid satellite stops all rotation in the least time with a torque of limited magnitude.
+r"""Detumbling: a satellite stops its rotation in minimum time.
 
-Shows a minimum time in closed form: a torque opposed to the angular momentum lowers its magnitude at the highest rate
-for any inertia, so that the time is :math:`\|J \omega_0\| / T`. The components of the torque in the body follow a
-tumbling momentum.
+This example shows a minimum time in closed form: a torque opposed to the angular momentum lowers its magnitude at the
+highest rate for any inertia, so that the time is :math:`\|J \omega_0\| / T`. The components of the torque in the body
+follow a tumbling momentum.
 
 States: ``w`` (body rates, rad/s). Control: vector ``u`` (N m).
 

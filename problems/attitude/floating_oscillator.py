@@ -1,7 +1,8 @@
-r"""Floating oscillator: two masses joined by a spring move by one unit, and come to rest together in the least time.
+r"""Floating oscillator: two masses joined by a spring move in minimum time.
 
-Shows how a flexible mode lengthens a bang-bang manoeuvre: a rigid body of the same mass needs :math:`2 \sqrt 2` with
-one switch, the flexible one has three switches, symmetric about the middle. It models a slew with one mode.
+Both masses move by one unit and come to rest together. This example shows how a flexible mode lengthens a bang-bang
+manoeuvre: a rigid body of the same mass needs :math:`2 \sqrt 2` with one switch, the flexible one has three switches,
+symmetric about the middle. It models a slew with one mode.
 
 States: ``x1``, ``x2``, ``v1``, ``v2``. Control: force ``u`` on the first mass.
 

@@ -1,7 +1,8 @@
 r"""Magnetic unloading: magnetic coils unload the momentum of the wheels over one orbit with minimum energy.
 
-Shows controls whose effect depends on the orbit: a magnetic moment has no torque along the field, so that all three
-components of the momentum are removed only because the field changes direction. The problem is linear-quadratic.
+This example shows controls whose effect depends on the orbit: a magnetic moment has no torque along the field, so
+that all three components of the momentum are removed only because the field changes direction. The problem is
+linear-quadratic.
 
 States: momentum ``h`` (N m s) in the orbit frame. Control: magnetic moment ``m`` (A m^2).
 

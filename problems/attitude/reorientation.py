@@ -1,7 +1,7 @@
-r"""Reorientation of an asymmetric body: turn by 150 degrees about the first axis in the least time, past a cone or not.
+r"""Reorientation of an asymmetric body: a minimum-time turn by 150 degrees with an optional keep-out cone.
 
-Shows attitude by a quaternion, whose conserved norm is redundant, and a pointing constraint: an instrument along the
-second axis of the body must stay at least 70 degrees away from the Sun.
+This example shows attitude by a quaternion, whose conserved norm is redundant, and a pointing constraint: an
+instrument along the second axis of the body must stay at least 70 degrees away from the Sun.
 
 States: ``omega`` (rad/s), ``q``, quaternion with the scalar part last. Control: ``u`` (N m), within 50 per axis.
 Inertia 5621, 4547, 2364 kg m^2.

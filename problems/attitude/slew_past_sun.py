@@ -1,7 +1,8 @@
-r"""Slew past the Sun: a telescope turns by 120 degrees with three wheels and keeps 30 degrees away from the Sun.
+r"""Slew past the Sun: a telescope turns with three wheels outside a cone around the Sun.
 
-Shows a keep-out cone on an attitude, and a guess on one side of it: the direct turn would point at the Sun. Torques
-and momenta of the wheels are limited, and the wheels have momentum at the start.
+The telescope turns by 120 degrees and keeps 30 degrees away from the Sun. This example shows a keep-out cone on an
+attitude, and a guess on one side of it: the direct turn would point at the Sun. Torques and momenta of the wheels are
+limited, and the wheels have momentum at the start.
 
 States: ``q`` (attitude, scalar first), ``w`` (body rates, rad/s), ``h`` (wheel momenta, N m s). Control: ``u`` (torques
 on the wheels, N m).

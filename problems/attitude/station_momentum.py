@@ -1,7 +1,7 @@
-r"""Momentum dumping of a space station: unload the gyros by gravity and gyroscopic torques, without any thruster.
+r"""Momentum dumping of a space station: unloading of gyros without thrusters.
 
-Shows boundary conditions that are equations, with poor scaling: at the end all torques are in equilibrium. The norm of
-the gyros' momentum is limited.
+Gravity and gyroscopic torques unload the gyros. This example shows boundary conditions that are equations, with poor
+scaling: at the end all torques are in equilibrium. The norm of the gyros' momentum is limited.
 
 States: ``omega`` (rad/s), ``r``, Euler-Rodrigues vector of the attitude relative to the local horizontal, ``h`` (ft
 lbf s), the momentum of the gyros. Control: ``u`` = dh/dt (ft lbf), within 150. Inertia in slug ft^2.

@@ -1,6 +1,6 @@
-r"""Slew past two cones: a star tracker keeps away from Sun and Moon while a satellite turns.
+r"""Slew past two cones: a minimum-energy turn away from Sun and Moon.
 
-Shows two keep-out cones: the direct turn enters one of them, and one way around it leads into the other.
+This example shows two keep-out cones: the direct turn enters one of them, and one way around it leads into the other.
 
 States: ``q`` (attitude, scalar first), ``w`` (body rates, rad/s). Control: ``u`` (N m).
 

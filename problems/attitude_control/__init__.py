@@ -2,7 +2,7 @@
 
     python -m problems.attitude_control [--runs N] [--seed S] [--json OUT] [--checkpoint DIR]
 
-To be read in this order:
+Read the files in this order:
 
 * `model`: the spacecraft, its sensors and wheels, the slew;
 * `control`: what runs on board (the filter, the controllers, the wheels' limits), the loops, what runs differ by.

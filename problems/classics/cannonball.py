@@ -1,8 +1,8 @@
-r"""Cannonball: how large a ball, and how steep a shot, for the longest range with a given energy of the powder?
+r"""Cannonball: size of the ball and elevation for the longest range.
 
-Shows a static parameter that is optimised together with the flight, through dynamics and a boundary constraint, and
-phases that end at an event, here the top of the trajectory. A large ball is slow because of its mass, and a small one
-because of its drag.
+The energy of the powder is given. This example shows a static parameter that is optimised together with the flight,
+through dynamics and a boundary constraint, and phases that end at an event, here the top of the trajectory. A large
+ball is slow because of its mass, and a small one because of its drag.
 
 States: ``r``, ``h`` (m), ``v`` (m/s), ``gamma`` (rad). Parameter: ``radius`` (m) of the iron ball. No control.
 

@@ -1,7 +1,7 @@
 r"""Dielectrophoretic particle: an electric field moves a neutral particle in the least time.
 
-Shows a control that enters quadratically and linearly: between its bounds the optimum is smooth although time is
-minimised.
+This example shows a control that enters quadratically and linearly: between its bounds the optimum is smooth although
+time is minimised.
 
 States: ``x`` (position), ``y`` (induced dipole). Control: voltage ``u``.
 

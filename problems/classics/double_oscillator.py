@@ -1,6 +1,6 @@
 r"""Double oscillator: a controlled damper reduces the motion of two coupled masses, one of them shaken.
 
-Shows dynamics that depend on time, and initial velocities that are free.
+This example shows dynamics that depend on time, and initial velocities that are free.
 
 States: ``x1``, ``x2`` (m), ``v1``, ``v2`` (m/s). Control: ``u``, change of the damping over its nominal value.
 

@@ -1,7 +1,8 @@
-r"""Penicillin fermentor: the feed of a batch reactor that makes the most product in a free time.
+r"""Penicillin fermentor: the feed of a batch reactor for the most product.
 
-Shows a stiff problem with a singular arc: the substrate is consumed within minutes and stays at a small value for
-days, where the rates change on a scale of 1e-4. The reference is known to 2e-4.
+The final time is free. This example shows a stiff problem with a singular arc: the substrate is consumed within
+minutes and stays at a small value for days, where the rates change on a scale of 1e-4. The reference is known to
+2e-4.
 
 States: biomass ``X``, product ``P``, substrate ``S`` (g/l), volume ``V`` (l). Control: feed ``u`` (g/h).
 

@@ -1,9 +1,9 @@
 r"""Hyper-sensitive problem: 10 000 s, of which only the first and the last ten matter.
 
-Shows the purpose of mesh refinement. The optimum decays to zero, stays there, and rises at the end (a turnpike). A
-uniform mesh needs tens of thousands of points, and shooting fails, since errors grow like exp(t). Each boundary layer
-is the stable or unstable manifold of the origin, where H = 0 gives the costate as a function of the state, and the
-layer in closed form.
+This example shows the purpose of mesh refinement. The optimum decays to zero, stays there, and rises at the end (a
+turnpike). A uniform mesh needs tens of thousands of points, and shooting fails, since errors grow like exp(t). Each
+boundary layer is the stable or unstable manifold of the origin, where H = 0 gives the costate as a function of the
+state, and the layer in closed form.
 
 State: ``x``. Control: ``u``, -50 to 50 (never reached). No units; time in s.
 

@@ -1,8 +1,9 @@
-r"""Minimum fuel, rest to rest: a cart moves 1 m in 3 s with the least total impulse.
+r"""Minimum fuel, rest to rest: a cart moves 1 m in 3 s.
 
-Shows an absolute value in the cost and the bang-off-bang optimum. The absolute value is written as two one-sided
-controls, each with its own jet, so that no function has a kink. If the time is longer than the 2 s that full thrust
-needs, the optimum coasts. The primer lam_v selects the jet: forwards below -1, backwards above +1, none between.
+This example shows an absolute value in the cost and the bang-off-bang optimum. The absolute value is written as two
+one-sided controls, each with its own jet, so that no function has a kink. If the time is longer than the 2 s that
+full thrust needs, the optimum coasts. The primer lam_v selects the jet: forwards below -1, backwards above +1, none
+between.
 
 States: ``x`` (m), ``v`` (m/s). Controls: ``forward``, ``backward`` (m/s^2), 0 to 1.
 

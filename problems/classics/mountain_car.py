@@ -1,7 +1,7 @@
-r"""Mountain car: an engine too weak for the slope swings back and forth until the car gets over the hill.
+r"""Mountain car: a car with a weak engine gains energy by swinging.
 
-Shows a guess that oscillates: from a straight line the first mesh finds no swing. The number of swings is that of the
-guess, and the control switches between its bounds at their turns.
+This example shows a guess that oscillates: from a straight line the first mesh finds no swing. The number of swings
+is that of the guess, and the control switches between its bounds at their turns.
 
 States: ``x``, ``v``. Control: ``u``.
 

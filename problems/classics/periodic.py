@@ -1,7 +1,8 @@
 r"""Periodic control: hold a disturbed plant near zero, day after day.
 
-Shows boundary conditions that join both ends: x(2 pi) = x(0) with neither value given, by a link of the phase to
-itself. The costate is then periodic as well, and the optimum is the forced response alone, without a transient.
+This example shows boundary conditions that join both ends: x(2 pi) = x(0) with neither value given, by a link of the
+phase to itself. The costate is then periodic as well, and the optimum is the forced response alone, without a
+transient.
 
 State: ``x``. Control: ``u``. No units; time in s.
 

@@ -1,8 +1,8 @@
 r"""Rayleigh's equation with a mixed constraint: a limit on state and control together.
 
-Shows a constraint on the control that depends on the state. Where it is active it determines the control, and its
-multiplier, a density in time, follows from the stationarity of H. It becomes active and inactive with kinks of the
-control, which refinement places on mesh boundaries.
+This example shows a constraint on the control that depends on the state. Where it is active it determines the
+control, and its multiplier, a density in time, follows from the stationarity of H. It becomes active and inactive
+with kinks of the control, which refinement places on mesh boundaries.
 
 States: ``x1``, ``x2``. Control: ``u``, with u + x1 / 6 <= 0. No units; time in s.
 

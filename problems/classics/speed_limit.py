@@ -1,8 +1,8 @@
-r"""Speed limit: 1 m from rest to rest in the least time, no faster than 0.5 m/s.
+r"""Speed limit: 1 m in minimum time at 0.5 m/s or less.
 
-Shows the simplest state constraint. Its first time derivative contains the control (order one), so on the limit the
-control keeps the speed constant and is zero: neither bang nor singular. The multiplier of the limit replaces the
-switching function. The cost of a lower limit increases more than linearly.
+This example shows the simplest state constraint. Its first time derivative contains the control (order one), so on
+the limit the control keeps the speed constant and is zero: neither bang nor singular. The multiplier of the limit
+replaces the switching function. The cost of a lower limit increases more than linearly.
 
 States: ``x`` (m), ``v`` (m/s, at most 0.5). Control: ``a`` (m/s^2, -1 to 1).
 

@@ -1,8 +1,8 @@
 r"""Tumour anti-angiogenesis: a limited dose of a drug that starves a tumour of its vessels.
 
-Shows two ways to state a limit on an integral: a boundary constraint of ``integral(u)``, and the bound of a state that
-can only increase, which is enforced at the end. Each has one multiplier. The optimum gives the whole dose at the start
-and ends when the tumour is smallest; the final time is free.
+This example shows two ways to state a limit on an integral: a boundary constraint of ``integral(u)``, and the bound
+of a state that can only increase, which is enforced at the end. Each has one multiplier. The optimum gives the whole
+dose at the start and ends when the tumour is smallest; the final time is free.
 
 States: ``p``, ``q`` (mm^3), volume of the tumour and what its vessels carry. Control: ``u``, 0 to 75 (per day); its
 integral is at most 15. Time in days.

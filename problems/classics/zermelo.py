@@ -1,8 +1,8 @@
 r"""Zermelo's navigation problem: steer a boat home in the least time through a current that shears.
 
-Shows the meaning of the costates: they are antiparallel to the heading, so that the steering law, d(tan theta)/dt = k,
-is the adjoint equation lam_y' = k lam_x. The boat first climbs 1 m past the target in y, where the current runs
-towards it, and drops back at the end.
+This example shows the meaning of the costates: they are antiparallel to the heading, so that the steering law, d(tan
+theta)/dt = k, is the adjoint equation lam_y' = k lam_x. The boat first climbs 1 m past the target in y, where the
+current runs towards it, and drops back at the end.
 
 States: ``x``, ``y`` (m). Control: ``theta``, the heading (rad). The boat makes V = 1 m/s through water that flows with
 -k y in x, k = 1/s.

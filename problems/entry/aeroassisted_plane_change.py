@@ -1,7 +1,8 @@
-r"""Aeroassisted plane change: the largest speed after one pass through the atmosphere that turns the orbit by 15 deg.
+r"""Aeroassisted plane change: a turn of the orbital plane by 15 degrees in the atmosphere.
 
-Shows an end condition on an angle between planes instead of on states, and a guess of three points that goes down into
-the atmosphere and out again. The heat flux is limited.
+The speed after one pass through the atmosphere is maximised. This example shows an end condition on an angle between
+planes instead of on states, and a guess of three points that goes down into the atmosphere and out again. The heat
+flux is limited.
 
 States: ``h`` (m), latitude ``phi`` (rad), ``v`` (m/s), ``gamma``, heading ``psi`` from the first orbit's plane (rad).
 Controls: lift coefficient ``C_L``, ``bank`` (rad). The drag polar is :math:`C_D = C_{D0} + K C_L^2`.

@@ -1,7 +1,7 @@
-r"""Aerocapture: one pass through the atmosphere of Mars brakes a probe from its arrival to an orbit at the least cost.
+r"""Aerocapture: a pass through the atmosphere of Mars with the cheapest capture.
 
-Shows an end condition that is an orbit: after the pass the apoapsis is 500 km high, and the burn there that makes the
-orbit circular is minimised. Full lift up or down is optimal except at one switch.
+This example shows an end condition that is an orbit: after the pass the apoapsis is 500 km high, and the burn there
+that makes the orbit circular is minimised. Full lift up or down is optimal except at one switch.
 
 States: ``h`` (m), ``v`` (m/s), ``gamma`` (rad). Control: ``u``, cosine of the bank angle.
 

@@ -1,7 +1,8 @@
-r"""Mars entry: the highest altitude at which a capsule can open its parachute over a given place.
+r"""Mars entry: the highest altitude for opening a parachute.
 
-Shows bank-angle steering: lift is constant and only its direction turns, with a limited rate, while heat flux and load
-limit the first deep pass. The bank rate is singular for most of the flight.
+The parachute opens over a given place. This example shows bank-angle steering: lift is constant and only its
+direction turns, with a limited rate, while heat flux and load limit the first deep pass. The bank rate is singular
+for most of the flight.
 
 States: ``h`` (m), ``lon``, ``lat`` (rad), ``v`` (m/s), ``gamma``, heading ``psi`` from north (rad), bank ``sigma``
 (rad). Control: ``rate`` of the bank angle (rad/s).

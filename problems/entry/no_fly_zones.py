@@ -1,7 +1,7 @@
-r"""Hypersonic glide past no-fly zones: the fastest flight to a target that keeps out of two circles.
+r"""Hypersonic glide past no-fly zones: the fastest hypersonic flight around two zones.
 
-Shows many limits together (heat flux, dynamic pressure, load, two zones) and a straight-line guess that violates most
-of them. Every choice of sides of the zones is a local minimum.
+This example shows many limits together (heat flux, dynamic pressure, load, two zones) and a straight-line guess that
+violates most of them. Every choice of sides of the zones is a local minimum.
 
 States: ``h`` (m), ``lon``, ``lat`` (rad), ``v`` (m/s), ``gamma``, heading ``psi`` from north (rad). Controls: lift
 coefficient ``C_L``, ``bank`` (rad). The drag polar is :math:`C_D = 0.03 + 0.65 C_L^2`.

@@ -5,7 +5,7 @@ energy left. The slews are tracked, by a regulator and by a published quasi-slid
 publication are reproduced by ``python -m benchmarks.validation.published flexible_spacecraft``. The page is
 docs/flexible_spacecraft.md.
 
-To be read in this order:
+Read the files in this order:
 
 * `model`: data and dynamics;
 * `optimal`: least time, least time and effort, least vibration;

@@ -4,7 +4,7 @@ With the least Delta-V and in the least time, and tracked by a published control
 numbers of the publication are reproduced by ``python -m benchmarks.validation.published formation_flying``. The page is
 docs/formation_flying.md.
 
-To be read in this order:
+Read the files in this order:
 
 * `model`: data, the dynamics in the leader's frame, the formation;
 * `optimal`: least Delta-V and least time;

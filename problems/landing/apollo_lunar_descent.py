@@ -1,7 +1,8 @@
-r"""Lunar descent: Apollo's landing from perilune at 15 km to a point 500 ft above the site with the least propellant.
+r"""Lunar descent: Apollo's powered descent with the least propellant.
 
-Shows that the least propellant is bang-bang in the thrust magnitude; full thrust brakes nearly all the way, as
-Apollo's engine did, which could not be throttled between 60 % and full.
+The lander brakes from perilune at 15 km to a point 500 ft above the site. This example shows that the least
+propellant is bang-bang in the thrust magnitude; full thrust brakes nearly all the way, as Apollo's engine did, which
+could not be throttled between 60 % and full.
 
 States: ``h`` (m), range angle ``theta`` (rad), ``v_r``, ``v_t`` (m/s), ``m`` (kg). Control: vector ``T`` (N), radial
 and tangential.

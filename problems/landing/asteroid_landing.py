@@ -1,7 +1,7 @@
-r"""Asteroid landing: a probe descends onto a rotating ellipsoid with the least propellant, at a point that moves.
+r"""Asteroid landing: the least propellant to a point on a rotating ellipsoid.
 
-Shows a rotating frame and a gravity that is not central: the field is that of a sphere with its second-degree terms,
-and the probe hovers at first.
+This example shows a rotating frame and a gravity that is not central: the field is that of a sphere with its
+second-degree terms, and the probe hovers at first.
 
 States: ``r``, ``v`` (m, m/s) in the frame that rotates with the asteroid; ``m`` (kg). Control: vector ``T`` (N).
 

@@ -1,7 +1,7 @@
 r"""Belly flop: a rocket that falls on its side turns upright and lands with the least propellant.
 
-Shows rotation under a gimbal in the plane: the engine that turns the vehicle also accelerates it sideways, and the
-thrust has a lower limit.
+This example shows rotation under a gimbal in the plane: the engine that turns the vehicle also accelerates it
+sideways, and the thrust has a lower limit.
 
 States: ``x``, ``z`` (m), ``vx``, ``vz`` (m/s), tilt ``theta`` from the vertical (rad), ``q`` (rad/s), ``m`` (kg).
 Controls: thrust ``T`` (N), gimbal ``delta`` (rad).

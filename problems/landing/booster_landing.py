@@ -1,7 +1,7 @@
-r"""Booster landing: a returning first stage burns as late as it can and lands upright with drag and engine limits.
+r"""Booster landing: a first stage lands upright with drag and engine limits.
 
-Shows an optimised ignition time: before ignition drag brakes without propellant. Coast and burn are phases; the thrust
-has a lower limit.
+The stage burns as late as possible. This example shows an optimised ignition time: before ignition drag brakes
+without propellant. Coast and burn are phases; the thrust has a lower limit.
 
 States: ``x``, ``z`` (m), ``vx``, ``vz`` (m/s), ``m`` (kg). Control in the burn: vector ``T`` (N).
 

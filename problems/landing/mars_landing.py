@@ -1,8 +1,8 @@
-r"""Powered descent to Mars: the least propellant for a pinpoint landing, by thrust that cannot be throttled to zero.
+r"""Powered descent to Mars: the least propellant with a lower limit of the thrust.
 
-Shows a vector control whose norm has a lower limit: the set of thrusts is not convex. `Model.vector_control` states it
-by magnitude and direction. The thrust is at the upper limit, the lower and the upper one again. A glide slope keeps
-the lander within a cone with its apex at the target.
+This example shows a vector control whose norm has a lower limit: the set of thrusts is not convex.
+`Model.vector_control` states it by magnitude and direction. The thrust is at the upper limit, the lower and the upper
+one again. A glide slope keeps the lander within a cone with its apex at the target.
 
 States: ``r`` (m), ``v`` (m/s), up, east and north of the target, ``mass`` (kg). Control: ``T`` (N), of six engines
 canted by 27 degrees, between 30 and 80 % of what they give. Gravity g = 3.7114 m/s^2 is that of Mars.

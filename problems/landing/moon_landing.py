@@ -1,8 +1,8 @@
 r"""Soft landing on the Moon with the least fuel: fall freely, then brake with all there is.
 
-Shows that with a linear cost and a linear engine the optimum is one decision: when to light the engine. Collocation
-alone finds this switch to the width of a segment, switching times as variables to machine precision. The final time is
-free and costs nothing, so H = 0.
+This example shows that with a linear cost and a linear engine the optimum is one decision: when to light the engine.
+Collocation alone finds this switch to the width of a segment, switching times as variables to machine precision. The
+final time is free and costs nothing, so H = 0.
 
 States: ``h`` (m), ``v`` (m/s, upwards). Control: ``thrust`` per mass (m/s^2), 0 to 3; gravity is 1.5 m/s^2.
 

@@ -1,8 +1,8 @@
-r"""Powered descent in six degrees of freedom: a rocket of 30 t flies, turns and lands upright with the most mass left.
+r"""Powered descent in six degrees of freedom: a rocket of 30 t lands upright with the least propellant.
 
-Shows rotation and translation in one problem: the engine is gimballed at the tail, so that every change of course
-begins with an acceleration to the opposite side. Thrust (40 % to full), gimbal, tilt, body rates and glide slope are
-limited.
+This example shows rotation and translation in one problem: the engine is gimballed at the tail, so that every change
+of course begins with an acceleration to the opposite side. Thrust (40 % to full), gimbal, tilt, body rates and glide
+slope are limited.
 
 States: ``m`` (kg), ``r``, ``v`` (m, m/s; z up), ``q`` (attitude, scalar first), ``w`` (body rates, rad/s). Control:
 vector ``T`` (N) in the body frame.

@@ -1,7 +1,7 @@
 r"""Orbit raising with eclipses: the fastest planar spiral with solar-electric thrust outside the Earth's shadow.
 
-Shows a control that has no effect over part of the flight: in the shadow any direction of thrust is optimal. The
-shadow is a cylinder whose edge is smoothed over a twentieth of a radius.
+This example shows a control that has no effect over part of the flight: in the shadow any direction of thrust is
+optimal. The shadow is a cylinder whose edge is smoothed over a twentieth of a radius.
 
 States: ``r``, ``theta`` (rad), ``v_r``, ``v_t``; units of the Earth's radius and mu = 1. Control: vector ``u`` of
 length at most 1, radial and tangential.

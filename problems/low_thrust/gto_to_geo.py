@@ -1,8 +1,8 @@
-r"""GTO to GEO in the least time: a satellite of 1.5 t spirals with 24 N from a transfer orbit to the geostationary one.
+r"""GTO to GEO in the least time: a low-thrust spiral of a satellite of 1.5 t.
 
-Shows equinoctial elements, which have no singularity at small inclination and eccentricity, and other minima: each
-number of revolutions has its own. From this guess of two and a half revolutions a method can end with one more, 40.353
-h, which is a strict local minimum; `gnc_opt.multistart` compares them.
+The thrust is 24 N. This example shows equinoctial elements, which have no singularity at small inclination and
+eccentricity, and other minima: each number of revolutions has its own. From this guess of two and a half revolutions
+a method can end with one more, 40.353 h, which is a strict local minimum; `gnc_opt.multistart` compares them.
 
 States: ``P`` (Mm), ``ex``, ``ey``, ``hx``, ``hy``, longitude ``L`` (rad), ``m`` (kg). Control: vector ``u`` of length
 at most 1, the thrust in radial, tangential and normal direction over its largest value. With

@@ -1,7 +1,7 @@
-r"""Low-thrust raising with oblateness: a satellite climbs from 500 km and turns its plane under J2 in many orbits.
+r"""Low-thrust raising with oblateness: a climb and turn of the orbital plane in many orbits.
 
-Shows the longitude as independent variable in place of the time: the dynamics are smooth over sixteen revolutions, and
-time is a state that is minimised.
+A satellite starts at 500 km. This example shows the longitude as independent variable in place of the time: the
+dynamics are smooth over sixteen revolutions, and time is a state that is minimised.
 
 States: ``p`` (Earth radii), ``f``, ``g``, ``h``, ``k``, time ``t``. Control: ``u`` of length at most 1: radial, along
 track, normal. Independent variable: longitude L.

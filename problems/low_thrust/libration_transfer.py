@@ -1,7 +1,8 @@
-r"""Libration transfer: low thrust carries a probe from the Earth-Moon point L1 to L2 with the least energy.
+r"""Libration transfer: minimum-energy low thrust from L1 to L2.
 
-Shows the restricted three-body problem in rotating coordinates. The motion is unstable, so that small thrust has a
-large effect. Several ways past the Moon are local minima; the guess passes it slowly on the far side of L1.
+This example shows the restricted three-body problem in rotating coordinates. The motion is unstable, so that small
+thrust has a large effect. Several ways past the Moon are local minima; the guess passes it slowly on the far side of
+L1.
 
 States: ``x``, ``y``, ``vx``, ``vy`` in the rotating frame; units of the Earth-Moon distance and month. Control:
 ``ax``, ``ay``.

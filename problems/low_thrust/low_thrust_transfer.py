@@ -1,8 +1,8 @@
 r"""Low-thrust transfer in modified equinoctial elements: eight revolutions, least propellant.
 
-Shows a simulated guess and slowly varying elements. `guess_from_simulation` simulates a spiral with thrust along the
-velocity, a law in the symbols of the model. With orbital elements eight revolutions need a few dozen points per state,
-with Cartesian coordinates thousands.
+This example shows a simulated guess and slowly varying elements. `guess_from_simulation` simulates a spiral with
+thrust along the velocity, a law in the symbols of the model. With orbital elements eight revolutions need a few dozen
+points per state, with Cartesian coordinates thousands.
 
 States: ``p`` (ft), ``f``, ``g``, ``h``, ``k``, ``L`` (rad), ``w`` (weight, lb). Control: ``u``, the direction of
 thrust in radial, transverse and normal components, a unit vector. Free parameter: the throttle factor ``tau`` in -50

@@ -1,8 +1,8 @@
-r"""Orbit raising: from one circular orbit to the largest one that a constant thrust reaches in a given time.
+r"""Orbit raising: the largest circular orbit in a given time.
 
-Shows steering by a unit vector instead of an angle: the direction is a control of two components with its norm as a
-path equality, which has no singularity. The optimum first thrusts outwards, and turns inwards by a steep reversal
-about halfway. The circular orbit at the end is a boundary constraint between two free states.
+This example shows steering by a unit vector instead of an angle: the direction is a control of two components with
+its norm as a path equality, which has no singularity. The optimum first thrusts outwards, and turns inwards by a
+steep reversal about halfway. The circular orbit at the end is a boundary constraint between two free states.
 
 States: ``r``, ``v_r`` and ``v_t``, radial and transverse velocity. Control: ``direction``, the unit vector of
 the thrust, radial and transverse. Units are canonical, mu = 1: for the Earth's orbit about the Sun, 1 AU, 29.78

@@ -1,7 +1,7 @@
-r"""Solar sail to Mars: the fastest flight from the Earth's circular orbit to that of Mars without propellant.
+r"""Solar sail to Mars: the fastest flight without propellant.
 
-Shows an angle as control, without active bounds: the acceleration by the sail falls with the square of the cosine of
-its cone angle and cannot point towards the Sun.
+This example shows an angle as control, without active bounds: the acceleration by the sail falls with the square of
+the cosine of its cone angle and cannot point towards the Sun.
 
 States: ``r``, ``theta`` (rad), ``v_r``, ``v_t``; astronomical units and mu = 1. Control: cone angle ``alpha`` (rad).
 

@@ -1,7 +1,7 @@
-r"""Two-burn transfer: the heaviest payload that an upper stage brings from a low parking orbit to a high circular one.
+r"""Two-burn transfer: the largest payload from a low to a high orbit.
 
-Shows phases of very different length: two coasts of half an orbit, two burns of two minutes and less, in equinoctial
-elements with the zonal harmonics J2 to J4 of the Earth.
+This example shows phases of very different length: two coasts of half an orbit, two burns of two minutes and less, in
+equinoctial elements with the zonal harmonics J2 to J4 of the Earth.
 
 States: ``p`` (ft), ``f``, ``g``, ``h``, ``k``, ``L`` (rad), weight ``w`` (lb). Controls: ``theta``, ``phi`` (rad), the
 angles of the thrust out of the orbit's plane and away from the velocity in it.

@@ -1,8 +1,9 @@
-r"""Rendezvous with the least fuel: six opposed thrusters fly a chaser to its target on a circular orbit.
+r"""Rendezvous with the least fuel: six body-fixed thrusters on a circular orbit.
 
-Shows an L1 cost. Thrusters are fixed to the body: the fuel is the sum of the absolute values of three accelerations,
-not their norm. With ``fabs`` it has a kink where the optimum coasts; `Model.split_control` makes two one-sided
-controls of each, and the cost is linear. The optimum is bang-off-bang, and each axis has its own switching times.
+This example shows an L1 cost. Thrusters are fixed to the body: the fuel is the sum of the absolute values of three
+accelerations, not their norm. With ``fabs`` it has a kink where the optimum coasts; `Model.split_control` makes two
+one-sided controls of each, and the cost is linear. The optimum is bang-off-bang, and each axis has its own switching
+times.
 
 States: ``r`` (m), ``v`` (m/s) relative to the target, in radial, along-track and cross-track direction. Controls:
 ``a`` (m/s^2), within 0.02 m/s^2, split. n = 0.00113 rad/s.

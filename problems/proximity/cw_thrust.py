@@ -1,8 +1,8 @@
 r"""Rendezvous with the least fuel by one engine that turns: fuel is the norm of the acceleration.
 
-Shows a convex problem whose natural form has no derivatives at the optimum: ``norm_2(a)`` at ``a = 0``, where it
-coasts most of the time. `Model.vector_control` optimises magnitude and direction, and refinement the switching times.
-See also `problems.proximity.cw_fuel`, the same flight with opposed thrusters.
+This example shows a convex problem whose natural form has no derivatives at the optimum: ``norm_2(a)`` at ``a = 0``,
+where it coasts most of the time. `Model.vector_control` optimises magnitude and direction, and refinement the
+switching times. See also `problems.proximity.cw_fuel`, the same flight with opposed thrusters.
 
 States: ``r`` (m), ``v`` (m/s) relative to the target, in radial, along-track and cross-track direction. Control:
 ``a`` (m/s^2), at most 0.02 m/s^2. n = 0.00113 rad/s.

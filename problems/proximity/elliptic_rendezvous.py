@@ -1,7 +1,8 @@
-r"""Rendezvous on an ellipse: a chaser comes to rest beside a target on an eccentric orbit with the least energy.
+r"""Rendezvous on an ellipse: a minimum-energy rendezvous on an eccentric orbit.
 
-Shows time-varying dynamics: the equations of relative motion along an ellipse with the true anomaly as independent
-variable. The problem is linear and quadratic, so that the optimum is known from the Gramian of the transition matrix.
+This example shows time-varying dynamics: the equations of relative motion along an ellipse with the true anomaly as
+independent variable. The problem is linear and quadratic, so that the optimum is known from the Gramian of the
+transition matrix.
 
 States: ``x`` (radial), ``y`` (along track) and their derivatives ``vx``, ``vy``, all multiplied by
 :math:`1 + e \cos f` (m). Control: ``a`` (two components). Independent variable: true anomaly f.

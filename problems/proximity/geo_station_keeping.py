@@ -1,8 +1,8 @@
-r"""Station keeping: two weeks within 0.03 degrees of longitude with electric thrusters and the least velocity change.
+r"""Station keeping: two weeks within 0.03 degrees with the least velocity change.
 
-Shows a periodic problem with many short burns: the Earth's ellipticity pulls the satellite westwards, the pressure of
-sunlight turns its eccentricity, and both must repeat after 14 days. Thrust is limited to 1e-6 m/s^2, so that a burn
-takes hours.
+This example shows a periodic problem with many short burns: the Earth's ellipticity pulls the satellite westwards,
+the pressure of sunlight turns its eccentricity, and both must repeat after 14 days. Thrust is limited to 1e-6 m/s^2,
+so that a burn takes hours.
 
 States: mean longitude ``lam`` (degrees from the station), drift ``D`` (degrees/day), eccentricity vector ``ex``,
 ``ey`` (1e-4). Control: ``a``, tangential thrust in shares of the largest.

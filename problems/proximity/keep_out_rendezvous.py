@@ -1,6 +1,7 @@
-r"""Rendezvous past a keep-out sphere: an inspector flies from behind a station to ahead of it with the least energy.
+r"""Rendezvous past a keep-out sphere: a minimum-energy flight around a station.
 
-Shows an obstacle on the straight line: the two sides of the sphere are two minima, and a curved guess selects one.
+An inspector flies from behind the station to ahead of it. This example shows an obstacle on the straight line: the
+two sides of the sphere are two minima, and a curved guess selects one.
 
 States: ``r`` (m), ``v`` (m/s) in radial, along-track and cross-track direction. Control: ``a`` (mm/s^2).
 

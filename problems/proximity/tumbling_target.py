@@ -1,7 +1,7 @@
-r"""Docking with a tumbling target: a chaser meets a port that rotates, with its velocity, in the least time.
+r"""Docking with a tumbling target: a chaser reaches a rotating port in minimum time.
 
-Shows end conditions that depend on the free final time: the port moves on a circle. The thrust is a vector of limited
-length.
+The chaser must have the velocity of the port. This example shows end conditions that depend on the free final time:
+the port moves on a circle. The thrust is a vector of limited length.
 
 States: ``r`` (m), ``v`` (m/s) in the target's plane of rotation. Control: vector ``a`` (m/s^2).
 

@@ -5,7 +5,7 @@ wheels' torque and speed limits, and the slew is tracked. Two published attitude
 printed numbers are reproduced by ``python -m benchmarks.validation.published reaction_wheels``. The page is
 docs/reaction_wheels.md.
 
-To be read in this order:
+Read the files in this order:
 
 * `model`: data, manoeuvres, dynamics;
 * `control`: the two published controllers, their gains, closed forms, and the regulator along an optimal slew;

@@ -5,7 +5,7 @@ and forces allow. `problems.rendezvous_tracking` tracks the plan in closed loop.
 ``python -m benchmarks.validation.published rendezvous``; they are local minima, listed by
 ``python -m benchmarks.validation.rendezvous_minima``.
 
-To be read in this order:
+Read the files in this order:
 
 * `model`: data, the five cases, dynamics, the optimal control problem;
 * `optimal`: the known minimum times with their sources, and their switches.

@@ -2,7 +2,7 @@
 
     python -m problems.rendezvous_tracking [--case 1..5] [--runs N] [--seed S] [--json OUT] [--report DIR]
 
-To be read in this order: `problems.rendezvous.model`, then here
+Read the files in this order: `problems.rendezvous.model`, then here
 
 * `control`: the plan, the plant and what it differs by, the controllers, and how their runs are evaluated;
 * `guidance`: the plan without reserve, its switches corrected on board; both by range, bearing, star tracker and gyro;

@@ -1,6 +1,7 @@
-r"""Container crane: a load is moved and hoisted in nine seconds and swings little on the way.
+r"""Container crane: a load moves in nine seconds with little swing.
 
-Shows a problem whose state limits and control limits are active in turn; a standard test of direct methods.
+This example shows a problem whose state limits and control limits are active in turn; a standard test of direct
+methods.
 
 States: trolley ``x``, its speed ``v``, hoist ``l``, its rate ``w``, swing ``phi``, its rate ``q``. Controls: ``u1`` of
 the trolley, ``u2`` of the hoist.

@@ -1,6 +1,7 @@
-r"""Ducted fan: a vehicle on one fan moves 1 m sideways, where time costs a thousand times as much as thrust.
+r"""Ducted fan: a sideways motion by 1 m with a cost of time and thrust.
 
-Shows a state limit that is entered smoothly: the fan may tilt by at most 30 degrees, and does so twice.
+Time costs a thousand times as much as thrust. This example shows a state limit that is entered smoothly: the fan may
+tilt by at most 30 degrees, and does so twice.
 
 States: ``x1``, ``x2`` (m), ``v1``, ``v2`` (m/s), tilt ``alpha`` (rad), ``w`` (rad/s). Controls: forces ``u1`` across
 and ``u2`` along the fan (N).

@@ -1,8 +1,8 @@
-r"""Planar quadrotor: from rest to rest, 6 m to the side, in the least time; past two discs, or through a gate.
+r"""Planar quadrotor: minimum-time flight past two discs or through a gate.
 
-Shows bang-singular arcs and keep-out discs. Thrust and rate of turn are the controls. Thrust is at one of its limits,
-the rate too except for an arc on which H does not depend on it. The path touches a disc at an instant or along an arc;
-the gate is a point between two phases.
+A planar quadrotor flies 6 m to the side, from rest to rest. This example shows bang-singular arcs and keep-out discs.
+Thrust and rate of turn are the controls. Thrust is at one of its limits, the rate too except for an arc on which H
+does not depend on it. The path touches a disc at an instant or along an arc; the gate is a point between two phases.
 
 States: ``p`` (m), ``v`` (m/s), sideways and up, ``theta`` (rad). Controls: ``F`` (m/s^2), 1 to 20, ``w`` (rad/s),
 within 10.

@@ -1,7 +1,7 @@
-r"""Quadrotor flip: a planar quadrotor makes one full turn in the least time and ends in hover where it began.
+r"""Quadrotor flip: a full turn in minimum time from hover to hover.
 
-Shows a manoeuvre whose guess must contain the turn: without it the solver does not leave the hover. Thrust is
-bang-bang, the turn rate bang-singular.
+This example shows a manoeuvre whose guess must contain the turn: without it the solver does not leave the hover.
+Thrust is bang-bang, the turn rate bang-singular.
 
 States: ``x``, ``z`` (m), ``vx``, ``vz`` (m/s), ``theta`` (rad). Controls: thrust ``a`` per mass (m/s^2), turn rate
 ``w`` (rad/s).

@@ -1,7 +1,7 @@
-r"""Quadrotor in space: 5 m to the side in the least time with limits of tilt and of attitude rates.
+r"""Quadrotor in space: minimum-time flight with limits of tilt and attitude rates.
 
-Shows bang arcs shorter than a segment: thrust and two attitude rates switch at their bounds while the tilt limit is
-active, and refinement finds the order of the switches.
+The quadrotor flies 5 m to the side. This example shows bang arcs shorter than a segment: thrust and two attitude
+rates switch at their bounds while the tilt limit is active, and refinement finds the order of the switches.
 
 States: ``p`` (m), ``v`` (m/s), roll ``phi``, pitch ``theta`` (rad). Controls: specific thrust ``a`` (m/s^2), rates
 ``dphi``, ``dtheta`` (rad/s).

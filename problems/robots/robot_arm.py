@@ -1,8 +1,8 @@
 r"""Robot arm: swing a telescopic arm through 120 degrees in the least time.
 
-Shows bang-bang control with several channels. Three controls switch at five different times, which a fixed mesh cannot
-all meet. Mesh refinement converges slowly to such a solution; with switching times as variables it is exact to ten
-digits. The arm slides towards its middle, where its inertia is least, and out again.
+This example shows bang-bang control with several channels. Three controls switch at five different times, which a
+fixed mesh cannot all meet. Mesh refinement converges slowly to such a solution; with switching times as variables it
+is exact to ten digits. The arm slides towards its middle, where its inertia is least, and out again.
 
 States: ``rho`` (length on one side of the pivot), ``theta`` (azimuth, rad), ``phi`` (from the vertical, rad)
 and their rates ``rho_rate``, ``theta_rate``, ``phi_rate``. Controls: ``u_rho``, ``u_theta``, ``u_phi``, -1 to

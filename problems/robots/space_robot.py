@@ -1,7 +1,8 @@
-r"""Space robot: a free-floating arm reaches from one pose to another in the least time, and its base ends upright.
+r"""Space robot: a minimum-time motion of an arm on a free-floating base.
 
-Shows dynamics with a non-holonomic constraint: angular momentum is zero, so that the base turns with the joints, and
-two joints control three angles. Accelerations of the joints are the controls.
+The arm moves from one pose to another, and the base ends upright. This example shows dynamics with a non-holonomic
+constraint: angular momentum is zero, so that the base turns with the joints, and two joints control three angles.
+Accelerations of the joints are the controls.
 
 States: base attitude ``phi``, joint angles ``q1``, ``q2`` (rad), rates ``w1``, ``w2`` (rad/s). Controls: ``a1``, ``a2``
 (rad/s^2).

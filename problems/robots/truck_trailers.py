@@ -1,7 +1,7 @@
 r"""Truck with two trailers: parking by reversing, in little time and with small hitch angles.
 
-Shows local minima of a non-holonomic vehicle that differ in the number of reversals. The default call from this guess
-may end in one 4 % worse; `gnc_opt.multistart` compares them.
+This example shows local minima of a non-holonomic vehicle that differ in the number of reversals. The default call
+from this guess may end in one 4 % worse; `gnc_opt.multistart` compares them.
 
 States: last trailer ``x2``, ``y2`` (m), headings ``th0``, ``th1``, ``th2`` of truck and trailers (rad), speed ``v0``
 (m/s), steering angle ``d0`` (rad). Controls: acceleration ``a`` (m/s^2), steering rate ``dd`` (rad/s).

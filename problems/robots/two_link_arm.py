@@ -1,6 +1,6 @@
-r"""Two-link arm: turn a robot of two rods from one position at rest to another in the least time.
+r"""Two-link arm: a minimum-time motion of a robot with two rods.
 
-Shows bang-bang control of coupled joints: each motor has its own switching times, which are optimised.
+This example shows bang-bang control of coupled joints: each motor has its own switching times, which are optimised.
 
 States: ``rate_1``, ``rate_2`` (rad/s), of the rods, ``elbow``, ``shoulder`` (rad). Controls: ``u_1``, ``u_2``,
 torques, -1 to 1. Lengths and masses are 1.

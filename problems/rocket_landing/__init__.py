@@ -2,7 +2,7 @@
 
     python -m problems.rocket_landing [--runs N] [--seed S] [--json OUT] [--checkpoint DIR]
 
-To be read in this order:
+Read the files in this order:
 
 * `model`: the lander, its plan, the plant;
 * `control`: the regulator about the plan, the published controller, the loops, what runs differ by.

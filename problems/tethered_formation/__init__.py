@@ -4,7 +4,7 @@ The swing is taken out in the least time and with the least effort, and the mano
 control structure among others. The numbers that are known of it are reproduced by
 ``python -m benchmarks.validation.published tethered_formation``. The page is docs/tethered_formation.md.
 
-To be read in this order:
+Read the files in this order:
 
 * `tether`: equations of motion; `model`: data, dynamics, the reference orbit;
 * `optimal`: the optimal control problems and their solutions;
