@@ -1,10 +1,9 @@
 r"""Brachistochrone: the curve of fastest descent between two points.
 
-A bead slides from (0, 0) to (2 m, 2 m) without friction. The smallest problem that has everything: a free final time,
-a free final state, and a control whose costates are known at every instant. It teaches the two signs to remember, H =
--1 throughout and lam(t_0) = dJ*/dx_0, and a trap: with the angle allowed to go from 0 to 2 pi a solver may stop at a
-stationary point with J = 0.8642 s, where the angle sticks at 2 pi at some points. The range below is the one that
-makes sense, 0 to pi.
+A bead slides from (0, 0) to (2 m, 2 m) without friction. This is the smallest problem with a free final time, a free
+final state and a control, and its costates are known at every instant. It shows two signs, H = -1 throughout and
+lam(t_0) = dJ*/dx_0, and a false extremal: if the angle may go from 0 to 2 pi, a solver may stop at a stationary point
+with J = 0.8642 s, where the angle is 2 pi at some points. The range below is therefore 0 to pi.
 
 States: ``x``, ``y`` (m, y downwards), ``v`` (m/s). Control: ``theta``, the angle of the path from the vertical (rad).
 
