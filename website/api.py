@@ -85,11 +85,19 @@ def _page(package: str, names: list[Entry]) -> Iterator[str]:
     yield f"{_docstring(import_module(package))}\n"
     modules = dict.fromkeys(entry.module for entry in names)
     for module in modules:
-        text = _docstring(import_module(module))
-        yield f"## {re.split('[:;,.]', text)[0]}\n"
+        title, described = _titled(_docstring(import_module(module)))
+        yield f"## {title}\n"
         if module != package:
-            yield f"{text}\n"
+            yield f"{described}\n"
         yield from (f"::: {entry.path}\n" for entry in names if entry.module == module)
+
+
+def _titled(text: str) -> tuple[str, str]:
+    """Return the title of a module, with which its docstring begins, and the text without a title before a colon."""
+    title = re.split("[:;,.]", text)[0]
+    described = text.removeprefix(f"{title}: ")
+    title = title.replace("_", " ")
+    return title[0].upper() + title[1:], described[0].upper() + described[1:]
 
 
 def _index() -> Iterator[str]:

@@ -22,6 +22,7 @@ from website import overview
 DOCS = Path(__file__).parents[1] / "docs"
 
 _EXAMPLE = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_SAVED = re.compile(r"save_figure\(.*\"(\w+\.svg)\"\)")
 _PICTURE = re.compile(r"^!\[.*\]\((?:\.\./)?(\w+\.svg)\)$", re.MULTILINE)
 
 
@@ -42,10 +43,15 @@ def draw(page: Path) -> list[str]:
                 exec(compile(examples, str(page), "exec"), {"__name__": page.stem})
         finally:
             os.chdir(here)
-        shown = [name for name in _PICTURE.findall(text) if (Path(folder) / name).exists()]
-        for name in shown:
+        for name in shown_figures(text):
             shutil.copy(Path(folder) / name, DOCS / name)
-    return shown
+    return shown_figures(text)
+
+
+def shown_figures(text: str) -> list[str]:
+    """Return the figures that the examples of a page save and the page shows."""
+    saved = set(_SAVED.findall(text))
+    return [name for name in _PICTURE.findall(text) if name in saved]
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -72,11 +72,13 @@ LONG_LINE = 98
 
 _CODE = re.compile(r'(<div class="[^"]*highlight)([^"]*">.*?</div>)', re.DOTALL)
 _UNDESCRIBED = re.compile(
-    r'<li class="doc-section-item field-body">(?:(?!</li>).)*?<div class="doc-md-description">\s*</div>\s*</li>\s*',
+    r'(<li class="doc-section-item field-body">(?:(?!</li>).)*?)(?:–\s*)?<div class="doc-md-description">\s*</div>\s*'
+    r"</li>\s*",
     re.DOTALL,
 )
+_SECTION = 'doc-section-title">'
 _NO_ITEMS = re.compile(r'<p><span class="doc-section-title">[^<]*</span></p>\s*<ul>\s*</ul>')
-"""Names without a description stand in the signature alone."""
+"""Attributes without a description stand in the signature alone; parameters are listed with their type."""
 
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
@@ -178,7 +180,11 @@ def on_page_content(content: str, **more: Any) -> str:
         latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
         return str(convert(latex, display="inline" if found[1] == "span" else "block"))
 
-    content = _NO_ITEMS.sub("", _UNDESCRIBED.sub("", content))
+    def undescribed(found: re.Match[str]) -> str:
+        before = found.string[: found.start()].rpartition(_SECTION)[2]
+        return f"{found[1]}</li>" if before.startswith("Parameters") else ""
+
+    content = _NO_ITEMS.sub("", _UNDESCRIBED.sub(undescribed, content))
     return _FORMULA.sub(formula, _CODE.sub(_marked_if_long, content))
 
 

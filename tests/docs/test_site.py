@@ -17,7 +17,7 @@ pytest.importorskip("mkdocs", reason="the site is built with the extra docs")
 pytest.importorskip("latex2mathml")
 pytest.importorskip("griffe")
 
-from website import api, gallery, hooks, sphinx_math
+from website import api, figures, gallery, hooks, sphinx_math
 
 
 def test_every_public_name_is_in_the_reference_once() -> None:
@@ -135,10 +135,19 @@ def test_an_enumeration_lists_its_values() -> None:
     assert module["Kind"].docstring.value == "Kind of an arc.\n\nValues: `LOWER`, `UPPER`."
 
 
-def test_names_without_a_description_are_left_out() -> None:
-    def item(name: str, text: str) -> str:
-        description = f'<div class="doc-md-description"> {text} </div>'
-        return f'<li class="doc-section-item field-body"> <b>{name}</b> – {description} </li>'
+def item(name: str, text: str) -> str:
+    """A name with its description as mkdocstrings lists it."""
+    description = f'<div class="doc-md-description"> {text} </div>'
+    return f'<li class="doc-section-item field-body"> <b>{name}</b> – {description} </li>'
+
+
+def test_parameters_without_a_description_are_listed() -> None:
+    title = '<p><span class="doc-section-title">Parameters:</span></p>'
+    shown = hooks.on_page_content(f"{title} <ul> {item('problem', '')} {item('mesh', '<p>Text.</p>')} </ul>")
+    assert "<b>problem</b> </li>" in shown and "<b>mesh</b> –" in shown
+
+
+def test_attributes_without_a_description_are_left_out() -> None:
 
     title = '<p><span class="doc-section-title">Attributes:</span></p>'
     shown = hooks.on_page_content(f"{title} <ul> {item('name', '')} {item('size', '<p>Metres.</p>')} </ul>")
@@ -147,7 +156,23 @@ def test_names_without_a_description_are_left_out() -> None:
 
 
 def test_nothing_is_loaded_from_elsewhere() -> None:
-    """The theme's fonts and the offline search would come from other servers."""
+    """The theme's fonts and the script of the offline search would come from other servers."""
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     assert re.search(r"(?m)^  font: false", settings)
-    assert not re.search(r"https?://|offline", settings)
+    assert f"polyfills: [{hooks.SEARCH_FROM_FILES}]" in settings
+    assert not re.search(r"https?://", settings)
+
+
+def test_modules_of_the_reference_have_titles() -> None:
+    """A title is the beginning of the module's docstring, not the name of its file."""
+    page = api.pages()["api/gnc_opt.control.md"]
+    assert "## Export of a controller as self-contained C99\n" in page
+    headings = re.findall(r"(?m)^## (.+)$", "\n".join(api.pages().values()))
+    assert all(heading[0] == "[" or heading[0].isupper() for heading in headings)
+
+
+def test_pictures_of_pages_are_those_of_their_examples() -> None:
+    """Every figure that an example saves and its page shows is in the folder of the pages."""
+    drawn = [figures.shown_figures(page.read_text(encoding="utf-8")) for page in figures.pages_with_figures()]
+    assert len([name for names in drawn for name in names]) >= 10
+    assert all((ROOT / "docs" / name).exists() for names in drawn for name in names)

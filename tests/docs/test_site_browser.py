@@ -164,6 +164,15 @@ def test_search_finds(address: str, tab: Tab, word: str) -> None:
     assert not tab.said
 
 
+@needs_browser
+def test_search_works_in_pages_opened_as_files(site: Path, tab: Tab) -> None:
+    tab.open(site.resolve() / "index.html", DESKTOP)
+    search(tab, "costate")
+    tab.wait("document.querySelectorAll('.md-search-result__item').length > 3", 20.0)
+    assert not tab.said
+    assert all(asked.startswith("file:") for asked in tab.asked)
+
+
 PHRASES = {
     "path constraint": "stating_problems",
     "thrust vector": "howto/kinks",
@@ -171,6 +180,8 @@ PHRASES = {
     "costate at any time": "howto/results",
     "sign of the Hamiltonian": "conventions",
     "bang-bang": "learn/bang_bang",
+    "keep-out": "stating_problems",
+    "keep-out zone": "stating_problems",
     "initial guess": "howto/guess",
     "scaling": "howto/scaling",
     "multiple phases": "howto/phases",
