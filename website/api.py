@@ -102,11 +102,11 @@ def _titled(text: str) -> tuple[str, str]:
 
 def _index() -> Iterator[str]:
     yield "# API reference\n"
-    yield "Every public name by its package; `go` is `import gnc_opt as go`. Begin with these:\n"
+    yield "This page lists every public name by its package. `go` stands for `import gnc_opt as go`. Begin with these:\n"
     known = {entry.name: entry for found in entries().values() for entry in found}
     yield "| | |\n|---|---|"
     yield from (f"| [`go.{name}`][{known[name].path}] | {_first_line(known[name])} |" for name in FIRST)
-    yield "\nThe examples of all pages begin with:\n"
+    yield "\nThe examples of the reference use these names:\n"
     _, _, begin = (Path(__file__).parent / "before_examples.py").read_text(encoding="utf-8").partition("\n\n")
     yield f"```python\n{begin}```\n"
     short = set(gnc_opt.__all__)

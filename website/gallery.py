@@ -49,14 +49,16 @@ def pages(pictures: bool) -> dict[str, str]:
 
 def _page(example: Example, pictures: bool) -> Iterator[str]:
     yield f"# {heading(example)}\n"
-    yield module_page(example.docstring) + "\n"
+    statement = module_page(example.docstring).removeprefix(f"{heading(example)}: ")
+    yield statement[0].upper() + statement[1:] + "\n"
     known = reference(example)
     if known is not None:
-        told = f"{known.value:.10g} {known.unit} ({known.source})"
-        yield f"**Known answer**: {told}; to be met within {known.tolerance:.0e}.\n"
+        value = f"{known.value:.10g} {known.unit} ({known.source})"
+        yield f"**Known answer**: {value}. Solutions agree within {known.tolerance:.0e} of it.\n"
     if (ROOT / "docs" / f"{example.name}.md").exists():
-        yield f"Its results: [{example.name.replace('_', ' ')}](../{example.name}.md).\n"
-    yield f"Run it: `gnc-opt examples {example.name}`, or `python -m {example.import_name}` in the repository.\n"
+        yield f"The page [{example.name.replace('_', ' ')}](../{example.name}.md) describes the results.\n"
+    command = f"`gnc-opt examples {example.name}`, or in the repository `python -m {example.import_name}`"
+    yield f"To run it, enter {command}.\n"
     if pictures:
         files = {kind: f"{example.name}_{kind}.svg" for kind in shown(example)}
         yield "".join(

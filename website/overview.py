@@ -114,7 +114,7 @@ def _draw_controls(figure: Any, solution: go.Solution) -> None:
     axes[0, 0].set_title("torque / 50 N m")
     axes[0, 1].set_title("force / 320 N")
     handles = [axes[0, 0].lines[0], axes[0, 0].lines[1]]
-    texts = ["control, share of its limit", "switching function, share of its largest value"]
+    texts = ["control, share of its limit", "switching function, share of its maximum"]
     figure.legend(handles, texts, loc="upper center", ncols=2, bbox_to_anchor=(0.51, 0.99), columnspacing=1.4)
 
 
