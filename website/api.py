@@ -102,7 +102,7 @@ def _titled(text: str) -> tuple[str, str]:
 
 def _index() -> Iterator[str]:
     yield "# API reference\n"
-    yield "This page lists every public name by its package. `go` stands for `import gnc_opt as go`. Begin with these:\n"
+    yield "This page lists every public name by package; `go` stands for `import gnc_opt as go`. Begin with:\n"
     known = {entry.name: entry for found in entries().values() for entry in found}
     yield "| | |\n|---|---|"
     yield from (f"| [`go.{name}`][{known[name].path}] | {_first_line(known[name])} |" for name in FIRST)
