@@ -50,7 +50,8 @@ def pages(pictures: bool) -> dict[str, str]:
 def _page(example: Example, pictures: bool) -> Iterator[str]:
     yield f"# {heading(example)}\n"
     statement = module_page(example.docstring).removeprefix(f"{heading(example)}: ")
-    yield statement[0].upper() + statement[1:] + "\n"
+    subtitle, _, text = statement.partition("\n")
+    yield f"*{subtitle[0].upper()}{subtitle[1:]}*\n{text}\n"
     known = reference(example)
     if known is not None:
         value = f"{known.value:.10g} {known.unit} ({known.source})"

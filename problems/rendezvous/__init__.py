@@ -1,4 +1,4 @@
-"""Time-optimal rendezvous of a rigid spacecraft in translation and rotation (6 degrees of freedom).
+"""Time-optimal rendezvous: translation and rotation of a rigid spacecraft in six degrees of freedom.
 
 A chaser comes to rest 10 m above its target on a circular orbit and turns by 90 degrees about y, as fast as its torques
 and forces allow. `problems.rendezvous_tracking` tracks the plan in closed loop. The published times are reproduced by

@@ -1,4 +1,4 @@
-"""The time-optimal rendezvous tracked by open loop, TVLQR, integral sliding mode and MPC in one campaign; and guided.
+"""Rendezvous tracking: open loop, TVLQR, integral sliding mode, MPC and guidance in one campaign.
 
     python -m problems.rendezvous_tracking [--case 1..5] [--runs N] [--seed S] [--json OUT] [--report DIR]
 

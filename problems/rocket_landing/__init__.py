@@ -1,4 +1,4 @@
-"""A rocket lands on Mars in wind, with re-planning in flight, compared with a published law.
+"""Rocket landing: Mars landing in wind with re-planning in flight, compared with a published law.
 
     python -m problems.rocket_landing [--runs N] [--seed S] [--json OUT] [--checkpoint DIR]
 
