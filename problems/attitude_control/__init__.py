@@ -5,7 +5,7 @@
 Read the files in this order:
 
 * `model`: the spacecraft, its sensors and wheels, the slew;
-* `control`: what runs on board (the filter, the controllers, the wheels' limits), the loops, what runs differ by.
+* `control`: the filter, the controllers, the limits of the wheels, the closed loops, and the dispersions.
 """
 
 from problems.attitude_control.control import (

@@ -1,9 +1,9 @@
-r"""Estimator, controllers and wheel limits on board, all of them one controller of measurements; and the loops.
+r"""On-board software: estimator, controllers and wheel limits as one controller of measurements; closed loops.
 
 **Estimator.** An extended Kalman filter, multiplicative for the attitude (Lefferts, Markley and Shuster, Kalman
 filtering for spacecraft attitude estimation, J. Guidance, Control, and Dynamics 5 (5), 1982), of attitude, rates,
-momenta of the wheels and bias of the gyro, of star tracker, gyro and tachometers. It takes the commands as applied, and
-knows neither the motors' lag nor the run's inertia, wheels and external torque, which its process noise stands for.
+momenta of the wheels and bias of the gyro, from star tracker, gyro and tachometers. It assumes that commands are
+applied as given. Its process noise represents the lag of the motors and the dispersed inertia, wheels and torque.
 
 **Laws.** The regulator along the slew of least energy (`problems.reaction_wheels.control.design_tracker`), and the two
 published ones, feedback linearisation and quaternion feedback, which turn straight to the target

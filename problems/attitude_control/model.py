@@ -7,7 +7,7 @@ body,
 .. math:: J \dot\omega = -\omega \times (J \omega + A h) + A M + T_{ext}, \qquad \dot h = -M, \qquad
    \tau \dot M = T - M .
 
-The slew is the one of least energy; it keeps off the limits of torque and speed, which is the reserve of the feedback.
+The slew has minimum energy and stays below the limits of torque and speed, which leaves a margin for feedback.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Attitude slews of a flexible spacecraft: in the least time, and with the least vibration.
+"""Flexible spacecraft: attitude slews in minimum time and with minimum vibration.
 
-A hub with four appendage modes turns by 143 degrees under a torque limit of 0.5 N m and ends at rest, with no modal
-energy left. The slews are tracked, by a regulator and by a published quasi-sliding-mode controller. The numbers of the
-publication are reproduced by ``python -m benchmarks.validation.published flexible_spacecraft``. The page is
-docs/flexible_spacecraft.md.
+A hub with four appendage modes turns by 143 degrees under a torque limit of 0.5 N m and ends at rest without modal
+energy. A regulator and a published quasi-sliding-mode controller track the slews.
+``python -m benchmarks.validation.published flexible_spacecraft`` compares the results with the publication.
 
 Read the files in this order:
 

@@ -1,12 +1,11 @@
-r"""The same manoeuvre, optimal: least time, least time and effort, least vibration; no modal energy is left at the end.
+r"""Optimal slews: minimum time, minimum time and effort, minimum vibration, each without modal energy at the end.
 
 Both start and end at rest in the orbital frame, with :math:`\eta = \dot\eta = 0` and \|torque\| <= 0.5 N m per axis.
 
 * **Least time** needs 15 switches: 3 about x, 1 about y and 11 about z.
-* **Least time and effort** minimises :math:`t_f + w \int |T / T_{max}|^2 dt` with a small price w, and is what is
-  followed. The least time itself is no plan for other limits: with 0.475 N m its torque about z has a singular arc, on
-  a mesh of 0.05 s from 32.8 to 33.3 s. Bang arcs only approach it, each that is added asking for the next. With a price
-  the torque is unique everywhere.
+* **Least time and effort** minimises :math:`t_f + w \int |T / T_{max}|^2 dt` with a small weight w. The controllers
+  track this slew. With 0.475 N m the minimum-time torque about z has a singular arc from 32.8 to 33.3 s, which bang
+  arcs only approximate. The weight w makes the torque unique everywhere.
 * **Least vibration** in a given time minimises :math:`\int E_m + w |T|^2 \, dt` with the modal energy
   :math:`E_m = \frac12 (|\dot\eta|^2 + |\Lambda\eta|^2)`. The weight w makes the control unique between its bounds; at
   1e-4 J/(N m)^2 it raises the integral of E_m by 1 % over what a tenth of it gives.

@@ -1,8 +1,7 @@
-"""Formation flying with oblateness: a follower joins a circle of 1 km radius around its leader.
+"""Formation flying with J2: a follower joins a circle of 1 km radius around its leader.
 
-With the least Delta-V and in the least time, and tracked by a published controller, the optimal sliding mode. The
-numbers of the publication are reproduced by ``python -m benchmarks.validation.published formation_flying``. The page is
-docs/formation_flying.md.
+The plans have minimum Delta-V or minimum time. A published controller, the optimal sliding mode, tracks them.
+``python -m benchmarks.validation.published formation_flying`` compares the results with the publication.
 
 Read the files in this order:
 

@@ -8,7 +8,7 @@ With e = r - r_d:
   regulator of Hill's equations for Q and R, and
   :math:`s = G (E - E_0) - G \int (A - B K) E\,dt`, G = B^T.
 
-Neither knows of the oblateness. Delta-V is the sum over the axes of the integral of \|u\| (equation 39).
+Both neglect the oblateness. Delta-V is the sum over the axes of the integral of \|u\| (equation 39).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""The formation acquired at least cost and in least time.
+r"""Acquisition of the formation with minimum Delta-V and in minimum time.
 
 **Least Delta-V** in one period, with at most `LIMIT` of thrust acceleration on every axis: coast, thrust
 and coast again. Delta-V is the publication's, the sum over the axes (equation 39), so every axis gets a

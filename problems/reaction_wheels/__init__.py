@@ -1,9 +1,8 @@
-"""Attitude slews with a pyramid of four reaction wheels: feedback linearisation, quaternion LQR, optimal slews.
+"""Reaction wheels: slews with a pyramid of four wheels by feedback linearisation, quaternion LQR and optimal control.
 
-A body at rest is turned by the motor torques of four wheels, with the least energy or in the least time, within the
-wheels' torque and speed limits, and the slew is tracked. Two published attitude controllers are compared; their
-printed numbers are reproduced by ``python -m benchmarks.validation.published reaction_wheels``. The page is
-docs/reaction_wheels.md.
+Four wheels turn a body at rest, with minimum energy or in minimum time, within their torque and speed limits. A
+regulator tracks the slews, and two published attitude controllers are compared with it.
+``python -m benchmarks.validation.published reaction_wheels`` compares the results with the publication.
 
 Read the files in this order:
 

@@ -1,17 +1,16 @@
 r"""Optimal slews of the wheel pyramid within its torque and speed limits.
 
-Least energy is smooth; one wheel rests on the speed limit for a while if time is short. Least time is bang-bang,
-with arcs on the speed limit where the wheel's torque is zero and its multiplier positive. Two things keep its switches
-apart:
+The minimum-energy slew is smooth; one wheel is at its speed limit for some time if the slew is short. The
+minimum-time slew is bang-bang, with arcs on the speed limit where the torque of the wheel is zero and the multiplier
+positive. Two measures separate its switches:
 
 * The momentum in the null direction is free at the end. With all wheels at rest, every wheel that switches once has to
   switch at half time, so that switches coincide and the multipliers are not unique.
-* Where the speed limit acts, the wheels begin with a bias in the null direction, as wheels in orbit do to stay away
-  from standstill. From standstill, all wheels have the same speed until the first of them switches, and reach the
-  limit at the same instant: two constraints, one time, and again multipliers that are not unique. (They are found all
-  the same: without bias it takes 11.9972591 s.)
+* If the speed limit is active, the wheels start with a bias in the null direction. From standstill, all wheels have
+  the same speed until the first of them switches, and reach the limit at the same time, so that multipliers are not
+  unique. (The solution without bias takes 11.9972591 s.)
 
-All are solved with default settings: which wheel is on which limit, in which order, is found.
+All problems are solved with default settings; refinement finds the sequence of limits.
 """
 
 from __future__ import annotations

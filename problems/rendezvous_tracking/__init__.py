@@ -4,9 +4,9 @@
 
 Read the files in this order: `problems.rendezvous.model`, then here
 
-* `control`: the plan, the plant and what it differs by, the controllers, and how their runs are evaluated;
-* `guidance`: the plan without reserve, its switches corrected on board; both by range, bearing, star tracker and gyro;
-* `replanning`: the same, with the problem solved again in flight.
+* `control`: the plan, the plant with its dispersions, the controllers, and the evaluation of their runs;
+* `guidance`: a plan without margin whose switching times are corrected on board, with an extended Kalman filter;
+* `replanning`: the same, with new plans during flight.
 """
 
 from problems.rendezvous_tracking.control import (

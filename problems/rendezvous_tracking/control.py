@@ -1,11 +1,11 @@
-"""The plan, the plant and what it differs by, the controllers, and how their runs are evaluated.
+"""The plan, the plant with its dispersions, the controllers, and the evaluation of their runs.
 
 **Plan.** The problem of `problems.rendezvous` ("exact" equation) with 85 % of the torques and forces, refined until
 the switch times are exact. The controllers have the rest of the authority.
 
 **Plant.** Every run differs from the plan by `DISPERSIONS`. Commands are rounded, limited to the full torques and
-forces, and follow with a first-order lag. Measurements, every 0.1 s, have white noise (`NOISE`): what the filter of a
-relative navigation by lidar or camera at about 10 m and a gyro deliver, at most a fifth of the limits at the end.
+forces, and follow with a first-order lag. Measurements, every 0.1 s, have white noise (`NOISE`). It
+corresponds to relative navigation by lidar or camera at about 10 m and a gyro, and is at most a fifth of the limits.
 
 **Evaluation.** 20 s after the planned arrival the chaser has to be within 5 cm, 5 mm/s, 0.5 deg and 0.05 deg/s
 (Euclidean norms; the attitude error is an angle of rotation).

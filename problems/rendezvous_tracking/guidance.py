@@ -1,14 +1,14 @@
-"""The rendezvous guided: planned with all the authority there is, its switches corrected on board until the last part.
+"""Guidance of the rendezvous: a plan with full control authority whose switching times are corrected on board.
 
 The plan takes 25.87 s. `design_neighbouring_optimal` updates it from the measured state; for the last 10 s it lowers
-the planned torques and forces by 8 %, and a regulator about the end tracks it. Plant, dispersions and limits are
-those of `control`; the runs are evaluated as long after the arrival, which is earlier.
+the planned torques and forces by 8 %, and a regulator tracks the end of the plan. Plant, dispersions and limits are
+those of `control`. The runs are evaluated the same time after their arrival, which is earlier.
 
 `Measured` does so by range, bearing, star tracker and gyro, every 0.1 s and with white noise (1 sigma): the distance to
 the target, 2 cm; its direction in the chaser's axes B, a unit vector, 0.5 mrad per component; the chaser's own attitude
 and rates as in `control`. An extended Kalman filter, multiplicative for the attitude, estimates rates, attitude,
-velocity and position; it knows neither lag, quanta, differential force nor the run's mass and inertia, which its
-process noise stands for. No run may come within `KEEP_OUT` of the target.
+velocity and position. Its process noise represents lag, quantisation, differential force and the dispersed mass and
+inertia. No run may come within `KEEP_OUT` of the target.
 """
 
 from __future__ import annotations

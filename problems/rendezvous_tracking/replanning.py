@@ -1,15 +1,15 @@
-r"""The measured rendezvous, planned again in flight: every few seconds the problem is solved from the estimated state.
+r"""Re-planning of the rendezvous: the planning problem is solved every few seconds from the estimated state.
 
-The plan has `PLANNED` of the authority; the rest is the regulator's. Every `EVERY` a new plan of least time is made
-on the paper's mesh, from where the filter will be after `LATENCY`, which the computer on board takes to solve; in the
-last `LAST` the plan stays: so late the least time to take out what is left would be seconds.
+A plan uses the share `PLANNED` of the control authority; the margin is for the regulator. Every `EVERY` seconds a new
+minimum-time plan is computed on the mesh of the publication. It starts from the state predicted for the time `LATENCY`
+that the solve takes on board. No new plan starts in the last `LAST` seconds.
 
-What follows a plan has to be had from any plan at once: each axis is a double integrator of mass m or moment J, whose
-linear-quadratic regulator is known in closed form,
+The regulator must be available for any plan without a design. Each axis is a double integrator of mass m or moment J,
+whose linear-quadratic regulator has the closed form
 
 .. math:: u = u_{ref} - k_1 e - k_2 \dot e, \qquad k_1 = \sqrt{q_1 / r}, \qquad k_2 = \sqrt{q_2 / r + 2 m k_1},
 
-with the weights of the other regulators; forces are turned into the axes of the body.
+with the weights of the other regulators. Forces are transformed to body axes.
 """
 
 from __future__ import annotations

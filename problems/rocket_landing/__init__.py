@@ -5,7 +5,7 @@
 Read the files in this order:
 
 * `model`: the lander, its plan, the plant;
-* `control`: the regulator about the plan, the published controller, the loops, what runs differ by.
+* `control`: the regulator about the plan, the published controller, the closed loops, and the dispersions.
 """
 
 from problems.rocket_landing.control import CONTROLLERS, DISPERSIONS, LATEST, LIMITS, Landing, resolver

@@ -1,4 +1,4 @@
-r"""The regulator about a plan, and a published law that needs none.
+r"""The regulator about a plan, and a published law without a plan.
 
 **Regulator.** :math:`T = T_{ref} + m \, (k_1 (r_{ref} - r) + k_2 (v_{ref} - v))`: the errors of a point mass decay with
 two poles.
@@ -8,11 +8,11 @@ with,
 
 .. math:: a = \frac{6}{t_{go}^2} \mathrm{ZEM} - \frac{2}{t_{go}} \mathrm{ZEV},
 
-is the acceleration of least :math:`\int a^2 dt` where nothing limits it (Guo, Hawkins and Wie, Applications of
+minimises :math:`\int a^2 dt` without limits (Guo, Hawkins and Wie, Applications of
 generalized zero-effort-miss/zero-effort-velocity feedback guidance algorithm, J. Guidance, Control, and Dynamics 36
-(3), 2013): the criterion of the plan. It is given the plan's time; from `HELD` before that on, its gains stay.
+(3), 2013), the cost of the plan. It uses the final time of the plan. Its gains are constant in the last `HELD` seconds.
 
-Both cut the size of the thrust to what the engines can.
+Both limit the magnitude of the thrust to that of the engines.
 
 **Loops.** Every run differs from the plan by `DISPERSIONS`: start, wind, drag area, thrust factor and lag of the
 engines (in trim when they burn already), the phase of gusts, and a mass gauge that is off for the whole flight.

@@ -1,10 +1,10 @@
 r"""The lander, its plan, and the plant.
 
-**Plan.** From 2.4 km above and 2 km to the side of the target to 1 m/s downward at the ground, in the best time, with
-a throttle of 33 to 77 % where the engines have 30 to 80: the rest is for the regulator. It has the least integral of
-the squared acceleration by the engines. Least propellant saves 17 kg, but has the engines at their limit from the
-middle of the flight to its end: no authority remains against disturbances, and re-planning finds no trajectory to the
-ground. The norm of the thrust is rounded by 1 N, so that it has derivatives everywhere.
+**Plan.** The lander starts 2.4 km above and 2 km to the side of the target and reaches the ground with 1 m/s downward.
+The plan minimises the integral of the squared acceleration by the engines, with free final time and a throttle of 33
+to 77 %. The engines permit 30 to 80 %; the margin is for the regulator. A minimum-propellant plan saves 17 kg, but uses
+the engines at their limit from the middle of the flight on, so that no authority remains against disturbances. The
+norm of the thrust is rounded by 1 N, so that it has derivatives everywhere.
 
 .. math:: \dot r = v, \quad \dot v = \frac{T}{m} - g e_1, \quad \dot m = -\alpha \|T\|
 

@@ -1,15 +1,14 @@
-"""A tethered pair of satellites: swing and orbit by the direction of the leader's thrust.
+"""Tethered satellites: control of swing and orbit by the direction of the leader's thrust.
 
-The swing is taken out in the least time and with the least effort, and the manoeuvres are tracked, by a published
-control structure among others. The numbers that are known of it are reproduced by
-``python -m benchmarks.validation.published tethered_formation``. The page is docs/tethered_formation.md.
+The optimal manoeuvres remove the swing in minimum time or with minimum effort. A published controller and others track
+them. ``python -m benchmarks.validation.published tethered_formation`` compares the results with the publication.
 
 Read the files in this order:
 
 * `tether`: equations of motion; `model`: data, dynamics, the reference orbit;
 * `optimal`: the optimal control problems and their solutions;
 * `predictive_reaching`: the published reaching law; `control`: the published structure (surface, observer, reaching
-  laws), and following a plan.
+  laws), and tracking of a plan.
 """
 
 from problems.tethered_formation.model import (

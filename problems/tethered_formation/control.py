@@ -1,4 +1,4 @@
-r"""Controllers of the tethered pair: the published structure, and following a plan.
+r"""Controllers of the tethered pair: the published structure, and tracking of a plan.
 
 The structure consists of a hierarchical surface, an observer and a reaching law.
 
@@ -8,9 +8,8 @@ Errors of swing, height and lead make a weighted surface S; with the rate v of t
    \sigma = k_6 S + \dot S, \qquad \dot\sigma = k_6 \dot S + \Gamma + G v .
 
 S, its rate and G come from the model by `output_errors`. :math:`\Gamma` does as well, but the published
-law does not use it: a super-twisting observer estimates it (k_7, k_8). What is left is to bring the scalar
-:math:`\sigma` to zero within the limits of angle and rate: by `PredictiveReaching`, or by one of the two laws
-that it is compared with.
+law does not use it: a super-twisting observer estimates it (k_7, k_8). `PredictiveReaching`, or one of two other
+reaching laws, drives the scalar :math:`\sigma` to zero within the limits of angle and rate.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 r"""The tethered pair: data, dynamics, the reference orbit.
 
-A leader pulls a follower by a tether of constant length; its thrust F is constant, its angle :math:`\gamma` above the
-direction of motion is all that can be steered, at a limited rate. A swing :math:`\theta` has to be taken out of the
-pair while the leader keeps to the orbit that it would follow without it.
+A leader pulls a follower by a tether of constant length. Its thrust F is constant; the only control is the rate of
+the thrust angle :math:`\gamma` above the direction of motion. The swing :math:`\theta` of the pair must vanish while
+the leader follows the orbit that it would have without swing.
 
 States: ``height`` (m) and ``lead`` (m) of the leader, above and ahead on a circle of radius R_0 = 7000 km whose point
 moves at the circular rate n_0; ``climb`` and ``drift`` (m/s), their rates; ``theta`` (rad), ``theta_rate``
@@ -10,7 +10,7 @@ moves at the circular rate n_0; ``climb`` and ``drift`` (m/s), their rates; ``th
 
 .. math:: r = R_0 + h, \qquad \alpha = n_0 t + l / R_0 ,
 
-so that metres are not lost among thousands of kilometres. The accelerations of r, :math:`\alpha` and :math:`\theta` are
+which avoids rounding errors of small differences. The accelerations of r, :math:`\alpha` and :math:`\theta` are
 those of `problems.tethered_formation.tether`; `tether_model` is the only model: controller, optimal control, simulated
 plant (with exact gravity) and flight code come from it.
 

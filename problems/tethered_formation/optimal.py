@@ -1,11 +1,10 @@
-r"""Optimal manoeuvres of the tethered pair: its swing taken out in the least time and with the least effort.
+r"""Optimal manoeuvres of the tethered pair: removal of the swing in minimum time and with minimum effort.
 
-The least time is bang-bang in the *rate* of the thrust angle, with three arcs on the limit of the angle itself, whose
-derivative the control is (a state limit of first order). The least effort meets no limit. Both end on the
-reference orbit's height without swing, which the published structure only approaches.
+The minimum-time control is bang-bang in the *rate* of the thrust angle, with three arcs on the limit of the angle (a
+state constraint of first order). In the minimum-effort solution no limit is active. Both end at the height of the
+reference orbit without swing, which the published controller only approaches.
 
-The time-optimal manoeuvre that is tracked is planned with limits of 17 degrees and 0.08 rad/s, so that feedback has
-something left.
+The plan that is tracked has limits of 17 degrees and 0.08 rad/s, which leaves a margin for feedback.
 """
 
 from __future__ import annotations
