@@ -13,6 +13,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.simulation import Run
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH
 from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
+from problems.rendezvous.model import MASS
 from problems.rendezvous_tracking import (
     DT,
     FORCE_STEP,
@@ -42,7 +43,7 @@ def guided():
 
 @pytest.fixture(scope="module")
 def corrected(guided):
-    return guided.simulate_campaign("neighbouring-optimal", 2, SEED, executor="serial")
+    return guided.simulate_campaign("neighbouring-optimal", 1, SEED, executor="serial")
 
 
 @pytest.mark.slow
@@ -70,12 +71,12 @@ def measured(guided):
 
 @pytest.fixture(scope="module")
 def filtered(measured):
-    return measured.simulate_campaign("filtered", 2, SEED, executor="serial")
+    return measured.simulate_campaign("filtered", 1, SEED, executor="serial")
 
 
 @pytest.fixture(scope="module")
 def measured_runs(filtered):
-    return [filtered.rerun(i) for i in range(2)]
+    return [filtered.rerun(i) for i in range(1)]
 
 
 @pytest.mark.slow
@@ -84,7 +85,7 @@ def test_a_filter_guides_by_range_and_bearing(measured, filtered, measured_runs)
     campaign = filtered
     assert campaign.passed().all() and campaign.event_totals == {"too close": 0}
     assert np.mean(measured.arrivals(campaign)) == pytest.approx(26.43, abs=0.15)
-    run, told = measured_runs[1], measured.filter
+    run, told = measured_runs[0], measured.filter
     memory = run.memory[: told.memory.size, 50:-1]
     error = told.estimate(memory) - run.states[:, 50:-1]
     sigma = np.sqrt(np.array([np.diag(P) for P in told.covariance(memory)]))
@@ -148,7 +149,7 @@ def test_feedback_passes_99_percent_of_the_runs(tracking, followed, name):
 
 @pytest.mark.slow
 def test_scipy_goes_the_same_way(measured_runs):
-    """Chaser, thrusters and force of two runs written down again, flown with their commands to their arrival."""
+    """Chaser, thrusters and force of a run written down again, flown with its commands to its arrival."""
     runs, steps = measured_runs, 265
     again = np.stack([run.states[:, steps] for run in runs], axis=1)
     assert flown_again(runs, steps) == pytest.approx(again, abs=1e-7)
@@ -163,7 +164,7 @@ def flown_again(runs: list[Run], steps: int) -> Array:
 
     inertia, mass, push = of("plant.inertia"), of("plant.mass"), of("differential force.level")
     tau = np.vstack([of(name) + np.zeros((3, 1)) for name in ("torque lag.tau", "force lag.tau")])
-    assert np.ptp(mass) > 20 and np.ptp(tau) > 0.01
+    assert np.all(np.abs(mass - MASS) > 10)
     n = np.sqrt(MU_EARTH / (RADIUS_EARTH + ALTITUDE) ** 3)
 
     def rate(t: float, flat: Array, told: Array, gap: Array) -> Array:
