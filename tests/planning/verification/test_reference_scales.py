@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -23,7 +24,7 @@ from testing.wrong_solutions import added, double_integrator, failed, free_time,
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric
-from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.reference_scales import Scales, _parameter_deviations
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -959,3 +960,15 @@ def test_a_copy_of_a_state_far_from_the_origin_may_end_a_rounding_beside_it() ->
         states = {"x": origin + t, "y": origin + t}
         condition = go.verify_trajectory(problem, t, states, {"u": np.ones(t.size)})["boundary conditions"]
         assert (condition.result is go.ConditionResult.PASS) == right
+
+
+def test_a_parameter_without_curvature_is_measured_by_itself_or_its_bounds() -> None:
+    """By its value, however small; at zero by the width of its bounds, or by one; else by equal cost."""
+    problem = go.Problem("three parameters")
+    for name, upper in (("small", 4.0), ("zero", 4.0), ("unbounded", None)):
+        problem.parameter(name, lower=0.0, upper=upper)
+    solution: Any = SimpleNamespace(parameter_values=np.array([0.25, 0.0, 0.0]))
+    flat = _parameter_deviations(problem, solution, np.zeros(3), 1.0)
+    np.testing.assert_array_equal(flat, [0.25, 4.0, 1.0])
+    curved = _parameter_deviations(problem, solution, np.array([8.0, 0.0, 2.0]), 1.0)
+    np.testing.assert_array_equal(curved, [0.5, 4.0, 1.0])
