@@ -72,7 +72,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
         code = path.read_text(encoding="utf-8")
         if example.is_package:
             body = "\n".join(f"    {line}".rstrip() for line in code.splitlines())
-            yield f'??? example "{place}"\n\n    ```python\n{body}\n    ```\n'
+            yield f'??? example "`{place}`"\n\n    ```python\n{body}\n    ```\n'
         else:
             yield f'```python title="{place}"\n{_without_docstring(code)}```\n'
 

@@ -1,4 +1,4 @@
-r"""Turn back after engine failure: a glide back to the runway with the least loss of height.
+r"""Turn back after engine failure: a glide back to the runway with minimum loss of height.
 
 The engine has failed after take-off. This example shows a glide in which speed, bank and position are optimised
 together: a steep turn loses height quickly but is short. The lift coefficient is limited, and the end must lie on the

@@ -1,4 +1,4 @@
-r"""Delta III: launch to a geostationary transfer orbit with the most mass, in four phases.
+r"""Delta III: launch to a geostationary transfer orbit with maximum mass, in four phases.
 
 This example shows several phases with vector states. Each stage has its own thrust and mass flow; where boosters or a
 stage drop off, the mass jumps by a known amount, stated in the linkage. The target orbit is stated by its angular

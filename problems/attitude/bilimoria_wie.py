@@ -1,4 +1,4 @@
-r"""Bilimoria and Wie: turn a spherically symmetric satellite by 180 degrees in the least time.
+r"""Bilimoria and Wie: turn a spherically symmetric satellite by 180 degrees in minimum time.
 
 This example shows a saddle point. The turn about the axis itself (eigenaxis) takes 2 sqrt(pi) = 3.5449 s and
 satisfies every first-order condition; nutation through the other two axes is 8.5 % faster, since the torque vector of

@@ -1,6 +1,6 @@
 r"""Bryson-Denham: minimum effort with a limit on position.
 
-A mass is thrown back with the least effort and must not pass a wall at l = 1/9 m. This example shows a state
+A mass is thrown back with minimum effort and must not pass a wall at l = 1/9 m. This example shows a state
 constraint of second order: the control appears in the second derivative of x <= l. At both ends of the active arc
 lam_x jumps down by 18, while the control is continuous. A constraint that is enforced at the nodes only gives a wrong
 result: one segment of degree 8 gives J = 3.982, half a percent *below* the optimum, with an ODE residual of zero. A

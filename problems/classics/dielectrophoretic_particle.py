@@ -1,4 +1,4 @@
-r"""Dielectrophoretic particle: an electric field moves a neutral particle in the least time.
+r"""Dielectrophoretic particle: an electric field moves a neutral particle in minimum time.
 
 This example shows a control that enters quadratically and linearly: between its bounds the optimum is smooth although
 time is minimised.

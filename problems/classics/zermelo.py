@@ -1,4 +1,4 @@
-r"""Zermelo's navigation problem: steer a boat home in the least time through a current that shears.
+r"""Zermelo's navigation problem: steer a boat home in minimum time through a current that shears.
 
 This example shows the meaning of the costates: they are antiparallel to the heading, so that the steering law, d(tan
 theta)/dt = k, is the adjoint equation lam_y' = k lam_x. The boat first climbs 1 m past the target in y, where the

@@ -1,4 +1,4 @@
-"""``python -m problems.flexible_spacecraft``: the slew in the least time, verified, and one with a reserve tracked."""
+"""``python -m problems.flexible_spacecraft``: the slew in minimum time, verified, and one with a reserve tracked."""
 
 from __future__ import annotations
 

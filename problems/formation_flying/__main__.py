@@ -1,4 +1,4 @@
-"""``python -m problems.formation_flying``: the formation joined with the least Delta-V, verified and tracked."""
+"""``python -m problems.formation_flying``: the formation joined with minimum Delta-V, verified and tracked."""
 
 from __future__ import annotations
 

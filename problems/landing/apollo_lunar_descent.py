@@ -1,4 +1,4 @@
-r"""Lunar descent: Apollo's powered descent with the least propellant.
+r"""Lunar descent: Apollo's powered descent with minimum propellant.
 
 The lander brakes from perilune at 15 km to a point 500 ft above the site. This example shows that the least
 propellant is bang-bang in the thrust magnitude; full thrust brakes nearly all the way, as Apollo's engine did, which

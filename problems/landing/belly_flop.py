@@ -1,4 +1,4 @@
-r"""Belly flop: a rocket that falls on its side turns upright and lands with the least propellant.
+r"""Belly flop: a rocket that falls on its side turns upright and lands with minimum propellant.
 
 This example shows rotation under a gimbal in the plane: the engine that turns the vehicle also accelerates it
 sideways, and the thrust has a lower limit.

@@ -1,4 +1,4 @@
-r"""Powered descent in six degrees of freedom: a rocket of 30 t lands upright with the least propellant.
+r"""Powered descent in six degrees of freedom: a rocket of 30 t lands upright with minimum propellant.
 
 This example shows rotation and translation in one problem: the engine is gimballed at the tail, so that every change
 of course begins with an acceleration to the opposite side. Thrust (40 % to full), gimbal, tilt, body rates and glide

@@ -1,4 +1,4 @@
-r"""Earth to Mars: electric propulsion with the least propellant in 348.79 days.
+r"""Earth to Mars: electric propulsion with minimum propellant in 348.79 days.
 
 This example shows the switching function of the magnitude, Lawden's c |p| / m minus the costate of the mass, with the
 primer vector p = -lam_v. The optimum thrusts, coasts, thrusts, coasts and thrusts. While it coasts the direction of

@@ -1,4 +1,4 @@
-r"""GTO to GEO in the least time: a low-thrust spiral of a satellite of 1.5 t.
+r"""GTO to GEO in minimum time: a low-thrust spiral of a satellite of 1.5 t.
 
 The thrust is 24 N. This example shows equinoctial elements, which have no singularity at small inclination and
 eccentricity, and other minima: each number of revolutions has its own. From this guess of two and a half revolutions

@@ -1,4 +1,4 @@
-r"""Rendezvous with the least fuel: six body-fixed thrusters on a circular orbit.
+r"""Rendezvous with minimum fuel: six body-fixed thrusters on a circular orbit.
 
 This example shows an L1 cost. Thrusters are fixed to the body: the fuel is the sum of the absolute values of three
 accelerations, not their norm. With ``fabs`` it has a kink where the optimum coasts; `Model.split_control` makes two

@@ -1,4 +1,4 @@
-r"""Rendezvous with the least fuel by one engine that turns: fuel is the norm of the acceleration.
+r"""Rendezvous with minimum fuel by one engine that turns: fuel is the norm of the acceleration.
 
 This example shows a convex problem whose natural form has no derivatives at the optimum: ``norm_2(a)`` at ``a = 0``,
 where it coasts most of the time. `Model.vector_control` optimises magnitude and direction, and refinement the

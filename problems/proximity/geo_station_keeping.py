@@ -1,4 +1,4 @@
-r"""Station keeping: two weeks within 0.03 degrees with the least velocity change.
+r"""Station keeping: two weeks within 0.03 degrees with minimum velocity change.
 
 This example shows a periodic problem with many short burns: the Earth's ellipticity pulls the satellite westwards,
 the pressure of sunlight turns its eccentricity, and both must repeat after 14 days. Thrust is limited to 1e-6 m/s^2,

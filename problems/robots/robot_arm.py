@@ -1,4 +1,4 @@
-r"""Robot arm: swing a telescopic arm through 120 degrees in the least time.
+r"""Robot arm: swing a telescopic arm through 120 degrees in minimum time.
 
 This example shows bang-bang control with several channels. Three controls switch at five different times, which a
 fixed mesh cannot all meet. Mesh refinement converges slowly to such a solution; with switching times as variables it

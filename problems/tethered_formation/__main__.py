@@ -1,4 +1,4 @@
-"""``python -m problems.tethered_formation``: the swing taken out in the least time, verified and tracked."""
+"""``python -m problems.tethered_formation``: the swing taken out in minimum time, verified and tracked."""
 
 from __future__ import annotations
 
