@@ -162,27 +162,19 @@ class ShiftedTrajectory:
             lagrangian += extra
             found[name] = [begin, x, *shifted.times[:, None], integrals, shifted.functions.p]
             gap = s.lam[:, -1] - self.ends.final_state[name]
-            moved = x - x[:, -1:]
-            lagrangian += gap @ moved
-            box = leg.final_bounds
+            lagrangian += gap @ (x - x[:, -1:])
             radius = self.scales.phases[name].end.radius
-            at_limit = box.is_near_limits(leg.x(leg.breaks[-1], "left"), AT_LIMIT * radius)
-            held = box.is_fixed | at_limit[0] | at_limit[1]
-            rows.append(moved[held] / np.where(radius[held] > 0, radius[held], 1.0)[:, None])
+            rows.append(_scale_active_changes(x, leg.final_bounds, radius, s.state_scale))
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
         values = evaluate_batch(boundary_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
-        moved, reach = psi - psi[:, -1:], self.scales.constraints[0]
-        unreached = np.max(np.abs(moved), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        size = np.maximum(np.where(reach > 0, reach, unreached), TINY)  # without range: links of times
-        box = problem.constraint_interval()
-        at = box.is_near_limits(psi[:, -1], AT_LIMIT * np.maximum(reach, TINY))
-        active = at[0] | at[1] | box.is_fixed
-        rows.append(moved[active] / size[active, None])
-        misses = np.vstack(rows)
+        # Links of times are not reached by controls.
+        changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
+        reach, box = self.scales.constraints[0], problem.constraint_interval()
+        misses = np.vstack([*rows, _scale_active_changes(psi, box, reach, changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
     def _sum_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
@@ -389,6 +381,16 @@ def _steps_within_limits(
     held = box.is_fixed | np.logical_or(*box.is_near_limits(values, AT_LIMIT * scale))
     chosen = [row for row in rows if np.any(row) and not np.any(row[held])]
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
+
+
+def _scale_active_changes(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
+    """Return the changes of active values (n, n_columns) from the last column, in shares of their reach.
+
+    Those without reach are in shares of ``unreached`` (n,).
+    """
+    size = np.maximum(np.where(reach > 0, reach, unreached), TINY)
+    active = box.is_fixed | np.logical_or(*box.is_near_limits(values[:, -1], AT_LIMIT * size))
+    return np.asarray((values - values[:, -1:])[active] / size[active, None])
 
 
 def _find_end_preserving_directions(shifts: Array, others: Array) -> Array:

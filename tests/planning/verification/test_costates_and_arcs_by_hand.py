@@ -31,6 +31,7 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_parameter_stationarity,
     check_transversality,
 )
+from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
 from gnc_opt.planning.verification.lagrangian_limit_terms import find_costate_jumps
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
@@ -118,6 +119,14 @@ def test_a_singular_arc_is_between_bounds_without_slope_and_curvature(arcs: Any)
     assert arcs(flown(u=(0.5, 0.0), lam=(0.0, 0.0))) == [([0], [1], 0.0, 2.0)]
     assert arcs(flown(u=(1.0, 1.0))) == []
     assert arcs(flown(lam=(-1.0, 0.1))) == []
+
+
+def test_segments_on_which_a_control_is_singular() -> None:
+    assert mask_singular_segments(flown()).tolist() == [[False, True], [False, False]]
+    assert mask_singular_segments(flown(u=(0.5, 0.0), lam=(0.0, 0.0))).tolist() == [
+        [True, True],
+        [False, False],
+    ]
 
 
 def test_near_a_bound_is_a_hundredth_of_the_range(arcs: Any) -> None:

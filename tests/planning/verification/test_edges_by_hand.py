@@ -608,3 +608,6 @@ def test_a_vector_of_size_zero_keeps_its_direction() -> None:
     size, direction = _split_vector_controls(leg, {"F": given}, 4).values()
     np.testing.assert_allclose(size, [[0.0, 5.0, 0.0, 5.0]])
     np.testing.assert_allclose(direction, [[-0.6, -0.6, -0.6, 0.8], [-0.8, -0.8, -0.8, -0.6]])
+    none = _split_vector_controls(leg, {"F": 0 * given}, 4).values()
+    for found, expected in zip(none, ([[0.0] * 4], [[1.0] * 4, [0.0] * 4]), strict=True):
+        np.testing.assert_allclose(found, expected)

@@ -1,5 +1,8 @@
 """Jumps that a flight crosses, kinks on which it rests, tables that it leaves: outside of the theorems, and named."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,7 +10,11 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.nonsmooth_points import KinkPoint, mark_theorem_inapplicable
+from gnc_opt.planning.verification.nonsmooth_points import (
+    KinkPoint,
+    _find_sliding_on_kink,
+    mark_theorem_inapplicable,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::gnc_opt.ProblemWarning")
 
@@ -186,3 +193,20 @@ def test_only_values_of_the_hamiltonian_fail_at_kinks_and_of_controls_alone(
     failed = Condition(name, go.ConditionResult.FAIL, 1.0, 0.0, "here", "meaning")
     found = mark_theorem_inapplicable(failed, KinkPoint(0.0, "there", jump=False, of_states=of_states))
     assert (found.result is go.ConditionResult.FAIL) == fails
+
+
+@pytest.mark.parametrize(
+    ("of_states", "share", "word"), [((False, True), 0.25, "b"), ((False, False), 0.5, "a")]
+)
+def test_the_longest_rest_on_a_kink_in_shares_of_the_phase(
+    of_states: tuple[bool, bool], share: float, word: str
+) -> None:
+    """Of 8 s, one argument is at zero from sample 1 for 4 s, the other one from sample 3 for 2 s."""
+    s: Any = SimpleNamespace(weights=np.full(4, 2.0), span=8.0, describe_sample=lambda j: f"sample {j}")
+    kinks: Any = SimpleNamespace(is_state_dependent=np.array(of_states), words=("a", "b"))
+    values = np.array([[5.0, 0.0, 2e-6, 9.0], [1.0, -1.0, 1.0, 9e-7]])
+    found = _find_sliding_on_kink(s, kinks, values)
+    begin = {"a": 1, "b": 3}[word]
+    where = f"from sample {begin}: rests on the kink of {word}, {100 * share:.1f} % of the phase"
+    assert found == KinkPoint(share, where, False, any(of_states))
+    assert _find_sliding_on_kink(s, kinks, values + 1e-4) is None

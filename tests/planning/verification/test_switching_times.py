@@ -11,11 +11,17 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.trajectory_quality import Worst
 from gnc_opt.planning.verification.switching_time_variations import (
+    SHIFT_STEP_SHARE,
     Jump,
     ShiftedTrajectory,
+    _find_end_preserving_directions,
     _sample_directions,
+    _scale_active_changes,
+    _ShiftedPhase,
+    _steps_within_limits,
 )
 from gnc_opt.planning.verification.switching_times import find_jumps
 
@@ -162,16 +168,16 @@ def test_the_place_counts_switches_and_names_the_second_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "gap", "count"), [("a", 0.0, 1), ("b", 0.0, 0), ("a", 0.5, 0)], ids=["same", "other", "later"]
+    ("name", "gap", "count"), [("a", 5e-7, 1), ("b", 0.0, 0), ("a", 2e-6, 0)], ids=["same", "other", "later"]
 )
 def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap: float, count: int) -> None:
-    """Full thrust, then full brakes: a switch if the control is the same and the phases follow each other."""
+    """Full thrust, then full brakes: a switch if the control is the same and at most 1e-9 of the phase is between."""
     problem = go.Problem("two legs")
     legs = []
-    for label, control, begin in (("first", "a", 0.0), ("second", name, 1.0 + gap)):
+    for label, control, begin in (("first", "a", 0.0), ("second", name, 1e3 + gap)):
         model, *_ = dynamics(label, "x", control, lambda x, u: {x: u})
         leg = problem.phase(label, model)
-        leg.time(begin, begin + 1.0)
+        leg.time(begin, begin + 1e3)
         leg.initial(x=0.0)
         leg.bounds(**{control: (-1.0, 1.0)})
         legs.append(leg)
@@ -351,3 +357,65 @@ def test_directions_cost_alike_and_their_terms_add_up() -> None:
     np.testing.assert_allclose(directions[:, 5:], -directions[:, :5])
     np.testing.assert_allclose(sizes, 2.0 * np.array([1.0, 4.0]) @ directions**2)
     np.testing.assert_allclose(sizes[[0, 1, 2, 3]], [2.0, 2.0, 4.0, 4.0])
+
+
+def test_values_at_a_limit_change_in_shares_of_their_reach() -> None:
+    """Fixed, at the lower limit within 1e-6 of the reach, at the upper one, fixed without reach, and inside."""
+    box = Interval(np.array([2.0, 0.0, -9.0, 4.0, 0.0]), np.array([2.0, 9.0, 5.0, 4.0, 9.0]))
+    reach, unreached = np.array([0.5, 20.0, 0.25, 0.0, 2.0]), np.array([7.0, 7.0, 7.0, 3.0, 7.0])
+    last = np.array([2.0, 1e-5, 5.0, 4.0, 1.0])
+    values = np.stack([last + 1.0, last - 2.0, last], axis=1)
+    found = _scale_active_changes(values, box, reach, unreached)
+    np.testing.assert_allclose(found, np.outer([2.0, 0.05, 4.0, 1.0 / 3.0], [1.0, -2.0, 0.0]), atol=1e-12)
+
+
+def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
+    """x' = u, y' = 2 u; the multipliers 3 t of the path x u, 5 and 7 t of the states."""
+
+    def stack(*rows: Any) -> Array:
+        return np.stack([np.broadcast_to(row, (2,)) for row in rows])
+
+    leg: Any = SimpleNamespace(
+        states=SimpleNamespace(size=2),
+        breaks=np.array([0.0, 2.0]),
+        path_multiplier=lambda t: stack(3 * t),
+        state_multiplier=lambda t: stack(5.0, 7 * t),
+    )
+    functions: Any = SimpleNamespace(
+        rates=lambda t, x, u: stack(u[0], 2 * u[0]),
+        integrands=lambda t, x, u: stack(t),
+        paths=lambda t, x, u: stack(x[0] * u[0]),
+    )
+    phase: Any = SimpleNamespace(
+        samples=SimpleNamespace(leg=leg), functions=functions, _has_active_limits=True
+    )
+    t, y, u = np.array([1.0, 3.0]), np.array([[2.0, 4.0], [-1.0, 0.5], [9.0, 9.0]]), np.array([[1.0, 3.0]])
+    found = _ShiftedPhase.extended_rates(phase, t, y, u)
+    expected = [
+        3 * 2 * 1 + 5 * 2 - 7,
+        3 * 2 * 4 * 3 + 5 * 4 + 7 * 2 * 0.5,
+    ]  # after the end, multipliers of the end
+    np.testing.assert_allclose(found, [[1.0, 3.0], [2.0, 6.0], [1.0, 3.0], expected])
+
+
+def test_directions_that_keep_the_ends_are_shifts_with_their_corrections() -> None:
+    """Ends 2 s + 4 r + k and h, which no shift moves: s and r in steps that move the ends alike, k corrects them."""
+    found = _find_end_preserving_directions(
+        np.array([[2.0, 4.0], [0.0, 0.0]]), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    )
+    alone = found[:, 2:]
+    np.testing.assert_allclose(np.abs(alone.T), [[0.0, 0.0, 0.0, 0.0, 1.0]], atol=1e-12)
+    shifts, others = found[:2, :2], found[2:, :2]
+    np.testing.assert_allclose(others, -np.array([[2.0, 4.0], [0.0, 0.0], [0.0, 0.0]]) @ shifts, atol=1e-12)
+    np.testing.assert_allclose(np.abs(np.linalg.det(shifts)), 0.5, rtol=1e-12)
+    np.testing.assert_allclose(shifts @ shifts.T, np.diag([1.0, 0.25]), atol=1e-12)
+
+
+def test_steps_move_only_values_inside_their_limits() -> None:
+    """The second value is within or beyond 1e-6 of its scale from its limit, the third is fixed."""
+    box = Interval(np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 1.0]))
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
+    for second, count in ((5e-4, 1), (2e-3, 2)):
+        found = _steps_within_limits("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
+        assert [key[:2] for key in found] == [("start", "leg")] * count
+        np.testing.assert_allclose([key[2] for key in found], SHIFT_STEP_SHARE * rows[:count])
