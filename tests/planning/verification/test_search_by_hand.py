@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -403,3 +404,16 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
     slope[0] = 1e-3
     away = found._newton_step(np.array([[1.0], [0.25]]), at)[:, 0]
     np.testing.assert_allclose(away, -np.linalg.solve(curved, slope), rtol=1e-9)
+
+
+def test_controls_without_bounds_are_searched_beyond_their_values() -> None:
+    """Within the bounds; half a turn of 360 to both sides; twice the largest value; twice the scale."""
+    s: Any = SimpleNamespace(
+        leg=SimpleNamespace(control_bounds=by_hand.interval([-1.0, *[-np.inf] * 3], [2.0, *[np.inf] * 3])),
+        angular_control_periods=np.array([0.0, 360.0, 0.0, 0.0]),
+        u=np.array([[0.5, 1.0], [10.0, 30.0], [-4.0, 3.0], [0.1, 0.2]]),
+        control_scale=np.array([1.0, 1.0, 1.0, 7.0]),
+    )
+    lower, upper = control_search_bounds(s)
+    np.testing.assert_array_equal(lower, [-1.0, -170.0, -8.0, -14.0])
+    np.testing.assert_array_equal(upper, [2.0, 210.0, 8.0, 14.0])

@@ -23,7 +23,7 @@ from gnc_opt.planning.verification.switching_time_variations import (
     _ShiftedPhase,
     _steps_within_limits,
 )
-from gnc_opt.planning.verification.switching_times import find_jumps
+from gnc_opt.planning.verification.switching_times import _shorter_adjacent_arc, find_jumps
 
 HEIGHT = 0.25
 """Upper limit of q, below 1/3: the arc of least effort follows it from t = 3 HEIGHT on (Bryson and Denham, 1963)."""
@@ -419,3 +419,12 @@ def test_steps_move_only_values_inside_their_limits() -> None:
         found = _steps_within_limits("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
         assert [key[:2] for key in found] == [("start", "leg")] * count
         np.testing.assert_allclose([key[2] for key in found], SHIFT_STEP_SHARE * rows[:count])
+
+
+def test_the_shorter_arc_beside_a_jump_ends_at_a_jump_of_the_same_control_or_with_the_phase() -> None:
+    def jump(time: float, channel: int = 0, beyond: str = "") -> Jump:
+        return Jump("first", time, channel, -1.0, 1.0, beyond=beyond)
+
+    jumps = [jump(3.0), jump(8.0), jump(2.5, channel=1), jump(10.0, beyond="second")]
+    ends = {"first": (1.0, 10.0), "second": (10.0, 11.5)}
+    assert [_shorter_adjacent_arc(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
