@@ -93,7 +93,8 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
         if trade != gallery.SYSTEMS  # their results are pages of docs/, which lead to the code
     )
     sections["API"].append("api/index.md")
-    sections["API"].extend({p.removeprefix("gnc_opt."): f"api/{p}.md"} for p in api.entries())
+    titles = {p: p.removeprefix("gnc_opt.") for p in api.entries()} | {"gnc_opt": "exceptions and warnings"}
+    sections["API"].extend({title: f"api/{p}.md"} for p, title in titles.items())
     sections["Project"].extend(place for place in FROM_ROOT if place.startswith("development/"))
     return config
 
