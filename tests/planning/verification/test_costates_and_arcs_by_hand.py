@@ -22,7 +22,10 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular
-from gnc_opt.planning.verification.bang_bang_second_order import _switching_sign_violation
+from gnc_opt.planning.verification.bang_bang_second_order import (
+    _find_zero_without_crossing,
+    _switching_sign_violation,
+)
 from gnc_opt.planning.verification.costate_conditions import (
     _check_bound_impulses,
     _check_time_transversality,
@@ -68,6 +71,22 @@ def test_sign_of_a_switching_function_between_unequal_bounds(sign: float, wrong:
     )
     violation = _switching_sign_violation(s, 0, np.array([1.0]), 1.0)
     assert violation == pytest.approx(wrong, abs=1e-9)
+
+
+@pytest.mark.parametrize("above", [0.0, 0.1])
+def test_a_switching_function_that_touches_zero_is_found_where_it_does(above: float) -> None:
+    """The control stays at its upper bound; its switching function is -(t - 1)^2, or below that."""
+    s = by_hand.samples(
+        pair(),
+        lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.array([1.0 + 0 * t, 0 * t]),
+        lambda t, k: np.array([-((t - 1.0) ** 2) - above, 0 * t]),
+        weights=(0.0,),
+        breaks=(0.0, 1.0, 3.0),
+        control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
+    )
+    found = _find_zero_without_crossing(s)
+    assert found == ("" if above else "phase leg, t = 1 s, u: touches zero between switches")
 
 
 BOX = by_hand.interval([-1.0, -3.0], [1.0, 3.0])
