@@ -64,7 +64,7 @@ PLAUSIBLE = 1e15
 """Magnitude of a state above which a run has diverged, in any unit; in metres 100 times the distance of Neptune."""
 
 
-def nonzero_magnitude(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
+def floor_magnitudes(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
     """Return magnitudes for divisions: the given ones, or ``otherwise`` for those below `BRANCH_ENDED`."""
     sizes = np.asarray(values, dtype=float)
     return np.where(sizes > BRANCH_ENDED, sizes, otherwise)

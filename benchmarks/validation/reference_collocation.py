@@ -245,7 +245,7 @@ def _rates(problem: go.Problem, leg: Any) -> Callable[..., Any]:
     t, x, u, constants = model.arguments()
     free = problem.parameter_symbols()
     expressions = [
-        ca.densify(problem.bind_parameters(leg, each))
+        ca.densify(problem.substitute_parameters(leg, each))
         for each in (model.derivative(), leg.path_expression(), leg.integrand_expression())
     ]
     function = ca.Function("rates", [t, x, u, constants, free], expressions)
@@ -259,7 +259,10 @@ def _ends(problem: go.Problem, ends: list[Any], parameters: Any) -> tuple[Any, A
     values: list[Any] = []
     cost, constraints = problem.cost, problem.constraint_expression()
     for leg, (x_0, x_f, t_0, t_f, integrals) in zip(problem.phases.values(), ends, strict=True):
-        cost, constraints = problem.bind_parameters(leg, cost), problem.bind_parameters(leg, constraints)
+        cost, constraints = (
+            problem.substitute_parameters(leg, cost),
+            problem.substitute_parameters(leg, constraints),
+        )
         symbols += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
         values += [x_0, x_f, t_0, t_f]
         symbols.append(leg.integral_symbols())

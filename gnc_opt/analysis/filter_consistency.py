@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arguments import StrictAttributes, expect, read_probability
+from gnc_opt.argument_checks import StrictAttributes, expect, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator import Estimator

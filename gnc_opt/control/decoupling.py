@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.argument_checks import read_positive
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
 from gnc_opt.control.dropout_handling import with_dropout_handling

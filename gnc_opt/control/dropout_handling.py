@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer
+from gnc_opt.argument_checks import expect, read_integer
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.errors import ArgumentError

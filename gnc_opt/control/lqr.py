@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_mapping, read_positive, suggest_keywords
+from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_mapping, read_positive, suggest_keywords
+from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, command_memory_layout, limit_command
 from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority

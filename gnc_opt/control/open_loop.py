@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import expect
+from gnc_opt.argument_checks import expect
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry

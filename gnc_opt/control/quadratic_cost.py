@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.argument_checks import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.model import Model

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.argument_checks import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.errors import DesignError

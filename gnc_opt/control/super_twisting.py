@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.argument_checks import read_positive
 from gnc_opt.errors import DesignError
 
 

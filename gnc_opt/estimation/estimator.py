@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_numbers, suggest_keywords
+from gnc_opt.argument_checks import expect, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport
@@ -174,8 +174,10 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
     _require_distinct_names(controller, estimator)
-    step, start = _combine_laws(controller, controller.step, estimator, fed, sent)
-    easy = controller.easy and _combine_laws(controller, controller.easy, estimator, fed, sent)[0]
+    step, start = _combine_law_and_estimator(controller, controller.step, estimator, fed, sent)
+    easy = (
+        controller.easy and _combine_law_and_estimator(controller, controller.easy, estimator, fed, sent)[0]
+    )
     told, flight = controller.explanation, controller.flight
     return replace(
         controller,
@@ -202,7 +204,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
 
 
-def _combine_laws(
+def _combine_law_and_estimator(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
     """Return law and initial memory of controller and estimator, for the controller's full or easy law."""

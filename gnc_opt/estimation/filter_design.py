@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_label, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_integer, read_label, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry

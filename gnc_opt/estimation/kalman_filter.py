@@ -54,7 +54,7 @@ LOST = "lost_steps"
 """Memory entry that counts consecutive control steps with missing samples."""
 
 
-def sample_counter_variables(channels: Sequence[MeasurementChannel]) -> list[Variable]:
+def create_sample_counters(channels: Sequence[MeasurementChannel]) -> list[Variable]:
     """Return the counters in the memory, `LOST` last."""
     entries = []
     for channel in channels:
@@ -130,7 +130,7 @@ class KalmanFilter:
     def _memory_layout(self) -> Layout:
         augmented = self.augmented
         entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
-        entries += [Variable(COVARIANCE, self.pattern.nnz()), *sample_counter_variables(augmented.channels)]
+        entries += [Variable(COVARIANCE, self.pattern.nnz()), *create_sample_counters(augmented.channels)]
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
     def _covariance_pattern(self) -> Any:

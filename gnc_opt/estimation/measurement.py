@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_numbers, read_positive
+from gnc_opt.argument_checks import expect, read_numbers, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Limits
 from gnc_opt.control.dropout_handling import HOLD

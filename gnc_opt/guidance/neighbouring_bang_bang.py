@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.argument_checks import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.argument_checks import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.open_loop import ReferenceSchedule

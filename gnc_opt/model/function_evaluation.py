@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.argument_checks import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 

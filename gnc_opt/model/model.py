@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import StrictAttributes, expect, read_integer, read_name, read_numbers
+from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, quote, suggest_symbol
 from gnc_opt.model.casadi_import import read_derivative, read_parameter_values, read_variables
@@ -39,10 +39,7 @@ class StateDifferences:
         self._retractions: dict[str, Callable[[Any, Any], Any]] = {}
 
     def declare_difference(
-        self,
-        name: str,
-        function: Callable[[Any, Any], Any],
-        retraction: Callable[[Any, Any], Any] | None,
+        self, name: str, function: Callable[[Any, Any], Any], retraction: Callable[[Any, Any], Any] | None
     ) -> None:
         """Store difference and retraction of a state, replacing earlier ones."""
         self._functions[name] = function

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.planning.refinement import RefinementLimits, refine
     from gnc_opt.planning.solution import PhaseSolution, Solution, load
     from gnc_opt.planning.solution.history import History, RefinementStatus
-    from gnc_opt.planning.solution.program_start import guess_from_solution
+    from gnc_opt.planning.solution.initial_nlp_point import guess_from_solution
     from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
     from gnc_opt.planning.solver import Resolver, solve
     from gnc_opt.planning.study import (
@@ -82,7 +82,7 @@ _NAMES_OF_MODULES = {
     "planning.solution": "PhaseSolution Solution load",
     "planning.solution.history": "History RefinementStatus",
     "planning.solution.verdict": "Condition LowerBound ConditionResult Verdict",
-    "planning.solution.program_start": "guess_from_solution",
+    "planning.solution.initial_nlp_point": "guess_from_solution",
     "planning.solver": "Resolver solve",
     "planning.study": (
         "Continuation ContinuationStatus Minimum Multistart Sweep continuation multistart sweep"

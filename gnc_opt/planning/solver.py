@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any, Literal
 
-from gnc_opt.arguments import expect, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
 from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh

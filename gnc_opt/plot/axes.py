@@ -50,7 +50,7 @@ def find_largest_hamiltonian_term(solution: Solution, leg: PhaseSolution) -> flo
     return float(np.max(np.sum(np.abs(terms), axis=0)))
 
 
-def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
+def draw_signal_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
     """Draw the rows of ``values`` (n_components, n_times), each in its style; existing labels are not repeated."""
     known = set(ax.get_legend_handles_labels()[1])
     for i, row in enumerate(values):

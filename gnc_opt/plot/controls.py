@@ -25,8 +25,8 @@ from gnc_opt.plot.axes import (
     HAMILTONIAN_ROUNDING_SHARE,
     MOST_ROWS,
     component_legend_labels,
-    draw_components,
     draw_phase_boundaries,
+    draw_signal_components,
     find_largest_hamiltonian_term,
     find_zero_crossings,
     hamiltonian_unit,
@@ -158,7 +158,7 @@ def _draw_bounded_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> 
 def _draw_all_components(ax: Axes, leg: PhaseSolution, name: str) -> None:
     signal = leg.saturated_control(name)
     labels = component_legend_labels(signal)
-    draw_components(ax, *sample_densely(signal, leg.applied.jump_times), labels)
+    draw_signal_components(ax, *sample_densely(signal, leg.applied.jump_times), labels)
     ax.set_ylabel(axis_label(variable_name_text(name), signal.unit))
     if len(labels) > 1:
         place_legend_above(ax)

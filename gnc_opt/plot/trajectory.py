@@ -18,8 +18,8 @@ from gnc_opt.plot.axes import (
     MOST_ROWS,
     component_legend_labels,
     cost_unit,
-    draw_components,
     draw_phase_boundaries,
+    draw_signal_components,
     find_largest_hamiltonian_term,
     hamiltonian_unit,
     label_time_axes,
@@ -196,7 +196,7 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
         ax = figure.subplots()
         for leg in legs:
             along = sample_densely(_applied_hamiltonian_function(solution, leg), leg.applied.jump_times)
-            draw_components(ax, *along, ["applied controls"])
+            draw_signal_components(ax, *along, ["applied controls"])
             ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
         set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in legs))
         draw_phase_boundaries(ax, legs)
@@ -218,7 +218,9 @@ def _draw_states_or_costates(
             owners = [leg for leg in legs if name in leg.states]
             for leg in owners:
                 signal = leg.costate(name) if costates else leg.state(name)
-                draw_components(ax, *sample_densely(signal, leg.breaks), component_legend_labels(signal))
+                draw_signal_components(
+                    ax, *sample_densely(signal, leg.breaks), component_legend_labels(signal)
+                )
                 if not costates:
                     _draw_bounds_in_view(ax, leg, name)
             variable, text = owners[0].states[name], "costate of " * costates + variable_name_text(name)

@@ -59,7 +59,7 @@ class Formulas:
         waiting = ca.vertsplit(ca.densify(expressions))
         while waiting:
             node = waiting.pop()
-            for operand in self._operands(node):
+            for operand in self._list_operands(node):
                 place = operand.element_hash()
                 uses[place] += 1
                 if uses[place] == 1:
@@ -73,7 +73,7 @@ class Formulas:
         """Return the signed terms of a formula, between which a line may break."""
         return list(self._split_terms(expression, ""))
 
-    def _operands(self, node: Any) -> list[Any]:
+    def _list_operands(self, node: Any) -> list[Any]:
         named = node.element_hash() in self.names
         return [] if named else [node.dep(i) for i in range(node.n_dep())]
 
@@ -98,7 +98,9 @@ class Formulas:
     def _expression_size(self, node: Any) -> int:
         place = node.element_hash()
         if place not in self._sizes:
-            self._sizes[place] = 1 + sum(self._expression_size(operand) for operand in self._operands(node))
+            self._sizes[place] = 1 + sum(
+                self._expression_size(operand) for operand in self._list_operands(node)
+            )
         return self._sizes[place]
 
     def _operand_to_mathml(self, node: Any, least: int) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gnc_opt.arguments import read_integer
+from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.html_document import (
     command_html,

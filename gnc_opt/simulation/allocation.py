@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_name, read_numbers
+from gnc_opt.argument_checks import read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError, did_you_mean, quote
 from gnc_opt.simulation.block import (
@@ -61,7 +61,9 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
     return inverse
 
 
-def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation") -> Array | None:
+def find_null_vector(
+    matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation"
+) -> Array | None:
     """Return the outputs (n,) without effect, scaled to a largest entry of 1, or ``None`` if there are none.
 
     Raises
@@ -184,7 +186,7 @@ class Allocation(Block):
             positive = ca.if_else(signal < 0, 0.0, signal)
             return plus @ positive + minus @ (positive - signal)
         u = pseudo_inverse(self.matrix, *about) @ signal
-        n = null_vector(self.matrix, *about) if self.method == "min-max" else None
+        n = find_null_vector(self.matrix, *about) if self.method == "min-max" else None
         return u if n is None else u + find_least_peak_shift(u, n) * n
 
 
@@ -323,7 +325,7 @@ class WheelArray(Block):
             )
         pseudo_inverse(self.axes, self.failed, f"wheel array '{self.name}'")
         if self.balance != "none":
-            null_vector(self.axes, self.failed, f"wheel array '{self.name}'")
+            find_null_vector(self.axes, self.failed, f"wheel array '{self.name}'")
 
     @property
     def n_wheels(self) -> int:
@@ -364,7 +366,7 @@ class WheelArray(Block):
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         h_w = self._wheel_momenta(tick, state)
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
-        n = None if self.balance == "none" else null_vector(self.axes, self.failed)
+        n = None if self.balance == "none" else find_null_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
             wanted = wanted + find_least_peak_shift(wanted, n) * n
         elif n is not None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arguments import StrictAttributes
+from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.tabular_data import TabularData, label_variable_rows

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.argument_checks import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name

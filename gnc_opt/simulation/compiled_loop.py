@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arguments import read_integer
+from gnc_opt.argument_checks import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import Layout

@@ -58,7 +58,9 @@ class StepExecutor:
     def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
 
         def leg() -> Any:
-            return self._leg_function(lambda x, w, c, n: [self.step_without_log.fold(n)(x, w, c)], len(rows))
+            return self._build_leg_function(
+                lambda x, w, c, n: [self.step_without_log.fold(n)(x, w, c)], len(rows)
+            )
 
         self._evaluate_into_results(len(rows), leg, (X, rows, C), final)
 
@@ -84,7 +86,7 @@ class StepExecutor:
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
         def leg() -> Any:
-            return self._leg_function(
+            return self._build_leg_function(
                 lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count
             )
 
@@ -107,7 +109,7 @@ class StepExecutor:
         symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
         return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])
 
-    def _leg_function(self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int) -> Any:
+    def _build_leg_function(self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int) -> Any:
         step = self.kernel.step
         x, w, c = (ca.MX.sym(n, *size) for n, size in (
             ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))

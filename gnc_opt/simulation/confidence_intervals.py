@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_integer, read_numbers, read_probability
+from gnc_opt.argument_checks import read_integer, read_numbers, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.tolerances import EQUAL

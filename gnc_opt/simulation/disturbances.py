@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.argument_checks import read_numbers
 from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_step_counter_zero
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
@@ -105,10 +105,7 @@ class SinusoidalDisturbance(Disturbance):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            "amplitude": (
-                read_block_values(self.amplitude, size, f"the amplitude of '{self.name}'"),
-                unit,
-            ),
+            "amplitude": (read_block_values(self.amplitude, size, f"the amplitude of '{self.name}'"), unit),
             "frequency": (read_block_scalar(self.frequency, f"the frequency of '{self.name}'"), "rad/s"),
             "phase": (read_block_values(self.phase, size, f"the phase of '{self.name}'"), "rad"),
         }

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import require_distinct_names
+from gnc_opt.argument_checks import require_distinct_names
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, did_you_mean

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import read_label, require_distinct_names
+from gnc_opt.argument_checks import read_label, require_distinct_names
 from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable

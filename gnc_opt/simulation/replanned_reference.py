@@ -14,7 +14,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import GncOptError, format_error
 from gnc_opt.model.model import Model
-from gnc_opt.model.trajectory_interface import Trajectory
+from gnc_opt.model.trajectory_protocol import Trajectory
 from gnc_opt.model.variables import Layout
 from gnc_opt.tolerances import STEP_SLACK
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.argument_checks import read_numbers
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import call_user_function
 from gnc_opt.simulation.block import (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import StrictAttributes, read_positive
+from gnc_opt.argument_checks import StrictAttributes, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.tabular_data import TabularData, label_variable_rows

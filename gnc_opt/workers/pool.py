@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
-from gnc_opt.arguments import expect
+from gnc_opt.argument_checks import expect
 from gnc_opt.errors import GncOptError
 from gnc_opt.workers.processes import Object, Parcel, SharedObject, WorkerProcesses, open_shared_object
 

@@ -32,7 +32,7 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 
-from gnc_opt.arguments import read_integer, read_positive
+from gnc_opt.argument_checks import read_integer, read_positive
 from gnc_opt.control.control_limits import clip
 from gnc_opt.errors import DesignError
 

@@ -48,7 +48,7 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.argument_checks import read_positive
 from gnc_opt.errors import ModelError
 from gnc_opt.spacecraft.gravity import MU_EARTH
 from gnc_opt.spacecraft.vector_algebra import is_symbolic

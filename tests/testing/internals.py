@@ -86,10 +86,10 @@ from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
+from gnc_opt.planning.solution.initial_nlp_point import point_from_guess
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.program_start import point_from_guess
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
 from gnc_opt.planning.solution.text_summary import find_overshooting_controls
 from gnc_opt.planning.solution.trajectory_quality import Worst
@@ -124,7 +124,7 @@ from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
     find_least_peak_shift,
-    null_vector,
+    find_null_vector,
     pseudo_inverse,
     read_effect_matrix,
 )

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_name, read_numbers, suggest_keywords
+from gnc_opt.argument_checks import expect, read_name, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CFloatType, write_c_statements
 from gnc_opt.control.c_export.schedule_table import CScheduleTable, tabulate_schedule
@@ -185,7 +185,7 @@ def measure_command_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
     """Return the largest differences (n_commands,) between commands of the compiled code and of the law."""
-    times, measured = _read_samples(controller, samples)
+    times, measured = _read_comparison_inputs(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
         raise GncOptError(
@@ -206,7 +206,9 @@ def measure_command_error(
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
-def _read_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+def _read_comparison_inputs(
+    controller: Controller, samples: tuple[ArrayLike, ArrayLike]
+) -> tuple[Array, Array]:
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")

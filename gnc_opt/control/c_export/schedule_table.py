@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.argument_checks import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import CFloatType
 from gnc_opt.control.controller import Controller

@@ -16,7 +16,7 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.history import Statistics
-from gnc_opt.planning.solution.program_start import ProgramStart, choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.violation_diagnosis import find_violations

@@ -25,7 +25,7 @@ from gnc_opt.planning.problem.guess.random_guess import with_random_guess
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.solution.program_start import (
+from gnc_opt.planning.solution.initial_nlp_point import (
     ProgramStart,
     choose_initial_nlp_point,
     guess_from_solution,

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
-from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.argument_checks import expect, read_integer, read_positive
 from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem, build_full_hessian, build_joint_jacobian
 

@@ -101,9 +101,9 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
     on_state = _is_at_limit(s.x, leg.state_bounds, s.state_scale)
     on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
     on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
-    if s.pure_paths.size:
+    if s.pure_state_paths.size:
         pushes = np.abs(s.mu) * s.path_scale[:, None] > density
-        on_path[s.pure_paths] = (near & pushes)[s.pure_paths]
+        on_path[s.pure_state_paths] = (near & pushes)[s.pure_state_paths]
     along = np.vstack([on_state, on_path])
     # A limit reached at a single sample is touched: its derivatives need not vanish there.
     beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import NOTABLE, nonzero_magnitude
+from gnc_opt.tolerances import NOTABLE, floor_magnitudes
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
 """Share of a phase over which violations are averaged: the loss of cost is size times duration."""
@@ -147,7 +147,7 @@ def compute_parameter_scales(solution: Solution) -> Array:
     """Return a tenth of the range of each free parameter, or its magnitude without a range (n_parameters,)."""
     box = solution.need_problem("verify").parameter_interval()
     extent = box.upper - box.lower
-    size = nonzero_magnitude(np.abs(solution.parameter_values))
+    size = floor_magnitudes(np.abs(solution.parameter_values))
     return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
 
 

@@ -52,7 +52,7 @@ class StateConstraintSides:
         drifts = [np.zeros_like(x)]
         values, scales = [x], [s.state_scale]
         lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
-        pure = s.pure_paths
+        pure = s.pure_state_paths
         if pure.size:
             by_state, by_time, _ = evaluate_path_gradients(s.functions, len(leg.path_labels), times, x, u)
             gradients.append(by_state[:, pure])
@@ -120,7 +120,7 @@ def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
         rest[:, k] -= directions @ (sizes + least)
     upper, lower = np.split(every, 2)
     atoms = np.zeros((len(s.leg.path_labels), breaks.size))
-    atoms[s.pure_paths] = (upper - lower)[s.leg.states.size :]
+    atoms[s.pure_state_paths] = (upper - lower)[s.leg.states.size :]
     return rest, atoms
 
 
@@ -151,7 +151,7 @@ class EndResidual:
 
 def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndResidual:
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
-    leg, name, pure, n = s.leg, s.leg.name, s.pure_paths, s.leg.states.size
+    leg, name, pure, n = s.leg, s.leg.name, s.pure_state_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds
     limits = intersect(given, leg.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
@@ -187,6 +187,6 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
 def _integrate_boundary_impulses(s: PhaseSamples) -> Array:
     """Return the integrals by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = integrate_nearby_multipliers(
-        s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])
+        s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_paths]])
     )
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])

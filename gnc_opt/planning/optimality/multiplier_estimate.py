@@ -30,7 +30,7 @@ from gnc_opt.planning.problem.constraint_derivatives import constraint_order
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.program_start import set_integral_variables
+from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh

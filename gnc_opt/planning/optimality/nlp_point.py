@@ -20,7 +20,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.program_start import choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales

@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
-from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, nonzero_magnitude
+from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, floor_magnitudes
 
 CELLS = 40
 """Smallest number of cells of a phase with constant linearised dynamics."""
@@ -197,7 +197,7 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian) -> Reach:
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
     if not s.has_duration:  # without motion, magnitudes are used
-        along = end = nonzero_magnitude(size)
+        along = end = floor_magnitudes(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)

@@ -52,8 +52,8 @@ def constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOr
 
 def _derive_constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
     t, x, u, _ = leg.model.arguments()
-    rates = problem.bind_parameters(leg, leg.model.derivative())
-    value = problem.bind_parameters(leg, ca.vertcat(leg.path_expression(), x)[row])
+    rates = problem.substitute_parameters(leg, leg.model.derivative())
+    value = problem.substitute_parameters(leg, ca.vertcat(leg.path_expression(), x)[row])
     return _differentiate_until_control(
         (*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates
     )

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
 
-from gnc_opt.arguments import read_integer, read_name
+from gnc_opt.argument_checks import read_integer, read_name
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model

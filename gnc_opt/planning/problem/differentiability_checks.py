@@ -14,12 +14,12 @@ from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expressions import ROOTS, find_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.expressions import (
-    bind_parameters,
     endpoint_arguments,
     endpoint_symbols,
     find_points_outside_tables,
     list_table_calls,
     stack_expressions,
+    substitute_parameters,
 )
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws
@@ -369,7 +369,7 @@ def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, 
                 what,
                 rows,
                 _function_with_jacobian(
-                    problem.bind_parameters(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]
+                    problem.substitute_parameters(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]
                 ),
             )
             for what, rows, expression in _collect_phase_expressions(leg)
@@ -410,7 +410,7 @@ def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...
         built = []
         for what, rows, expression in kinds:
             if rows:
-                bound = bind_parameters(problem, expression)
+                bound = substitute_parameters(problem, expression)
                 function = _function_with_jacobian(
                     bound, ca.vertcat(*variables, q), endpoint_arguments(problem)
                 )

@@ -53,7 +53,7 @@ def stack_expressions(leg: Phase) -> Any:
 def build_phase_function(problem: ProblemData, leg: Phase, name: str, column: Any) -> Any:
     """Return a column along a phase as CasADi Function of (t, x, u, p, q), with the free parameters q."""
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
-    values = [ca.densify(problem.bind_parameters(leg, column))]
+    values = [ca.densify(problem.substitute_parameters(leg, column))]
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
 
@@ -106,10 +106,10 @@ def endpoint_arguments(problem: ProblemData) -> list[Any]:
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
-def bind_parameters(problem: ProblemData, expression: Any) -> Any:
+def substitute_parameters(problem: ProblemData, expression: Any) -> Any:
     """Replace model parameters that the problem optimises by the symbols of the problem."""
     for leg in problem.phases.values():
-        expression = problem.bind_parameters(leg, expression)
+        expression = problem.substitute_parameters(leg, expression)
     return expression
 
 

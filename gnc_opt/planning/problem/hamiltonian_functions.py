@@ -26,10 +26,10 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.function_evaluation import VectorizedFunction, evaluate_function, make_buffered_function
 from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import (
-    bind_parameters,
     build_phase_function,
     endpoint_arguments,
     endpoint_symbols,
+    substitute_parameters,
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -83,7 +83,7 @@ class PhaseFunctions:
         """Integrand values, shape (n_integrals, ...)."""
         return self._evaluate_function("integrands", t, x, u)
 
-    def control_effects(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def stacked_outputs(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return rates, path constraints and integrands, (n + n_paths + n_integrals, ...)."""
         return np.concatenate([f(t, x, u) for f in (self.rates, self.paths, self.integrands)])
 
@@ -228,7 +228,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
     mu = ca.SX.sym("mu", len(leg.path_labels))
     weights = ca.SX.sym("weights", len(leg.integrands))
     f, c, integrands = (
-        problem.bind_parameters(leg, e)
+        problem.substitute_parameters(leg, e)
         for e in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
     )
     hamiltonian = ca.dot(lam, f) + ca.dot(weights, integrands)
@@ -321,7 +321,9 @@ def endpoint_function(problem: Problem) -> Any:
 
 
 def _build_endpoint_function(problem: Problem) -> Any:
-    cost, constraints = (bind_parameters(problem, e) for e in (problem.cost, problem.constraint_expression()))
+    cost, constraints = (
+        substitute_parameters(problem, e) for e in (problem.cost, problem.constraint_expression())
+    )
     nu = ca.SX.sym("nu", constraints.shape[0])
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
     ends = [symbol for leg in problem.phases.values() for symbol in endpoint_symbols(leg)]

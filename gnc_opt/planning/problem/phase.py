@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import StrictAttributes, read_label
+from gnc_opt.argument_checks import StrictAttributes, read_label
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
@@ -179,11 +179,11 @@ class Phase(StrictAttributes):
 
     def initial(self, **values: Any) -> None:
         """Set initial values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._update_numbers(initial=self._replace_end_values(self.numbers.initial, values, "initial value"))
+        self._update_numbers(initial=self._replace_end_ranges(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
         """Set final values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._update_numbers(final=self._replace_end_values(self.numbers.final, values, "final value"))
+        self._update_numbers(final=self._replace_end_ranges(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
         """Set bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
@@ -535,7 +535,7 @@ class Phase(StrictAttributes):
         self._owner.require_mutable()
         self.numbers = replace(self.numbers, **numbers)
 
-    def _replace_end_values(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
+    def _replace_end_ranges(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
         jumping = next((name for name in values if name in self.model.controls), None)
         if jumping is not None:
             raise ProblemError(

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.argument_checks import read_numbers
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase, PhaseOwner

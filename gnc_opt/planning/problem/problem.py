@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_label, read_mapping, read_name, read_numbers
+from gnc_opt.argument_checks import expect, read_integer, read_label, read_mapping, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
@@ -41,11 +41,11 @@ def compute_fingerprint(problem: ProblemData) -> str:
     """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
     digest = hashlib.sha256()
     digest.update(
-        repr((problem.sense, _variable_sizes(problem.parameters), problem.constraint_labels())).encode()
+        repr((problem.sense, _list_sizes(problem.parameters), problem.constraint_labels())).encode()
     )
     for leg in problem.phases.values():
         model = leg.model
-        layouts = [_variable_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
+        layouts = [_list_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
         digest.update(_serialise_phase_expressions(problem, leg))
         for vector in (
@@ -65,7 +65,7 @@ def compute_fingerprint(problem: ProblemData) -> str:
     return digest.hexdigest()[:16]
 
 
-def _variable_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
+def _list_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 

@@ -17,10 +17,10 @@ from gnc_opt.planning.problem.differentiability_checks import (
     warn_of_norms,
 )
 from gnc_opt.planning.problem.expressions import (
-    bind_parameters,
     build_phase_function,
     endpoint_arguments,
     stack_expressions,
+    substitute_parameters,
 )
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
@@ -190,7 +190,7 @@ def _check_constraints(problem: ProblemData) -> None:
         arguments += [*ends, *leg.time_ranges(), unbounded(len(leg.integrands)), Interval(p, p)]
 
     def build() -> Any:
-        rows = bind_parameters(problem, problem.constraint_expression())
+        rows = substitute_parameters(problem, problem.constraint_expression())
         return ca.Function("constraints", endpoint_arguments(problem), [ca.densify(rows)])
 
     function = problem.cache("constraints", build)
@@ -228,7 +228,7 @@ def check_unused_controls(problem: ProblemData) -> None:
     for leg in problem.phases.values():
         counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
         acted_on = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
-        used = _collect_used_symbols([problem.bind_parameters(leg, acted_on)])
+        used = _collect_used_symbols([problem.substitute_parameters(leg, acted_on)])
         for variable in leg.model.controls.variables:
             idle = _find_unused_components(variable, leg.model.symbol(variable.name), used)
             if idle:
@@ -244,8 +244,8 @@ def _check_unused_parameters(problem: ProblemData) -> None:
     used = _collect_used_symbols(
         [
             ends,
-            *(problem.bind_parameters(leg, ends) for leg in legs),
-            *(problem.bind_parameters(leg, stack_expressions(leg)) for leg in legs),
+            *(problem.substitute_parameters(leg, ends) for leg in legs),
+            *(problem.substitute_parameters(leg, stack_expressions(leg)) for leg in legs),
         ]
     )
     models = {id(leg.model): leg.model for leg in legs}.values()

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import StrictAttributes
+from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.lookup_table import TableCall
@@ -144,7 +144,7 @@ class ProblemData(StrictAttributes):
             raise unknown_name("phase", phase, f"problem '{self.name}'", self.phases)
         return self.phases[phase]
 
-    def bind_parameters(self, phase: Phase, expression: Any) -> Any:
+    def substitute_parameters(self, phase: Phase, expression: Any) -> Any:
         """Replace model parameters that the problem optimises by the symbols of the problem."""
         for name, symbol in self._parameters.items():
             if name in phase.model.parameters:

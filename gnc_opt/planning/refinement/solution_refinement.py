@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
-from gnc_opt.arguments import expect, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.solution.program_start import mesh_with_fixed_breaks
+from gnc_opt.planning.solution.initial_nlp_point import mesh_with_fixed_breaks
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.runtime_environment import limit_to_one_thread
 

@@ -131,7 +131,7 @@ class StagedRefinement:
             No control switches.
         """
         found = detect_structures(first)
-        if not _has_arcs(first, found, at_least=0):
+        if not _may_have_arcs(first, found, at_least=0):
             raise ProblemError(
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
@@ -213,7 +213,7 @@ class StagedRefinement:
 
     def _run_first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
         candidate, found = Candidate.from_solve(first, self.tol, self.begin, stage), detect_structures(first)
-        arcs = _has_arcs(first, found, at_least=1)
+        arcs = _may_have_arcs(first, found, at_least=1)
         if arcs:
             yield from self._solve_with_arcs(first, found, f"{stage}, switching times")
         if stage == FIRST:
@@ -361,7 +361,7 @@ class StagedRefinement:
 
     def _is_structure_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
         """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
-        if not _has_arcs(start, found, at_least=1):
+        if not _may_have_arcs(start, found, at_least=1):
             return False
         if any(s.n_pieces > PROGRAM_MAX_PIECES for s in found.values()):
             return False
@@ -383,7 +383,7 @@ class StagedRefinement:
         )
 
 
-def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
+def _may_have_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Return whether a control may have switches or kinks, in a phase with more pieces than ``at_least`` or touches."""
     for name, samples in solution.samples().items():
         if np.any(mask_affine_controls(samples)) and found[name].n_pieces > at_least:

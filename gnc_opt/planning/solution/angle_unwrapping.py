@@ -34,7 +34,7 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
     if not np.any((room > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
-    along = AngleProbe(lambda other: functions.control_effects(t, x, other), u)
+    along = AngleProbe(lambda other: functions.stacked_outputs(t, x, other), u)
     angles = {i: period for i in range(room.size) if 0 < (period := along.find_period(i)) < room[i]}
     pairs = [pair for pair in itertools.permutations(angles, 2) if _are_spherical(along, pair, angles)]
     turned = u.copy()
@@ -53,7 +53,7 @@ def find_control_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array
     """Return the periods of controls along a trajectory (m,); 0 for other controls and outside the mask (m,)."""
     if not np.any(among):
         return np.zeros(u.shape[0])
-    along = AngleProbe(lambda other: functions.control_effects(t, x, other), u)
+    along = AngleProbe(lambda other: functions.stacked_outputs(t, x, other), u)
     return np.array([along.find_period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
 
 

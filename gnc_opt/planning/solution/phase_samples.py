@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.variation_scales import (
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import MAX_POINTS, collocation_points, quadrature_weights
-from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, nonzero_magnitude
+from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, floor_magnitudes
 
 SAMPLES_BEYOND_POINTS = 9
 """Samples per segment in addition to the number of collocation points; segment ends are added."""
@@ -294,7 +294,7 @@ class PhaseSamples:
         the curvature of H; for vanishing costates, from the terms that cancel in their rates. Constant states, and
         drift without controls, are excluded.
         """
-        return max(float(np.sum(self._hamiltonian_changes)), self.rounding_level)
+        return max(float(np.sum(self._hamiltonian_changes)), self.hamiltonian_rounding_level)
 
     @property
     def hamiltonian_gain(self) -> Array:
@@ -305,7 +305,7 @@ class PhaseSamples:
         )
 
     @property
-    def rounding_level(self) -> float:
+    def hamiltonian_rounding_level(self) -> float:
         """Cost per second below which differences of H are rounding."""
         return (
             COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
@@ -317,7 +317,7 @@ class PhaseSamples:
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
         reach = np.max(np.abs(self.u), axis=1, initial=0.0)
-        return np.where(np.isfinite(span) & (span > 0), span, nonzero_magnitude(reach))
+        return np.where(np.isfinite(span) & (span > 0), span, floor_magnitudes(reach))
 
     @cached_property
     def cost_scale(self) -> float:
@@ -349,7 +349,9 @@ class PhaseSamples:
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return max(float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.rounding_level)
+        return max(
+            float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.hamiltonian_rounding_level
+        )
 
     @property
     def has_fixed_duration(self) -> bool:
@@ -377,7 +379,7 @@ class PhaseSamples:
         return bool(least > 0 or leg.duration > max(near, SHORTEST))
 
     @cached_property
-    def pure_paths(self) -> Indices:
+    def pure_state_paths(self) -> Indices:
         """Path constraints that do not depend on controls."""
         jacobian = self.functions.path_control_jacobian(self.times, self.x, self.u)
         return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))

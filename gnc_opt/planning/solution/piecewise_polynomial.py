@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.argument_checks import read_integer, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.quadrature import (

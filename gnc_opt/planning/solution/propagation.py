@@ -15,7 +15,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.integration import CallLimit, Controls, OdeError, Tolerance, integrate
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import nonzero_magnitude
+from gnc_opt.tolerances import floor_magnitudes
 
 RELATIVE_TOLERANCE = 1e-11
 """Relative tolerance of integrations that check a solution."""
@@ -131,7 +131,7 @@ def compute_state_magnitudes(leg: PhaseSolution) -> Array:
     for variable in leg.states.variables:
         rows = leg.states.slice(variable.name)
         largest[rows] = np.max(largest[rows])
-    return nonzero_magnitude(largest)
+    return floor_magnitudes(largest)
 
 
 def _find_largest_degree(leg: PhaseSolution, left: float, right: float) -> int:

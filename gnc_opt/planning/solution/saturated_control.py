@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.argument_checks import read_numbers
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.quadrature import CollocationRule
-from gnc_opt.tolerances import nonzero_magnitude
+from gnc_opt.tolerances import floor_magnitudes
 
 _SATURATION_SAMPLES = 33
 
@@ -90,5 +90,5 @@ class SaturatedControl:
 def _compute_bound_ranges(bounds: Interval) -> Array:
     """Return the ranges of bounds; for fixed controls their magnitude; 1 if both are zero or infinite."""
     span = bounds.upper - bounds.lower
-    fixed = nonzero_magnitude(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))
+    fixed = floor_magnitudes(np.where(bounds.is_fixed, np.abs(bounds.upper), 0.0))
     return np.where(np.isfinite(span) & ~bounds.is_fixed, span, fixed)

@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect
+from gnc_opt.argument_checks import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
 from gnc_opt.model.composed_controls import AssembledControl, SplitControl, UnitVectorControl, VectorControl
-from gnc_opt.model.trajectory_interface import TrajectoryPhase
+from gnc_opt.model.trajectory_protocol import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angular_controls import UnboundedAngles

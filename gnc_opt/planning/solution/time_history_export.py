@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.argument_checks import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.model.tabular_data import TabularData
 from gnc_opt.model.variables import Variable

@@ -21,7 +21,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, nonzero_magnitude
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, floor_magnitudes
 
 CONTROL_STEP_SHARES = 0.37, -0.61
 """Test steps of a control, as shares of its scale; a control is inactive if both have no effect."""
@@ -48,10 +48,10 @@ def find_inactive_controls(
     if coupled.size < 2 or not np.any(bound[coupled]):
         return idle
     bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
-    effects = [functions.control_effects(t, x, base) for base in bases]
+    effects = [functions.stacked_outputs(t, x, base) for base in bases]
     for i in coupled:
         changes = [
-            np.abs(functions.control_effects(t, x, _shift_control(base, int(i), share * scale[i])) - before)
+            np.abs(functions.stacked_outputs(t, x, _perturb_control(base, int(i), share * scale[i])) - before)
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]
@@ -63,7 +63,7 @@ def find_inactive_controls(
     return idle
 
 
-def _shift_control(u: Array, i: int, by: float) -> Array:
+def _perturb_control(u: Array, i: int, by: float) -> Array:
     other = u.copy()
     other[i] += by
     return other
@@ -84,7 +84,7 @@ def compute_state_scales(
     size = np.max(np.abs(values), axis=1, initial=0.0)
     moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return nonzero_magnitude(set_components_to_largest(size, leg.states))
+        return floor_magnitudes(set_components_to_largest(size, leg.states))
     movable = set_components_to_largest(_estimate_reachable_changes(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
@@ -125,7 +125,7 @@ def compute_control_scales(
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = set_components_to_largest(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
-    return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), nonzero_magnitude(size))
+    return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), floor_magnitudes(size))
 
 
 def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:

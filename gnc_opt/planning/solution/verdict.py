@@ -210,13 +210,13 @@ class Verdict:
     def headline(self) -> str:
         """Verdict in one sentence: whether it is ok, whether a minimum is certified, and the distance from a bound."""
         if self.minimum:
-            return f"every condition passes: a strict local minimum{self._distance_from_tolerance}"
+            return f"every condition passes: a strict local minimum{self._describe_gap}"
         if self.ok:
-            return f"ok: necessary conditions hold, sufficient ones are not known to{self._distance_from_tolerance}"
+            return f"ok: necessary conditions hold, sufficient ones are not known to{self._describe_gap}"
         return self.outcome
 
     @property
-    def _distance_from_tolerance(self) -> str:
+    def _describe_gap(self) -> str:
         if self.bound is None or self.gap is None:
             return ""
         if self.bound.certified:

@@ -37,7 +37,7 @@ from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, s
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.program_start import ProgramStart, choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.transcription.scaling import choose_variable_scales

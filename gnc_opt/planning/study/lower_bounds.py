@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.argument_checks import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_integer, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest_keywords
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -308,9 +308,9 @@ class _MultistartSearch:
                 for starts in (range(0, n, 2), range(1, n, 2)):
                     if not self.pool.interrupted:
                         done = self.pool.map(
-                            coarse, starts, lambda start: show(_task_result(start).objective)
+                            coarse, starts, lambda start: show(_get_task_result(start).objective)
                         )
-                        endings += [_task_result(start) for start in done]
+                        endings += [_get_task_result(start) for start in done]
                         coarse = replace(coarse, durations=_find_phase_durations(endings))
             except KeyboardInterrupt:  # between two runs
                 self.pool.interrupted = True
@@ -326,8 +326,10 @@ class _MultistartSearch:
             if not batch:
                 break
             with _progress_meter("refinements", len(batch), self.progress, self.problem.sense) as show:
-                done = self.pool.map(refining, batch, lambda minimum: show(_task_result(minimum).objective))
-            answers = {id(minimum.item): _task_result(minimum) for minimum in done}
+                done = self.pool.map(
+                    refining, batch, lambda minimum: show(_get_task_result(minimum).objective)
+                )
+            answers = {id(minimum.item): _get_task_result(minimum) for minimum in done}
             finer += [answers.get(id(minimum), minimum) for minimum in batch]
         return [*finer, *waiting]
 
@@ -359,7 +361,7 @@ def _build_problem(builder: Builder) -> Problem:
     return expect(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
 
 
-def _task_result(done: TaskResult[Item, Answer]) -> Answer:
+def _get_task_result(done: TaskResult[Item, Answer]) -> Answer:
     from gnc_opt.workers import WorkerDiedError
 
     error = done.error

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_numbers, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_numbers, read_positive, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.planning.direct.solve_failure import SolveError

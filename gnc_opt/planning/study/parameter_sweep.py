@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers, suggest_keywords
+from gnc_opt.argument_checks import expect, read_mapping, read_name, read_numbers, suggest_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
@@ -269,9 +269,11 @@ class _GridLineTask:
     options: SolverOptions | None
 
     def __call__(self, functions: _UserFunctions, item: tuple[int, tuple[float, ...]]) -> list[_GridPoint]:
-        return list(self._grid_points(functions, item[1]))
+        return list(self._iterate_grid_points(functions, item[1]))
 
-    def _grid_points(self, functions: _UserFunctions, fixed: tuple[float, ...]) -> Iterator[_GridPoint]:
+    def _iterate_grid_points(
+        self, functions: _UserFunctions, fixed: tuple[float, ...]
+    ) -> Iterator[_GridPoint]:
         neighbour: Solution | None = None
         for value in self.values:
             arguments = dict(zip(self.names, (*map(float, fixed), float(value)), strict=True))

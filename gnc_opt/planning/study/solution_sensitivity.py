@@ -508,7 +508,7 @@ def _directional_rate_derivative(problem: Problem, leg: Phase) -> Any:
     def build() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
-        rates = problem.bind_parameters(leg, leg.model.derivative())
+        rates = problem.substitute_parameters(leg, leg.model.derivative())
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 

@@ -107,7 +107,9 @@ def drop_implied_state_bounds(
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 
-def fix_junctions(box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_states_at_junctions(
+    box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation
+) -> None:
     """Fix states at their bounds at junctions; other junction conditions are rows."""
     for junction in held.junctions:
         i = junction.constraint - collocation.n_paths
@@ -200,7 +202,9 @@ def build_smoothness_rows(smooth: SmoothControl, collocation: PhaseCollocation) 
     return collocation.point_controls[smooth.control, points], basis[:, smooth.degree + 1 :].T
 
 
-def smoothness_entries(rows: list[tuple[Indices, Array]], first_row: int) -> tuple[Indices, Indices, Array]:
+def list_smoothness_entries(
+    rows: list[tuple[Indices, Array]], first_row: int
+) -> tuple[Indices, Indices, Array]:
     """Return rows, columns and values of all smoothness rows, starting at ``first_row``."""
     entries: list[Any] = []
     for columns, values in rows:

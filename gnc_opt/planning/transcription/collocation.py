@@ -93,7 +93,7 @@ class PhaseCollocation:
         boundary = np.concatenate([[self.first_variable], inner])
         if starts:
             points[offsets[:-1]] = boundary[:-1]
-        grids = (_index_variables(boundary, n), _index_variables(points, n), _index_variables(controls, m))
+        grids = (_index_columns(boundary, n), _index_columns(points, n), _index_columns(controls, m))
         return *grids, int(places[-1]) - self.first_variable
 
     @property
@@ -235,5 +235,5 @@ def assemble_weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any
     return matrix
 
 
-def _index_variables(first: Indices, count: int) -> Indices:
+def _index_columns(first: Indices, count: int) -> Indices:
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_numbers
+from gnc_opt.argument_checks import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError, quote
 from gnc_opt.tolerances import ROUNDING

@@ -30,11 +30,11 @@ from gnc_opt.planning.transcription.arc_constraints import (
     fix_arc_controls,
     fix_arc_paths,
     fix_arc_states,
-    fix_junctions,
+    fix_states_at_junctions,
     junction_derivative_orders,
     list_polynomial_controls,
+    list_smoothness_entries,
     loosen_monotone_bounds,
-    smoothness_entries,
 )
 from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
@@ -130,7 +130,7 @@ class Transcription(ProgramNumbering):
             if of == "dynamics"
             else (leg.integrand_expression(), ca.SX(0, 1))
         )
-        outputs = self.problem.bind_parameters(leg, ca.vertcat(span * rates, others))
+        outputs = self.problem.substitute_parameters(leg, ca.vertcat(span * rates, others))
         return PointFunction.differentiate(
             "point",
             ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
@@ -236,13 +236,13 @@ class Transcription(ProgramNumbering):
         for name, label in self._direct:
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
         for leg in phases:
-            outputs = self.problem.bind_parameters(leg, outputs)
+            outputs = self.problem.substitute_parameters(leg, outputs)
         data = ca.vertcat(*list_model_parameter_arguments(self.problem.phases.values()))
         return PointFunction.differentiate("ends", ca.vertcat(*arguments), data, outputs)
 
     def _constant_coefficients(self) -> Any:
         entries = [part.collocation.linear_dynamics_entries for part in self.parts.values()]
-        entries.append(smoothness_entries(self._smooth, self._first_smooth_row))
+        entries.append(list_smoothness_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
         return scipy.sparse.coo_array(
             (values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables)
@@ -368,7 +368,7 @@ class Transcription(ProgramNumbering):
             )
         if numbers.arcs is not None:
             fix_arc_states(box, leg, numbers.arcs, collocation)
-            fix_junctions(box, numbers.arcs, numbers.states, collocation)
+            fix_states_at_junctions(box, numbers.arcs, numbers.states, collocation)
         for place, time in zip(part.times[[0, -1]], leg.time_ranges(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]

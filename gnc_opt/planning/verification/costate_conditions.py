@@ -83,7 +83,7 @@ def add_active_constraints_at_ends(
 
 def _find_paths_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
-    leg, pure = s.leg, s.pure_paths
+    leg, pure = s.leg, s.pure_state_paths
     if not pure.size:
         return pure
     end, point = s.times[[at]], leg.point_times[[at]]
@@ -109,7 +109,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
         share, total = _adjoint_residuals(s, s.mu, scales, tolerance)
-        if s.pure_paths.size:
+        if s.pure_state_paths.size:
             share = np.fmin(
                 share, _adjoint_residuals(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
             )
@@ -152,7 +152,7 @@ def _subtract_multiplier_impulses(s: PhaseSamples) -> Array:
     ]
     nodes = tuple(rule.points[here] for rule, here in zip(leg.collocation_rules, inner, strict=True))
     values = tuple(v[:, here] for v, here in zip(leg.path_multiplier.values, inner, strict=True))
-    mu, pure = s.mu.copy(), s.pure_paths
+    mu, pure = s.mu.copy(), s.pure_state_paths
     mu[pure] = s.sample_signal(PiecewisePolynomial(leg.breaks, nodes, values))[pure]
     return mu
 

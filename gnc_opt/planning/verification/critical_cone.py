@@ -116,7 +116,7 @@ def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhaseIndices) -
     collocation = part.collocation
     held = cone.strong[cone.point.x.size :][collocation.path_rows]
     along = np.zeros((collocation.n_paths, collocation.mesh.segments + 1), dtype=bool)
-    for row in s.pure_paths:
+    for row in s.pure_state_paths:
         along[row, 1:] = np.logical_and.reduceat(held[row], collocation.mesh.point_offsets[:-1])
     return np.asarray(along[:, 1:] & ~along[:, :-1])
 

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.argument_checks import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
@@ -55,7 +55,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array
     if leg.restatement is None:
         return own
     arguments = [*stated.arguments(), problem.parameter_symbols()]
-    values = ca.densify(problem.bind_parameters(leg, leg.restatement.values))
+    values = ca.densify(problem.substitute_parameters(leg, leg.restatement.values))
     function = ca.Function("restated", arguments, [values])
     p = model_parameters(problem, problem.phases[leg.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):

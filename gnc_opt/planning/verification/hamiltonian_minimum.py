@@ -350,7 +350,7 @@ class _MinimumSearch:
             values = self.evaluate_hamiltonian(trials, here).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
-            lower = reached < value[active] - NEGLIGIBLE * self.s.rounding_level
+            lower = reached < value[active] - NEGLIGIBLE * self.s.hamiltonian_rounding_level
             if not np.any(lower):
                 break
             shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]

@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, nonzero_magnitude
+from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, floor_magnitudes
 
 NAME = "kinks"
 
@@ -167,7 +167,7 @@ def _find_rate_jump(
 
 def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:
     """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
-    sizes = nonzero_magnitude(np.max(np.abs(values), axis=1, initial=0.0))
+    sizes = floor_magnitudes(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
     long = lengths > SMEARED

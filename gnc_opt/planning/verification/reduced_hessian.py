@@ -195,14 +195,16 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
             place = _locate_direction(cone.point, solution, found.direction)
-            return second_order_condition(ConditionResult.FAIL, -found.value, place + _describe_gain(found))
+            return second_order_condition(
+                ConditionResult.FAIL, -found.value, place + _describe_cost_gain(found)
+            )
     place = _locate_direction(cone.point, solution, free.direction)
     return second_order_condition(
         ConditionResult.INCONCLUSIVE, -free.value, place + _describe_zero_curvature(free, steep)
     )
 
 
-def _describe_gain(curvature: Curvature) -> str:
+def _describe_cost_gain(curvature: Curvature) -> str:
     return (
         f": a step of {100 * GAIN_STEP_SHARE:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
     )
@@ -212,7 +214,7 @@ def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
     if curvature.is_negative(steep):
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
-        return f"{_describe_gain(curvature)}, which is rounding"
+        return f"{_describe_cost_gain(curvature)}, which is rounding"
     return f": flat (curvatures between -{steep:.0e} and {NEGLIGIBLE:.0e} count as zero)"
 
 

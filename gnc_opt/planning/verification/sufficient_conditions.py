@@ -157,7 +157,7 @@ def _are_phases_affine(problem: Problem) -> bool:
     for leg in problem.phases.values():
         _, x, u, _ = leg.model.arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
-        rows = problem.bind_parameters(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
+        rows = problem.substitute_parameters(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
         if not _is_affine(rows, z):
             return False
     return True
@@ -171,14 +171,17 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
     z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
     conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
     for leg in legs:
-        conditions, cost = problem.bind_parameters(leg, conditions), problem.bind_parameters(leg, cost)
+        conditions, cost = (
+            problem.substitute_parameters(leg, conditions),
+            problem.substitute_parameters(leg, cost),
+        )
     if not _is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
     for leg in legs:
         _, x, u, _ = leg.model.arguments()
         along = ca.vertcat(x, u, problem.parameter_symbols())
         for symbol, integrand in leg.integrands.values():
-            expression = problem.bind_parameters(leg, integrand)
+            expression = problem.substitute_parameters(leg, integrand)
             if _is_affine(expression, along):
                 continue
             weight = ca.jacobian(cost, symbol)
@@ -301,7 +304,7 @@ def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Inter
 def _integrand_function(problem: Problem, leg: Phase) -> Any:
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     return ca.Function(
-        "integrands", arguments, [ca.densify(problem.bind_parameters(leg, leg.integrand_expression()))]
+        "integrands", arguments, [ca.densify(problem.substitute_parameters(leg, leg.integrand_expression()))]
     )
 
 
@@ -309,7 +312,7 @@ def _build_boundary_function(problem: Problem, expressions: Sequence[Any]) -> An
     column, arguments = ca.vertcat(*expressions), []
     legs = problem.phases.values()
     for leg, parameters in zip(legs, list_model_parameter_arguments(legs), strict=True):
-        column = problem.bind_parameters(leg, column)
+        column = problem.substitute_parameters(leg, column)
         arguments += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
         arguments += [leg.integral_symbols(), parameters]
     return ca.Function("of_ends", [*arguments, problem.parameter_symbols()], [ca.densify(column)])

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_integer, read_positive
+from gnc_opt.argument_checks import read_integer, read_positive
 from gnc_opt.control.sampled_data import (
     advance_step_counter,
     count_steps_started_within,

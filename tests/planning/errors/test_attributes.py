@@ -9,7 +9,7 @@ import pytest
 from testing.wrong_arguments import cart, refused, rest_to_rest
 
 import gnc_opt as go
-from gnc_opt.arguments import suggest_keywords
+from gnc_opt.argument_checks import suggest_keywords
 
 
 def test_attributes() -> None:

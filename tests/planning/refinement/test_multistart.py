@@ -33,7 +33,7 @@ from gnc_opt.planning.problem.guess.random_guess import (
     keeps_guess_shape,
     with_random_guess,
 )
-from gnc_opt.planning.study.multistart_search import RefinementTask, _CoarseTask, _task_result
+from gnc_opt.planning.study.multistart_search import RefinementTask, _CoarseTask, _get_task_result
 from gnc_opt.workers.pool import TaskResult, WorkerDiedError
 from problems import rendezvous
 
@@ -375,7 +375,7 @@ def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
 
 def test_a_dead_worker_is_reported() -> None:
     with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
-        _task_result(TaskResult(0, None, WorkerDiedError()))
+        _get_task_result(TaskResult(0, None, WorkerDiedError()))
 
 
 def _dies_elsewhere(home: int) -> go.Problem:

@@ -173,7 +173,10 @@ def test_the_structure_of_the_cart_has_all_rows() -> None:
         )
     )  # fmt: skip
     assert found.regular == (True, True, False, False, False) and (found.n_controls, found.n_paths) == (1, 2)
-    assert found.path_kinds[0].tolist() == [FREE, LOW] and found.path_kinds[1].tolist() == [FREE, FREE]
+    assert found.path_arc_kinds[0].tolist() == [FREE, LOW] and found.path_arc_kinds[1].tolist() == [
+        FREE,
+        FREE,
+    ]
     crossing = (-1 + np.sqrt(1 + 4 * 11 / 6)) / 2  # 6 - 6 t - 6 t^2 = -5
     assert found.times[1] == pytest.approx(crossing, abs=0.02) and found.times[2] == 1.0
 
@@ -277,7 +280,7 @@ def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(u
     first = go.solve(power_limited(unit), mesh="12x4", tol=None)
     rows = [
         piece[0]
-        for piece in zip(*detect_phase_structure(first.samples()["leg"]).path_kinds.tolist(), strict=True)
+        for piece in zip(*detect_phase_structure(first.samples()["leg"]).path_arc_kinds.tolist(), strict=True)
     ]
     assert rows == [FREE, UP, FREE]
     solution = go.refine(first)

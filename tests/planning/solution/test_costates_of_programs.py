@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.costates import (
     point_costates,
     split_duplicate_path_multipliers,
 )
-from gnc_opt.planning.solution.program_start import point_from_solution
+from gnc_opt.planning.solution.initial_nlp_point import point_from_solution
 
 # Multipliers become costates and come back: each scheme's rows by hand, and the ambiguities of held
 # segments.

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.argument_checks import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, ProblemError, did_you_mean
 from gnc_opt.model.tabular_data import read_csv_columns
@@ -16,11 +16,7 @@ from gnc_opt.planning.problem.problem import Problem
 
 
 def guess_from_data(
-    problem: Problem,
-    data: Mapping[str, Any] | str | Path,
-    *,
-    phase: str | None = None,
-    time: str = "time",
+    problem: Problem, data: Mapping[str, Any] | str | Path, *, phase: str | None = None, time: str = "time"
 ) -> Problem:
     """Return the problem with a guess from data: columns of a DataFrame, a mapping of arrays or a CSV file.
 

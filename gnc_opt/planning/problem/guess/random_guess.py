@@ -68,7 +68,7 @@ def with_random_guess(
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
-        values = _guess_by_name(leg.model.states, states) | _guess_by_name(leg.model.controls, controls)
+        values = _split_by_name(leg.model.states, states) | _split_by_name(leg.model.controls, controls)
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
     return _draw_parameters(twin, rng)
 
@@ -110,7 +110,7 @@ def _draw_angle_turns(
     return added
 
 
-def _guess_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
+def _split_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
     return {name: rows[layout.slice(name)] for name in layout.names}
 
 

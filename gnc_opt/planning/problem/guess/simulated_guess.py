@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
+from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.function_evaluation import make_buffered_function
@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.tolerances import nonzero_magnitude
+from gnc_opt.tolerances import floor_magnitudes
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""
@@ -121,7 +121,7 @@ def guess_from_simulation(
         return fast(t, x, law(t, x))
 
     stop = None if until is None else _build_stop_event(problem, leg, until)
-    sizes = nonzero_magnitude(np.maximum(np.abs(start), np.abs(guess_boundary_states(leg)[1])))
+    sizes = floor_magnitudes(np.maximum(np.abs(start), np.abs(guess_boundary_states(leg)[1])))
     try:
         flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
     except OdeError as error:
@@ -218,5 +218,5 @@ def _compile_expression(
     if leg.model.controls.size and ca.depends_on(expression, u):
         raise ProblemError(f"{what} uses controls of {leg.label}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
-    function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind_parameters(leg, expression))])
+    function = ca.Function("law", [t, x, p, q], [ca.densify(problem.substitute_parameters(leg, expression))])
     return make_buffered_function(function, leg.model.parameter_values, problem.guessed_parameters())

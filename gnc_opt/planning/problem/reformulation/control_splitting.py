@@ -29,7 +29,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     solve_affine_equation,
     split_kinked_constraint,
 )
-from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_variable_name
+from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, choose_unused_variable_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
 from gnc_opt.tolerances import EQUAL
 
@@ -163,7 +163,7 @@ class SplitForm(PhaseForm):
                 values.append(symbol)
                 continue
             plus, minus = (
-                Symbol(replace(v, name=unused_variable_name(old, f"{v.name}_{what}")))
+                Symbol(replace(v, name=choose_unused_variable_name(old, f"{v.name}_{what}")))
                 for what in ("plus", "minus")
             )
             split = SplitControl(

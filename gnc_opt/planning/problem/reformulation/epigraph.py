@@ -25,8 +25,8 @@ from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
-    guess_expression,
-    unused_variable_name,
+    build_guess_of_expression,
+    choose_unused_variable_name,
 )
 from gnc_opt.tolerances import EQUAL
 
@@ -93,7 +93,7 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
 def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = SymbolRanges.from_boundary(problem)
-    ends = problem.bind_parameters(
+    ends = problem.substitute_parameters(
         leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
     )
     box = problem.constraint_interval()
@@ -161,12 +161,14 @@ def _find_nested_arguments(node: Any, sense: int, domain: SymbolRanges) -> Piece
             return None
         if node.op() == ca.OP_FABS and domain.expression_sign(operands[0]) > 0:
             operands = operands[:1]
-        return _merge_arguments([_find_nested_arguments(operand, sense, domain) for operand in operands])
+        return _merge_extremum_arguments(
+            [_find_nested_arguments(operand, sense, domain) for operand in operands]
+        )
     operation = node.op()
     if operation == ca.OP_NEG:
-        return _scale_arguments(_find_nested_arguments(node.dep(0), -sense, domain), -1)
+        return _scale_extremum_arguments(_find_nested_arguments(node.dep(0), -sense, domain), -1)
     if operation == ca.OP_TWICE:
-        return _scale_arguments(_find_nested_arguments(node.dep(0), sense, domain), 2)
+        return _scale_extremum_arguments(_find_nested_arguments(node.dep(0), sense, domain), 2)
     if operation in (ca.OP_ADD, ca.OP_SUB):
         sign = 1 if operation == ca.OP_ADD else -1
         left, right = (
@@ -189,12 +191,12 @@ def _find_product_arguments(node: Any, sense: int, domain: SymbolRanges) -> Piec
     sign = domain.expression_sign(factor) if is_free_of_kinks(factor) else 0
     if sign == 0:
         return None
-    return _scale_arguments(
+    return _scale_extremum_arguments(
         _find_nested_arguments(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
     )
 
 
-def _merge_arguments(lists: list[Pieces | None]) -> Pieces | None:
+def _merge_extremum_arguments(lists: list[Pieces | None]) -> Pieces | None:
     found: dict[int, Any] = {}
     for one in lists:
         if one is None:
@@ -203,7 +205,7 @@ def _merge_arguments(lists: list[Pieces | None]) -> Pieces | None:
     return list(found.values())
 
 
-def _scale_arguments(found: Pieces | None, factor: Any) -> Pieces | None:
+def _scale_extremum_arguments(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
@@ -392,7 +394,9 @@ class EpigraphForm(PhaseForm):
                     continue
                 s = symbols[place] = Symbol(
                     Variable(
-                        unused_variable_name(old, f"epigraph_{len(symbols) + 1}".removesuffix("_1")), 1, ""
+                        choose_unused_variable_name(old, f"epigraph_{len(symbols) + 1}".removesuffix("_1")),
+                        1,
+                        "",
                     )
                 )
                 label = s.variable.name
@@ -421,7 +425,7 @@ class EpigraphForm(PhaseForm):
         box = leg.numbers.controls
         guess = leg.numbers.guess
         values = {
-            name: guess_expression(problem, stated, kink.sense * kink.node)
+            name: build_guess_of_expression(problem, stated, kink.sense * kink.node)
             for name, kink in self.kinks.items()
         }
         controls = Interval(

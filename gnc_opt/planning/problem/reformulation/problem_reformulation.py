@@ -124,14 +124,14 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         while (form := _find_next_norm_form(problem, leg, key)) is not None:
             key = (*key, *form.names, *form.apply_to_phase(problem, leg))
         keys.append((*key, *_reformulate_kinks(problem, leg, key)))
-    ends = _reformulate_boundary(problem, twin) if kinked_ends else ()
+    ends = _reformulate_boundary_kinks(problem, twin) if kinked_ends else ()
     if all(len(key) == 2 for key in keys) and not ends:
         return problem
     twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
     return twin
 
 
-def _reformulate_boundary(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
+def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
     domain = SymbolRanges.from_boundary(problem)
     form = problem.cache(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))

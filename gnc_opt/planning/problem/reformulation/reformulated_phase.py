@@ -18,14 +18,14 @@ from gnc_opt.planning.problem.phase_data import ControlForm, PhaseNumbers
 from gnc_opt.planning.problem.problem_data import ProblemData
 
 
-def used_variable_names(model: Model) -> frozenset[str]:
+def collect_variable_names(model: Model) -> frozenset[str]:
     layouts = (model.states, model.controls, model.parameters, model.outputs)
     return frozenset(name for layout in layouts for name in layout.names)
 
 
-def unused_variable_name(model: Model, wanted: str) -> str:
+def choose_unused_variable_name(model: Model, wanted: str) -> str:
     """Return a name that the model does not contain."""
-    taken = used_variable_names(model)
+    taken = collect_variable_names(model)
     while wanted in taken:
         wanted += "_"
     return wanted
@@ -55,7 +55,7 @@ class PhaseForm:
         leg.restatement = self.restatement.compose_after(leg.restatement)
 
 
-def guess_expression(problem: ProblemData, stated: Phase, column: Any) -> GuessValue:
+def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> GuessValue:
     """Return the values of a column along the guess of a phase as a function of time."""
     function = build_phase_function(problem, stated, "guessed", column)
     q = problem.guessed_parameters()

@@ -23,7 +23,7 @@ from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws, is_a
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import ControlForm
 from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, unused_variable_name
+from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, choose_unused_variable_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
@@ -86,11 +86,12 @@ class UnitVectorForm(PhaseForm):
         """Return the form of a phase for a unit vector, its magnitude, and the path constraint on its length."""
         old, vector = leg.model, ca.SX(leg.model.symbol(name))
         size, v = old.symbol(magnitude), old.controls[name]
-        label_of_direction = unused_variable_name(old, f"{name}_direction")
+        label_of_direction = choose_unused_variable_name(old, f"{name}_direction")
         direction = Symbol(Variable(label_of_direction, v.size, "", (1.0,) * v.size))
         parts = (magnitude, label_of_direction)
         control = VectorControl(
-            Variable(unused_variable_name(old, f"{magnitude}_{name}"), v.size, size.variable.unit), parts
+            Variable(choose_unused_variable_name(old, f"{magnitude}_{name}"), v.size, size.variable.unit),
+            parts,
         )
         unit = direction / ca.norm_2(direction)
         pairs = zip(ca.vertsplit(vector), ca.vertsplit(direction), strict=True)

@@ -27,9 +27,9 @@ from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
-    guess_expression,
-    unused_variable_name,
-    used_variable_names,
+    build_guess_of_expression,
+    choose_unused_variable_name,
+    collect_variable_names,
 )
 from gnc_opt.tolerances import EQUAL
 
@@ -240,7 +240,7 @@ class NormForm(PhaseForm):
             kept = {name: value for name, value in guess.values.items() if name not in self.names}
             vector = ca.vertcat(*map(stated.model.symbol, self.names))
             guess = PhaseGuess(
-                guess.time, {**kept, self.control.name: guess_expression(problem, stated, vector)}
+                guess.time, {**kept, self.control.name: build_guess_of_expression(problem, stated, vector)}
             )
         controls = stack_ranges(boxes, self.model.controls)
         self.apply_form(leg, replace(old, controls=controls, scales=scales, guess=guess))
@@ -279,12 +279,14 @@ def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Sym
     variables = [model.controls[name] for name in names]
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
     common = "".join(letters[0] for letters in alike).rstrip("_")
-    usable = len(names) == 1 or (common.isidentifier() and common not in used_variable_names(model))
+    usable = len(names) == 1 or (common.isidentifier() and common not in collect_variable_names(model))
     name = common if usable else "_".join(names)
     known = [max(v.nominal) for v in variables if v.nominal is not None]
     nominal, size = (max(known),) if known else None, sum(v.size for v in variables)
-    magnitude = Variable(unused_variable_name(model, f"{name}_magnitude"), 1, variables[0].unit, nominal)
-    direction = Variable(unused_variable_name(model, f"{name}_direction"), size, "", (1.0,) * size)
+    magnitude = Variable(
+        choose_unused_variable_name(model, f"{name}_magnitude"), 1, variables[0].unit, nominal
+    )
+    direction = Variable(choose_unused_variable_name(model, f"{name}_direction"), size, "", (1.0,) * size)
     return name, Symbol(magnitude), Symbol(direction)
 
 

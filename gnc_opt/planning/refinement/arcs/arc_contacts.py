@@ -96,7 +96,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     longer than a segment, otherwise a touch. A third-order constraint has touches only, since arcs of odd order beyond
     the first have no simple junctions (Jacobson, Lele & Speyer, 1971).
     """
-    constraints, first = StateConstraints(problem, samples), len(structure.control_kinds)
+    constraints, first = StateConstraints(problem, samples), len(structure.control_arc_kinds)
     held = [
         any(kinds[first + row].is_at_limit for kinds in structure.kinds) for row in range(constraints.n_rows)
     ]
@@ -155,7 +155,7 @@ def _leaves_first_order_limits(structure: PhaseStructure, piece: int, arc: int) 
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
-    first, found = len(structure.control_kinds), []
+    first, found = len(structure.control_arc_kinds), []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         scaled_multipliers = np.where(
             structure.is_at_limit(first + run.row, run.times), 0.0, run.scaled_multipliers
@@ -224,6 +224,6 @@ def _add_most_severe_contact(
         added = run.add_contacts(structure, s)
         if added != structure:
             at = run.times[int(np.argmax(run.scaled_multipliers))]
-            label = labels[run.row - len(structure.control_kinds)]
+            label = labels[run.row - len(structure.control_arc_kinds)]
             return added, f"contact of {label} added at {s.describe_times(at)}"
     return None, ""

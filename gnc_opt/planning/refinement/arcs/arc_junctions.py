@@ -75,7 +75,7 @@ def find_junction_time(
     constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int
 ) -> float:
     """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
-    leg, first = constraints.samples.leg, len(structure.control_kinds)
+    leg, first = constraints.samples.leg, len(structure.control_arc_kinds)
     entered = structure.kinds[boundary][row].is_at_limit
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
@@ -98,8 +98,8 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
-    n_controls = len(plan.structure.control_kinds)
-    signals = _control_excess if row < n_controls else _path_excess
+    n_controls = len(plan.structure.control_arc_kinds)
+    signals = _evaluate_control_excess if row < n_controls else _evaluate_path_excess
     pieces = plan.segment_pieces[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
         here = np.flatnonzero(pieces == piece)
@@ -117,7 +117,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     return plan.structure.times[boundary]
 
 
-def _control_excess(
+def _evaluate_control_excess(
     samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
     """Return control minus limit, and the switching function, at times (n_times,)."""
@@ -128,7 +128,9 @@ def _control_excess(
     return u[i] - limit, gradient[i]
 
 
-def _path_excess(samples: PhaseSamples, i: int, direction: int, side: Side, t: Array) -> tuple[Array, Array]:
+def _evaluate_path_excess(
+    samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
+) -> tuple[Array, Array]:
     """Return path constraint minus limit, and the negative multiplier, at times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.path_bounds
     limit = bounds.upper[i] if direction > 0 else bounds.lower[i]

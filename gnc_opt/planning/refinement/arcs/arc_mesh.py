@@ -256,12 +256,12 @@ class ArcMesh:
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
         structure, segments = self.structure, self.segment_pieces
-        n_controls, n_paths = len(structure.control_kinds), len(structure.path_kinds)
+        n_controls, n_paths = len(structure.control_arc_kinds), len(structure.path_arc_kinds)
         # Interior controls are unbounded: their excess shows where the arc has to end.
         controls = select_kind(
-            structure.control_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_kinds
+            structure.control_arc_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_arc_kinds
         )
-        kinds = np.vstack([controls, structure.path_kinds, structure.state_arc_kinds])[:, segments]
+        kinds = np.vstack([controls, structure.path_arc_kinds, structure.state_arc_kinds])[:, segments]
         free = kinds == ArcKind.INTERIOR
         kinds = select_kind(free & self._mask_released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
@@ -285,7 +285,7 @@ class ArcMesh:
 
         Inside the phase, a touch requires S = dS/dt = 0; at its ends S = 0, which Gauss points do not impose.
         """
-        structure, n_controls = self.structure, len(self.structure.control_kinds)
+        structure, n_controls = self.structure, len(self.structure.control_arc_kinds)
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.n_pieces):
             taken = structure.find_state_limit_exchange(k)[:1]
@@ -313,7 +313,7 @@ class ArcMesh:
         all of them. A single control has no freedom for such a deviation. With two controls the optimum exploits it,
         and errors decrease only with the third power of the segment length.
         """
-        structure, n_controls = self.structure, len(self.structure.control_kinds)
+        structure, n_controls = self.structure, len(self.structure.control_arc_kinds)
         found = []
         for piece, kinds in enumerate(structure.kinds):
             held = [
@@ -332,7 +332,7 @@ class ArcMesh:
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
         found, ends = [], self.piece_breaks
-        for i, row in enumerate(self.structure.control_kinds):
+        for i, row in enumerate(self.structure.control_arc_kinds):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
                 r = self.resolutions[k]
                 if (
@@ -368,7 +368,7 @@ def _choose_initial_resolution(structure: PhaseStructure, piece: int, points: fl
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
     if singular - structure.find_determined_controls(piece):
         return PieceMesh(2, FIRST_DEGREE, SINGULAR_DEGREE)
-    if ArcKind.INTERIOR in structure.control_kinds[:, piece]:
+    if ArcKind.INTERIOR in structure.control_arc_kinds[:, piece]:
         degree = FIRST_DEGREE if structure.has_contact(piece) else INTERIOR_DEGREE
         return PieceMesh(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / (POINT_RATIO * ARC_MAX_DEGREE))) if points > COARSE_POINTS else 1

@@ -59,7 +59,7 @@ def choose_finer_resolution(r: PieceMesh, errors: Array, gradient: float, tol: f
 
 def compute_singular_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
     """Return the largest |dH/du| of singular controls in every piece (A,), relative to H."""
-    kinds = plan.structure.control_kinds[:, plan.segment_pieces[samples.segments]]
+    kinds = plan.structure.control_arc_kinds[:, plan.segment_pieces[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
     per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
     worst = np.zeros(plan.structure.n_pieces)

@@ -79,12 +79,12 @@ class PhaseStructure:
             object.__setattr__(self, "regular", (False,) * len(self.kinds[0]))
 
     @property
-    def control_kinds(self) -> KindArray:
+    def control_arc_kinds(self) -> KindArray:
         """Kinds of the controls (n_controls, A)."""
         return self.arc_kind_matrix()[: self.n_controls]
 
     @property
-    def path_kinds(self) -> KindArray:
+    def path_arc_kinds(self) -> KindArray:
         """Kinds of the path constraints (n_paths, A)."""
         return self.arc_kind_matrix()[self._n_free : self._n_free + self.n_paths]
 

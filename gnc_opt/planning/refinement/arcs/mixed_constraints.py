@@ -134,7 +134,7 @@ class LinearPathLimits:
         The new kind is required at a sample. It is INTERIOR for a constraint that becomes inactive: its control then
         goes to the opposite limit.
         """
-        first = len(structure.control_kinds)
+        first = len(structure.control_arc_kinds)
         holder = next((i for i, rows in self.rows.items() if row - first in rows), None)
         if holder is not None:
             inner = np.asarray(structure.times[1:-1])

@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.program_start import choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -43,7 +43,7 @@ def simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     return tuple(
         k
         for k in range(1, structure.n_pieces)
-        if sum(row < len(structure.control_kinds) for row in structure.find_changing_rows(k)) > 1
+        if sum(row < len(structure.control_arc_kinds) for row in structure.find_changing_rows(k)) > 1
         and not structure.has_only_kinks(k)
         and not structure.touches[k]
         and min(structure.piece_lengths[k - 1 : k + 1]) > least

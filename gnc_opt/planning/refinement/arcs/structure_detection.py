@@ -73,7 +73,9 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     first, last = leg.breaks[0], leg.breaks[-1]
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-    kinds = np.stack([_interpolate_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)])
+    kinds = np.stack(
+        [_interpolate_arc_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)]
+    )
     return PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in kinds.T),
@@ -355,6 +357,6 @@ def find_roots(function: Callable[..., Array], left: Array, right: Array, *argum
     return np.where(found.success, found.x, 0.5 * (left + right))
 
 
-def _interpolate_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
+def _interpolate_arc_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
     starts = np.concatenate([[0], np.flatnonzero(labels[1:] != labels[:-1]) + 1])
     return np.asarray(labels[starts][np.searchsorted(changes, times)])

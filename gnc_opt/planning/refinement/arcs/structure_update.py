@@ -174,7 +174,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
     the sign of that bound, which no higher degree removes.
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
-    singular = plan.structure.control_kinds == ArcKind.SINGULAR
+    singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
     released = plan.structure.mask_near_limit_exchanges()[: len(singular)]
     singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale

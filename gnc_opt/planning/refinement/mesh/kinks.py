@@ -33,7 +33,7 @@ class Kink:
 def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return the kinks in segment k, ordered and disjoint; none if they cannot be distinguished from noise.
 
-    ``active`` (rows, N) are the `active_limit_multipliers` of the phase.
+    ``active`` (rows, N) are the `find_limit_multipliers` of the phase.
     """
     found = _find_switches(error, k) or _find_junctions(error, k, active)
     found.sort(key=lambda kink: kink.start)
@@ -116,7 +116,7 @@ def _bracket_constraint_onset(times: Array, pull: Array, j: int, duration: float
     return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
 
-def active_limit_multipliers(error: PhaseError) -> Array:
+def find_limit_multipliers(error: PhaseError) -> Array:
     """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
     leg, yardstick = error.samples.leg, error.yardstick
     x, u = get_states_at_points(leg), np.hstack(leg.u.values)
@@ -140,7 +140,7 @@ def _active_multipliers(
     return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], NEGLIGIBLE)), pull, 0.0)
 
 
-def kink_boundaries(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
+def enclose_kinks(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
     """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends."""
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))

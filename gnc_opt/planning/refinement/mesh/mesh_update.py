@@ -17,8 +17,12 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.refinement.mesh.error_decay import error_density, error_quantiles, legendre_decay_rates
-from gnc_opt.planning.refinement.mesh.kinks import Kink, active_limit_multipliers, find_kinks, kink_boundaries
+from gnc_opt.planning.refinement.mesh.error_decay import (
+    compute_error_density,
+    find_error_quantiles,
+    legendre_decay_rates,
+)
+from gnc_opt.planning.refinement.mesh.kinks import Kink, enclose_kinks, find_kinks, find_limit_multipliers
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE, SAME_TIME
@@ -93,10 +97,10 @@ class MeshUpdate:
         if narrow:
             return [own]
         if self._active is None:
-            self._active = active_limit_multipliers(self.error)
+            self._active = find_limit_multipliers(self.error)
         kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
         if kinks:
-            cuts = kink_boundaries(self._leg, k, kinks)
+            cuts = enclose_kinks(self._leg, k, kinks)
             if len(cuts) > 2:
                 self.split += 1
                 return self._split_around_kinks(cuts, kinks, own.degree)
@@ -134,8 +138,8 @@ class MeshUpdate:
     def _split_segment(self, k: int, own: MeshPiece, rate: float, excess: float) -> list[MeshPiece]:
         """Return the parts of a segment split where its error is large, with the degree predicted for the halves."""
         if self._density is None:
-            self._density = error_density(self.error)
-        low, middle, high = error_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
+            self._density = compute_error_density(self.error)
+        low, middle, high = find_error_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
         if high - low < 0.3 * width:
             edges = [low, high]

@@ -228,9 +228,11 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
     return (
         len(problem.phases) == 1
         and s.functions.q.size == 0
-        and all(kind.is_at_limit for row in structure.control_kinds for kind in row)
+        and all(kind.is_at_limit for row in structure.control_arc_kinds for kind in row)
         and not any(
-            kind.is_at_limit for row in (*structure.path_kinds, *structure.state_arc_kinds) for kind in row
+            kind.is_at_limit
+            for row in (*structure.path_arc_kinds, *structure.state_arc_kinds)
+            for kind in row
         )
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.is_fixed))
@@ -245,7 +247,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     bounds = s.leg.control_bounds
     found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changing_rows(k)]
-    first = np.where(structure.control_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
+    first = np.where(structure.control_arc_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
     times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
     ends = np.array([structure.times[0], structure.times[-1]])
     return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer
+from gnc_opt.argument_checks import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arguments import expect
+from gnc_opt.argument_checks import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
