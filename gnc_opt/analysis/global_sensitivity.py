@@ -148,9 +148,9 @@ def sobol_indices(
     scenario.require_known_measure(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
-    design = _Design(scenario, measure)
+    design = _SobolDesign(scenario, measure)
     chunks = [range(k, min(k + MOST_PER_BATCH, count)) for k in range(0, count, MOST_PER_BATCH)]
-    f = np.hstack(run_tasks_in_workers(design, _Design.evaluate_sample_matrices, chunks, executor, name))
+    f = np.hstack(run_tasks_in_workers(design, _SobolDesign.evaluate_sample_matrices, chunks, executor, name))
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(
@@ -198,7 +198,7 @@ def estimate_sobol_indices(f: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Design:
+class _SobolDesign:
     scenario: Scenario
     measure: str
 

@@ -115,7 +115,7 @@ class Linearization:
         keep = self.linearized_entry_indices
         return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
 
-    def nominal_nis(self) -> float:
+    def sum_of_nominal_nis(self) -> float:
         """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
         memory, kernel = self.wiring.controller.memory, self.flight.kernel
         if COVARIANCE not in memory:

@@ -108,7 +108,7 @@ class QpCode:
             "}",
             "",
         ]
-        return "\n".join([*lines, numbers.replace_real_type(_SOURCE.read_text(encoding="ascii"))])
+        return "\n".join([*lines, numbers.substitute_real_type(_SOURCE.read_text(encoding="ascii"))])
 
     # --- internals ----------------------------------------------------------------------------------------
 

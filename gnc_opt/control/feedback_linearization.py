@@ -37,9 +37,9 @@ from gnc_opt.control.input_output_linearization import (
 )
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import (
+    compute_pole_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,
-    polynomial_from_poles,
 )
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
@@ -187,7 +187,7 @@ def _compute_pole_placement_gains(errors: OutputErrors, label: str, degree: int,
         raise DesignError(
             f"output '{label}' has relative degree {degree}: give {degree} poles, not {row.size}."
         )
-    polynomial = polynomial_from_poles(row)
+    polynomial = compute_pole_polynomial(row)
     if polynomial is None:
         raise DesignError(
             f"the poles {row} of output '{label}' are not in conjugate pairs: give the conjugate of each, too."

@@ -86,7 +86,7 @@ def _compute_channel_margins(
     ]
     unit = _bracket_roots(lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY))
     phases = [
-        (abs(_wrap_angle(np.angle(-evaluate_channel(w)))), _compute_phase_lag(evaluate_channel(w)) / w)
+        (abs(_wrap_phase_angle(np.angle(-evaluate_channel(w)))), _compute_phase_lag(evaluate_channel(w)) / w)
         for w in unit
     ]
     return (
@@ -201,7 +201,7 @@ def _bracket_roots(function: Callable[[float], float], omega: Array, values: Arr
     ]
 
 
-def _wrap_angle(angle: float) -> float:
+def _wrap_phase_angle(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 

@@ -62,7 +62,7 @@ def sort_times(times: Sequence[Any]) -> list[Any]:
     return times
 
 
-def polynomial_from_poles(poles: Any) -> Array | None:
+def compute_pole_polynomial(poles: Any) -> Array | None:
     """Return the coefficients (n + 1,), highest order first, of the polynomial with these roots."""
     polynomial = np.atleast_1d(np.poly(poles))
     if np.any(np.abs(polynomial.imag) > EQUAL * np.abs(polynomial)):

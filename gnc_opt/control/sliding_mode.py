@@ -52,9 +52,9 @@ from gnc_opt.control.reaching_laws import (
 )
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import (
+    compute_pole_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,
-    polynomial_from_poles,
 )
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError, quote
@@ -373,7 +373,7 @@ def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[
                 f"output '{label}' has relative degree {r}: give lambda, or {r - 1} pole{'s' * (r > 2)}, "
                 f"not {poles.size}."
             )
-        polynomial = polynomial_from_poles(poles)
+        polynomial = compute_pole_polynomial(poles)
         if polynomial is None or not np.all(poles.real < 0):
             raise DesignError(
                 f"the surface of output '{label}' has the poles {poles}: give lambda > 0, or poles with negative "

@@ -124,7 +124,7 @@ class KalmanFilter:
         self.augmented, self.linearization = augmented, linearization
         self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
         self.limits, self.substeps, self.hold = limits, substeps, hold
-        self.pattern = self._covariance_pattern()
+        self.pattern = self._covariance_sparsity()
         self.memory = self._memory_layout()
 
     def _memory_layout(self) -> Layout:
@@ -133,7 +133,7 @@ class KalmanFilter:
         entries += [Variable(COVARIANCE, self.pattern.nnz()), *create_sample_counters(augmented.channels)]
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
-    def _covariance_pattern(self) -> Any:
+    def _covariance_sparsity(self) -> Any:
         augmented, n = self.augmented, self.augmented.errors.size
         if not self.linearization.preserves_sparsity:
             return ca.Sparsity.lower(n)

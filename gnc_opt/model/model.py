@@ -597,7 +597,7 @@ class Model(StrictAttributes):
     ) -> Symbol:
         self._refuse_if_in_use(kind)
         self._check_new_name(name)
-        return self._variables.declare(kind, name, size, unit, nominal)
+        return self._variables.declare_variable(kind, name, size, unit, nominal)
 
     def _compose_control(
         self, kind: type[ComposedControl], name: str, first: Symbol, second: Symbol, unit: str

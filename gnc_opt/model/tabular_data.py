@@ -98,11 +98,7 @@ class TabularData:
         for variable, values in self.quantities:
             scalar = variable.size == 1
             dimensions = (axis,) if scalar else (f"{variable.name}_component", axis)
-            variables[variable.name] = (
-                dimensions,
-                values[0] if scalar else values,
-                {"units": variable.unit},
-            )
+            variables[variable.name] = (dimensions, values[0] if scalar else values, {"units": variable.unit})
         return xarray.Dataset(variables, {axis: (axis, self.points, {"units": self.axis.unit})}, self.about)
 
     def write(self, path: str | Path) -> Path:

@@ -219,7 +219,7 @@ class VectorSymbols(tuple[Any, Any]):
     """
 
     @property
-    def unpacking_remedy(self) -> str:
+    def unpacking_advice(self) -> str:
         """Description of the pair, with the statement that unpacks it."""
         name = self[1].variable.name.removesuffix("_magnitude")
         return (
@@ -228,7 +228,7 @@ class VectorSymbols(tuple[Any, Any]):
         )
 
     def _raise_unpacking_error(self, *_: Any) -> Any:
-        raise ModelError(f"an operand is {self.unpacking_remedy}")
+        raise ModelError(f"an operand is {self.unpacking_advice}")
 
     __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _raise_unpacking_error
     __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _raise_unpacking_error
@@ -237,7 +237,7 @@ class VectorSymbols(tuple[Any, Any]):
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column with ``size`` rows; raise ``failure`` otherwise."""
     if isinstance(value, VectorSymbols):
-        raise failure(f"{what} is {value.unpacking_remedy}")
+        raise failure(f"{what} is {value.unpacking_advice}")
     try:
         parts = value if isinstance(value, (list, tuple)) else [value]
         expression = ca.vertcat(*[ca.SX(v) for v in parts])
@@ -302,7 +302,9 @@ class VariableSet:
         own["control"] = {name: c for name, c in own["control"].items() if name not in own["state"]}
         return VariableSet(self._owner, {**self._symbols, **own})
 
-    def declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
+    def declare_variable(
+        self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None
+    ) -> Symbol:
         """Add a variable with a new name; see `Model.state`."""
         what = f"{kind} '{name}' of {self._owner}"
         size = read_integer(size, f"the size of {what}", 1, ModelError)

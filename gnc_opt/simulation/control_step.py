@@ -161,9 +161,7 @@ class ControlStep:
             if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise_size(link.size))
                 signals = replace_signals(
-                    signals,
-                    link,
-                    block.propagate_wave(tick, ActuatorWave(signal), first, p, quiet)[1].signal,
+                    signals, link, block.propagate_wave(tick, ActuatorWave(signal), first, p, quiet)[1].signal
                 )
         return memory
 

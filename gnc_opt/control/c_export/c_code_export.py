@@ -312,7 +312,7 @@ class CSourceFiles:
             "#endif",
             "",
         ]
-        return self.numbers.replace_real_type("\n".join(lines))
+        return self.numbers.substitute_real_type("\n".join(lines))
 
     def write_source(self) -> str:
         upper, prefix = self.prefix.upper(), self.prefix
@@ -335,11 +335,11 @@ class CSourceFiles:
             ]
         lines += self._write_c_function("start", ["t", "x", "r"], ["z"], self.start)
         lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
-        return self.numbers.replace_real_type("\n".join([*lines, self._fill_template("interface.c")]))
+        return self.numbers.substitute_real_type("\n".join([*lines, self._fill_template("interface.c")]))
 
     def write_driver(self) -> str:
         """Return the C source of a program that reads measurements and writes commands."""
-        return self.numbers.replace_real_type(self._fill_template("driver.c"))
+        return self.numbers.substitute_real_type(self._fill_template("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
 

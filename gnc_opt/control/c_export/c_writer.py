@@ -59,7 +59,7 @@ class CFloatType:
             return text
         return _CALL.sub(rf"\1{self.suffix}(", _LITERAL.sub(rf"\1{self.suffix}", text))
 
-    def replace_real_type(self, text: str) -> str:
+    def substitute_real_type(self, text: str) -> str:
         """Return C code with ``real_t`` replaced by the type."""
         return re.sub(r"\breal_t\b", self.type, text)
 

@@ -46,7 +46,7 @@ class Switches:
     def from_samples(cls, s: PhaseSamples) -> Switches:
         """Return the switches of a phase whose controls are at bounds everywhere."""
         leg = s.leg
-        times, channels = find_inner_switches(s)
+        times, channels = find_bound_to_bound_switches(s)
         ends = leg.breaks[[0, -1]]
         at_start, at_end = _find_zero_switching_controls(s, 0), _find_zero_switching_controls(s, -1)
         times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
@@ -117,7 +117,7 @@ class Switches:
         return np.array(rows).reshape(-1, self.times.size + 2)
 
 
-def find_inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
+def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     """Return times (s) and controls of the bound-to-bound jumps at segment boundaries."""
     leg = s.leg
     breaks = leg.breaks[1:-1]

@@ -279,10 +279,7 @@ def _collect_boundary_conditions(
         row += 2 * size
     at_end.append(
         EndConditions(
-            ends.constraints,
-            problem.constraint_interval(),
-            of_constraints,
-            solution.constraint_multipliers,
+            ends.constraints, problem.constraint_interval(), of_constraints, solution.constraint_multipliers
         )
     )
     q = solution.parameter_values

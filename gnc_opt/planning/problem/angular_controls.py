@@ -43,7 +43,7 @@ class UnboundedAngles:
         """Controls without bounds in the solver (n_controls,)."""
         return np.isfinite(self.lower)
 
-    def solver_bounds(self, bounds: Interval) -> Interval:
+    def widen_bounds_for_solver(self, bounds: Interval) -> Interval:
         """Return bounds for the solver: angles may exceed their range by one turn, so that they can cross its ends."""
         return Interval(
             np.where(self.unbounded_controls, self.lower - self.periods, bounds.lower),

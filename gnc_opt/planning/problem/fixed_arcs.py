@@ -130,11 +130,7 @@ class FixedArcs:
 
 
 def read_arc_kinds(
-    given: ArrayLike,
-    labels: tuple[str, ...],
-    limits: Interval,
-    what: str,
-    where: str,
+    given: ArrayLike, labels: tuple[str, ...], limits: Interval, what: str, where: str
 ) -> Kinds:
     """Return kinds (n, K) from kinds or signs (-1 lower limit, 0 interior, +1 upper limit); see `Phase.hold`."""
     try:

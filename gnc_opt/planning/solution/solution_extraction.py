@@ -181,7 +181,7 @@ def _extract_phase(
         mesh=mesh,
         initial_time=float(anchors[0]),
         final_time=float(anchors[-1]),
-        x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
+        x=build_state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=interpolate_points(
             breaks,
             collocation.collocation_rules,
@@ -223,7 +223,7 @@ def _align_directions_with_primer(
     return found
 
 
-def state_polynomial(
+def build_state_polynomial(
     collocation: PhaseCollocation, breaks: Array, variables: Array, scaled_rates: Array
 ) -> PiecewisePolynomial:
     """Return the state polynomial of the scheme; ``scaled_rates`` (n_states, N) are dx/dt times the arc duration."""

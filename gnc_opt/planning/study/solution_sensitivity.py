@@ -26,7 +26,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import model_parameters, state_polynomial
+from gnc_opt.planning.solution.solution_extraction import build_state_polynomial, model_parameters
 from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
 from gnc_opt.planning.transcription.program_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -440,7 +440,7 @@ def _differentiate_phase(
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
     rates = _scaled_rate_derivatives(program, part, leg, change, moved)
-    states = state_polynomial(collocation, leg.breaks, response.variables, rates)
+    states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = interpolate_points(
         leg.breaks, leg.collocation_rules, response.variables[collocation.point_controls]
     )

@@ -63,13 +63,15 @@ class ProgramNumbering:
         self.scheme = scheme
         self.parts: dict[str, PhaseIndices] = {}
         self._movable = {name: mesh.movable for name, mesh in meshes.items()}
-        self._direct, self._defined = problem.cache("integrals of the end rows", self._classify_integrals)
+        self._direct, self._defined = problem.cache(
+            "integrals of the end rows", self._separate_linear_integrals
+        )
         self._number_phases(meshes)
         self._number_end_rows()
 
     # --- indices ----------------------------------------------------------------------------------
 
-    def _classify_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
+    def _separate_linear_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
         """Return the integrals with constant coefficients in (cost, constraints), and the other integrals."""
         outputs = ca.vertcat(self.problem.sense * self.problem.cost, self.problem.constraint_expression())
         direct: dict[tuple[str, str], Array] = {}

@@ -345,7 +345,9 @@ class Transcription(ProgramNumbering):
     def _set_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhaseIndices) -> None:
         collocation, numbers = part.collocation, leg.numbers
         controls = (
-            numbers.controls if numbers.turns is None else numbers.turns.solver_bounds(numbers.controls)
+            numbers.controls
+            if numbers.turns is None
+            else numbers.turns.widen_bounds_for_solver(numbers.controls)
         )
         for places, bounds in (
             (collocation.boundary_states, numbers.states),

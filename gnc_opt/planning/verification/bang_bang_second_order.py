@@ -26,7 +26,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_inner_switches
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_bound_to_bound_switches
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
@@ -51,7 +51,7 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
         "to a touching zero could vanish or grow. A slope of the wrong sign fails where the switching function next "
         f"to it has the wrong sign by more than {NEGLIGIBLE:.0e} of H; less is zero within the errors of costates."
     )
-    worst = min(filter(None, map(_find_worst_crossing, samples)), default=None)
+    worst = min(filter(None, map(_find_worst_switching_sign, samples)), default=None)
     touched = next(filter(None, map(_find_zero_without_crossing, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
     if touched and (worst is None or not worst.is_violation):
@@ -75,9 +75,9 @@ class _Crossing:
         return self.slope < -NEGLIGIBLE and not self.harmless
 
 
-def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
+def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
     leg = s.leg
-    times, channels = find_inner_switches(s)
+    times, channels = find_bound_to_bound_switches(s)
     if not times.size:
         return None
     neighbours = np.searchsorted(leg.breaks, times)
@@ -123,7 +123,7 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
 
 
 def _find_zero_without_crossing(s: PhaseSamples) -> str:
-    times, channels = find_inner_switches(s)
+    times, channels = find_bound_to_bound_switches(s)
     worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.at_control_bounds, axis=0)
     affine = np.all(mask_zero_curvature(s), axis=1) | np.all(on_bound, axis=1)

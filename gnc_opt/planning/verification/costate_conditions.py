@@ -48,7 +48,7 @@ ENDS = (("initial", 0), ("final", -1))
 """Ends of a phase and their samples."""
 
 
-def add_active_constraints_at_ends(
+def impose_constraints_active_at_ends(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> tuple[Solution, EndGradients]:
     """Return the solution and its end gradients, with these constraints as boundary constraints with multipliers."""

@@ -372,7 +372,7 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
 
 
 def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
-    times = _require_finite(
+    times = _require_finite_sample(
         read_numbers(t, f"the times of {leg.label}", ProblemError), f"the times of {leg.label}"
     )
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
@@ -451,10 +451,10 @@ def _read_finite_array(value: Values, shape: tuple[int, int], what: str) -> Arra
         array = array[None, :]
     if array.shape != shape:
         raise ProblemError(f"{what} has shape {array.shape} where {shape} is needed: one column per time.")
-    return _require_finite(array, what)
+    return _require_finite_sample(array, what)
 
 
-def _require_finite(array: Array, what: str) -> Array:
+def _require_finite_sample(array: Array, what: str) -> Array:
     if not np.all(np.isfinite(array)):
         raise ProblemError(f"{what}: not every number is finite; give a complete trajectory.")
     return array
@@ -473,10 +473,10 @@ def _read_parameters(problem: Problem, p: Values) -> Array:
             raise ProblemError(
                 f"free parameter '{missing[0]}' of '{problem.name}' is missing: give its value."
             )
-        return _require_finite(values, what)
+        return _require_finite_sample(values, what)
     values = read_numbers(p, what, ProblemError).reshape(-1)
     if values.size != layout.size:
         raise ProblemError(
             f"{what} are given {values.size} values: give {layout.size}, for {list(layout.names)}."
         )
-    return _require_finite(values, what)
+    return _require_finite_sample(values, what)

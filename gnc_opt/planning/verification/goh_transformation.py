@@ -29,7 +29,7 @@ import scipy
 
 from gnc_opt.arrays import Indices, Mask
 from gnc_opt.planning.optimality.active_set import compute_free_control_directions
-from gnc_opt.planning.optimality.bang_bang_switches import find_inner_switches
+from gnc_opt.planning.optimality.bang_bang_switches import find_bound_to_bound_switches
 from gnc_opt.planning.optimality.kkt_system import build_unit_variation_matrix, variation_norm_weights
 from gnc_opt.planning.problem.hamiltonian_functions import endpoint_function
 from gnc_opt.planning.problem.problem import Problem
@@ -163,7 +163,7 @@ def _mask_unlimited_segments(cone: CriticalCone, part: PhaseIndices) -> Mask:
 
 def _list_junction_time_variables(s: PhaseSamples, part: PhaseIndices, singular: Mask) -> Indices:
     """Return the time variables at which singular arcs begin or end without a bound-to-bound jump of a control."""
-    movable, switches = s.leg.mesh.movable, find_inner_switches(s)[0]
+    movable, switches = s.leg.mesh.movable, find_bound_to_bound_switches(s)[0]
     beside = np.any(singular, axis=0)
     found = [
         part.times[k]

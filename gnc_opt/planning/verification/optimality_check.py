@@ -23,7 +23,7 @@ from gnc_opt.planning.verification import bang_bang_second_order as second_order
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
-from gnc_opt.planning.verification.costate_conditions import add_active_constraints_at_ends
+from gnc_opt.planning.verification.costate_conditions import impose_constraints_active_at_ends
 from gnc_opt.planning.verification.feasibility import make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.nonsmooth_points import (
@@ -272,7 +272,7 @@ def second_order_conditions(
 ) -> list[Condition]:
     """Return the second variation, the Legendre-Clebsch condition and the conditions of singular arcs."""
     problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_duration]
-    limited, limited_ends = add_active_constraints_at_ends(solution, samples, ends)
+    limited, limited_ends = impose_constraints_active_at_ends(solution, samples, ends)
     found = _check_second_variation(limited, samples, limited_ends)
     if any(c.result is not ConditionResult.PASS for c in found) and is_convex(problem):
         found = [_pass_by_convexity_theorem(c) for c in found]

@@ -232,7 +232,7 @@ class _ShiftedPhase:
         return np.unique([*cells[~inside], *np.clip(windows, cells[0], cells[-1]).ravel()])
 
     @cached_property
-    def step_end_times(self) -> Array:
+    def step_ends(self) -> Array:
         """Ends of the integration steps (n_nodes, n_columns)."""
         fixed = [*self.cell_edges, *(jump.time for jump, _ in self.jumps), *find_costate_jumps(self.samples)]
         own = [np.full(self.times.shape[1], time) for time in fixed] + [shifted for _, shifted in self.jumps]
@@ -241,23 +241,20 @@ class _ShiftedPhase:
     @cached_property
     def equal_steps(self) -> Array:
         """Return which steps are equal in all columns (n_steps,)."""
-        same = np.all(self.step_end_times == self.step_end_times[:, :1], axis=1)
+        same = np.all(self.step_ends == self.step_ends[:, :1], axis=1)
         return np.asarray(same[:-1] & same[1:])
 
     @cached_property
     def applied_controls(self) -> Array:
         """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
-        first, last = (
-            self.step_end_times[:-1, 0][self.equal_steps],
-            self.step_end_times[1:, 0][self.equal_steps],
-        )
+        first, last = (self.step_ends[:-1, 0][self.equal_steps], self.step_ends[1:, 0][self.equal_steps])
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
     def shifted_controls(self, step: int) -> list[Array]:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
-        a, b = self.step_end_times[step], self.step_end_times[step + 1]
+        a, b = self.step_ends[step], self.step_ends[step + 1]
         middle = 0.5 * (a + b)
         place = int(np.count_nonzero(self.equal_steps[:step]))
         found = []
@@ -309,7 +306,7 @@ class _ShiftedPhase:
             find_costate_jumps(self.samples),
         )
         states = {time: np.repeat(x[:, -1:], x.shape[1], axis=1) for time in {*limits, *jumps}}
-        for k, (a, b) in enumerate(itertools.pairwise(self.step_end_times)):
+        for k, (a, b) in enumerate(itertools.pairwise(self.step_ends)):
             if np.array_equal(a, b):
                 continue
             y = runge_kutta_step(self.extended_rates, a, b, y, self.shifted_controls(k))

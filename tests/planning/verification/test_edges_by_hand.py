@@ -47,7 +47,7 @@ from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
-    _find_worst_crossing,
+    _find_worst_switching_sign,
     estimate_nearest_multipliers,
 )
 from gnc_opt.planning.verification.external_trajectory import (
@@ -164,7 +164,7 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
             breaks=edges,
             control_bounds=by_hand.interval(-1.0, 1.0),
         )
-        worst = _find_worst_crossing(s)
+        worst = _find_worst_switching_sign(s)
         assert worst is not None and worst.where == "phase leg, t = 1 s, u"
         assert worst.slope == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
 

@@ -358,7 +358,7 @@ def test_azimuth_and_elevation_are_returned_within_half_a_turn_of_elevation() ->
 
 def test_a_solver_has_a_turn_of_room_to_both_sides() -> None:
     turns = UnboundedAngles(np.array([-180.0, -np.inf]), np.array([180.0, np.inf]), np.array([360.0, 0.0]))
-    box = turns.solver_bounds(Interval(np.array([-np.inf, 2.0]), np.array([np.inf, 3.0])))
+    box = turns.widen_bounds_for_solver(Interval(np.array([-np.inf, 2.0]), np.array([np.inf, 3.0])))
     assert (box.lower.tolist(), box.upper.tolist()) == ([-540.0, 2.0], [540.0, 3.0])
 
 

@@ -229,7 +229,7 @@ def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class _ChainState:
+class _LinkedState:
     """State in one phase of a chain: known end values (NaN: unknown), bounds, and the jump at its start."""
 
     leg: Phase
@@ -240,7 +240,7 @@ class _ChainState:
     jump: Array
 
     @classmethod
-    def from_phase(cls, leg: Phase, name: str) -> _ChainState:
+    def from_phase(cls, leg: Phase, name: str) -> _LinkedState:
         numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_phase_times(leg)
         box = Interval(numbers.states.lower[rows], numbers.states.upper[rows])
         guess = np.full((box.lower.size, 2), np.nan)
@@ -262,16 +262,16 @@ class _ChainState:
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
-def _find_linked_phases(leg: Phase, name: str) -> list[_ChainState]:
+def _find_linked_phases(leg: Phase, name: str) -> list[_LinkedState]:
     chain = [leg]
     while handed := chain[0].find_linked_phase(name):
         chain.insert(0, handed[0])
     while following := [p for p in leg.all_phases if (p.find_linked_phase(name) or (None,))[0] is chain[-1]]:
         chain.append(following[0])
-    return [_ChainState.from_phase(phase, name) for phase in chain]
+    return [_LinkedState.from_phase(phase, name) for phase in chain]
 
 
-def _guess_linked_states(chain: list[_ChainState], leg: Phase) -> tuple[Array, Array]:
+def _guess_linked_states(chain: list[_LinkedState], leg: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
         ahead, time = _find_next_known_state(chain[index:])
@@ -287,7 +287,7 @@ def _guess_linked_states(chain: list[_ChainState], leg: Phase) -> tuple[Array, A
     return first, last
 
 
-def _find_next_known_state(chain: list[_ChainState]) -> tuple[Array, Array]:
+def _find_next_known_state(chain: list[_LinkedState]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps before it, and the time to it."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):

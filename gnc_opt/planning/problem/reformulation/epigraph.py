@@ -147,11 +147,11 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Symbo
 
 def find_extremum_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a node; None if there are none."""
-    found = _find_nested_arguments(node, sense, domain)
+    found = _flatten_extremum_arguments(node, sense, domain)
     return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated_constants(found, sense)
 
 
-def _find_nested_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+def _flatten_extremum_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
     if is_free_of_kinks(node):
         return [node]
     extremum = _read_extremum(node, domain)
@@ -162,18 +162,18 @@ def _find_nested_arguments(node: Any, sense: int, domain: SymbolRanges) -> Piece
         if node.op() == ca.OP_FABS and domain.expression_sign(operands[0]) > 0:
             operands = operands[:1]
         return _merge_extremum_arguments(
-            [_find_nested_arguments(operand, sense, domain) for operand in operands]
+            [_flatten_extremum_arguments(operand, sense, domain) for operand in operands]
         )
     operation = node.op()
     if operation == ca.OP_NEG:
-        return _scale_extremum_arguments(_find_nested_arguments(node.dep(0), -sense, domain), -1)
+        return _scale_extremum_arguments(_flatten_extremum_arguments(node.dep(0), -sense, domain), -1)
     if operation == ca.OP_TWICE:
-        return _scale_extremum_arguments(_find_nested_arguments(node.dep(0), sense, domain), 2)
+        return _scale_extremum_arguments(_flatten_extremum_arguments(node.dep(0), sense, domain), 2)
     if operation in (ca.OP_ADD, ca.OP_SUB):
         sign = 1 if operation == ca.OP_ADD else -1
         left, right = (
-            _find_nested_arguments(node.dep(0), sense, domain),
-            _find_nested_arguments(node.dep(1), sign * sense, domain),
+            _flatten_extremum_arguments(node.dep(0), sense, domain),
+            _flatten_extremum_arguments(node.dep(1), sign * sense, domain),
         )
         if left is None or right is None or len(left) * len(right) > KINK_MAX_PIECES:
             return None
@@ -192,7 +192,8 @@ def _find_product_arguments(node: Any, sense: int, domain: SymbolRanges) -> Piec
     if sign == 0:
         return None
     return _scale_extremum_arguments(
-        _find_nested_arguments(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
+        _flatten_extremum_arguments(kink, sign * sense, domain),
+        1 / factor if node.op() == ca.OP_DIV else factor,
     )
 
 

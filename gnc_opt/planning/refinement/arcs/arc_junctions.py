@@ -100,7 +100,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     direction = before.sign or after.sign
     n_controls = len(plan.structure.control_arc_kinds)
     signals = _evaluate_control_excess if row < n_controls else _evaluate_path_excess
-    pieces = plan.segment_pieces[samples.segments]
+    pieces = plan.piece_of_each_segment[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
         here = np.flatnonzero(pieces == piece)
         side: Side = "right"

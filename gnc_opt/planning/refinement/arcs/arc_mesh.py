@@ -231,12 +231,12 @@ class ArcMesh:
         return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
 
     @property
-    def segment_pieces(self) -> Indices:
+    def piece_of_each_segment(self) -> Indices:
         """Piece of every segment (K,)."""
         return np.repeat(np.arange(self.structure.n_pieces), [r.segments for r in self.resolutions])
 
     @property
-    def piece_breaks(self) -> tuple[int, ...]:
+    def piece_boundary_breaks(self) -> tuple[int, ...]:
         """Indices of the mesh breaks between pieces, including both ends; A + 1 of them."""
         return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
 
@@ -250,12 +250,12 @@ class ArcMesh:
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.n_pieces)
-        movable = tuple(self.piece_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
+        movable = tuple(self.piece_boundary_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
-        structure, segments = self.structure, self.segment_pieces
+        structure, segments = self.structure, self.piece_of_each_segment
         n_controls, n_paths = len(structure.control_arc_kinds), len(structure.path_arc_kinds)
         # Interior controls are unbounded: their excess shows where the arc has to end.
         controls = select_kind(
@@ -278,7 +278,7 @@ class ArcMesh:
         """Return which interior rows are released from their limits, (n_rows, K)."""
         structure = self.structure
         beside = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_exchanges()
-        return np.asarray((structure.find_convex_rows() | beside)[:, self.segment_pieces])
+        return np.asarray((structure.find_convex_rows() | beside)[:, self.piece_of_each_segment])
 
     def _find_junctions(self) -> tuple[Junction, ...]:
         """Return the entries and touch points of state constraints that determine a control.
@@ -302,7 +302,7 @@ class ArcMesh:
                 found.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))
         found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
-            Junction(i - n_controls, self.piece_breaks[k], kind, conditions, tangent)
+            Junction(i - n_controls, self.piece_boundary_breaks[k], kind, conditions, tangent)
             for k, i, kind, conditions, tangent in found
         )
 
@@ -325,13 +325,13 @@ class ArcMesh:
                 free = [i for i in structure.boundary_controls[row] if not kinds[i].is_at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
                 if 0 < len(singular) < len(free) and _act_independently(problem.phases[phase].model, free):
-                    last = self.piece_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
-                    ends = range(self.piece_breaks[piece] + 1, last)
+                    last = self.piece_boundary_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
+                    ends = range(self.piece_boundary_breaks[piece] + 1, last)
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
         return tuple(found)
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
-        found, ends = [], self.piece_breaks
+        found, ends = [], self.piece_boundary_breaks
         for i, row in enumerate(self.structure.control_arc_kinds):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
                 r = self.resolutions[k]

@@ -128,7 +128,7 @@ class PhaseStructure:
         found: set[int] = set()
         for i in range(self._n_free, len(self.orders)):
             if self.kinds[piece][i].is_at_limit:
-                boundary_controls = self.boundary_controls[i] or self._find_candidate_controls(i)
+                boundary_controls = self.boundary_controls[i] or self._find_controls_moving_row(i)
                 free = [
                     c
                     for c in self.boundary_controls[i]
@@ -138,7 +138,7 @@ class PhaseStructure:
                 found |= ({*boundary_controls} - singular) | {*free[:1]}
         return found
 
-    def _find_candidate_controls(self, row: int) -> list[int]:
+    def _find_controls_moving_row(self, row: int) -> list[int]:
         mixed = self.regular[row]
         return [i for i in range(self._n_free) if not mixed or self.regular[i]]
 

@@ -107,7 +107,7 @@ class _SplitMesh:
 
     @classmethod
     def from_plan(cls, plan: ArcMesh) -> _SplitMesh:
-        ends = plan.piece_breaks
+        ends = plan.piece_boundary_breaks
         return cls(ends[-1], tuple(ends[k] for k in simultaneous_switches(plan.structure)))
 
     def map_to_split_mesh(self, old: int) -> int:

@@ -111,7 +111,7 @@ def _add_missing_arc(
     samples: PhaseSamples, plan: ArcMesh, problem: Problem
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
-    pieces = plan.segment_pieces[samples.segments]
+    pieces = plan.piece_of_each_segment[samples.segments]
     kinds = plan.structure.arc_kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
@@ -173,7 +173,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
     Where the optimal control jumps to a bound and back, a polynomial between the bounds leaves a switching function of
     the sign of that bound, which no higher degree removes.
     """
-    bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
+    bounds, pieces = samples.leg.control_bounds, plan.piece_of_each_segment[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
     released = plan.structure.mask_near_limit_exchanges()[: len(singular)]
     singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
@@ -195,7 +195,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
 def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     if np.max(compute_dynamics_defects(samples)) > SINGULAR_GAIN_MAX:
         return None, ""
-    return replace_saturated_controls(samples, plan.structure, plan.segment_pieces[samples.segments])
+    return replace_saturated_controls(samples, plan.structure, plan.piece_of_each_segment[samples.segments])
 
 
 def _find_true_run_around(holds: Mask, j: int) -> slice:

@@ -272,7 +272,7 @@ def _solve_on_structure_mesh(
 
 def _update_plan_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
     leg = solution.phases[name]
-    times = tuple(float(t) for t in leg.breaks[list(plan.piece_breaks)])
+    times = tuple(float(t) for t in leg.breaks[list(plan.piece_boundary_breaks)])
     return replace(plan, structure=plan.structure.with_times(times))
 
 

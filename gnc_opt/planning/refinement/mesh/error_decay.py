@@ -53,7 +53,7 @@ def _fit_decay_rate(values: Array, tau: Array) -> float:
     return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))
 
 
-def compute_error_density(error: PhaseError) -> Array:
+def error_density(error: PhaseError) -> Array:
     """Return the error density in segments (n_samples,) per second: residuals of rates and integrands.
 
     If the costates have the largest error, their residuals.
@@ -75,7 +75,7 @@ def compute_error_density(error: PhaseError) -> Array:
     return np.asarray(np.nan_to_num(density, nan=0.0, posinf=0.0))
 
 
-def find_error_quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
+def error_quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
     """Return the times in segment k up to which the given fractions of its error accumulate."""
     inside = error.samples.segments == k
     times, weights = error.samples.times[inside], error.samples.weights[inside]

@@ -148,7 +148,7 @@ class _Refinement:
                 return self._choose_status(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             self._past = {name: index_segments(e) for name, e in self._state.errors.items()}
-            status = self._solve_on_meshes(meshes, actions)
+            status = self._solve_on_refined_meshes(meshes, actions)
             show(self._tabular_data[-1])
             if status is Status.ITERATION_LIMIT and self._limits.are_exhausted(self._spent_work):
                 return self._choose_status(RefinementStatus.BUDGET_LIMIT)
@@ -222,7 +222,7 @@ class _Refinement:
         errors = [r.error for r in self._tabular_data]
         return all(is_stagnating(values, self._tol) for values in (errors, self._totals))
 
-    def _solve_on_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
+    def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
         begin = time.perf_counter()
         within = self._limits.limit_solve(meshes.values(), self._spent_work)

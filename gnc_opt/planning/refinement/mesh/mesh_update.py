@@ -17,11 +17,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.refinement.mesh.error_decay import (
-    compute_error_density,
-    find_error_quantiles,
-    legendre_decay_rates,
-)
+from gnc_opt.planning.refinement.mesh.error_decay import error_density, error_quantiles, legendre_decay_rates
 from gnc_opt.planning.refinement.mesh.kinks import Kink, enclose_kinks, find_kinks, find_limit_multipliers
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -138,8 +134,8 @@ class MeshUpdate:
     def _split_segment(self, k: int, own: MeshPiece, rate: float, excess: float) -> list[MeshPiece]:
         """Return the parts of a segment split where its error is large, with the degree predicted for the halves."""
         if self._density is None:
-            self._density = compute_error_density(self.error)
-        low, middle, high = find_error_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
+            self._density = error_density(self.error)
+        low, middle, high = error_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
         if high - low < 0.3 * width:
             edges = [low, high]

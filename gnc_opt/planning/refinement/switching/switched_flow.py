@@ -51,7 +51,7 @@ class SwitchedFlow:
         return None if step is None else cls(s, switches, step)
 
     @property
-    def fine_flow(self) -> BangBangFlow:
+    def accurate_flow(self) -> BangBangFlow:
         return self.step.flow
 
     @property
@@ -63,17 +63,17 @@ class SwitchedFlow:
     def grid_times(self) -> Array:
         """Times of the grid (n_steps + 1,)."""
         leg = self.s.leg
-        return np.asarray(self.fine_flow.states[leg.states.size + leg.integrals.size])
+        return np.asarray(self.accurate_flow.states[leg.states.size + leg.integrals.size])
 
     @property
     def states(self) -> Array:
         """States (n_states, n_steps + 1)."""
-        return self.fine_flow.states[: self.s.leg.states.size]
+        return self.accurate_flow.states[: self.s.leg.states.size]
 
     @cached_property
     def costates(self) -> Array:
         """Costates (n_states, n_steps + 1)."""
-        return self.fine_flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
+        return self.accurate_flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
         """Return the trajectory as a solution, with costates and multipliers, and with the objective of ``known``."""
@@ -82,7 +82,7 @@ class SwitchedFlow:
         at = first[:, None] + np.arange(STEP_PARTS + 1)
         breaks, controls = (
             np.append(self.grid_times[first], self.grid_times[-1]),
-            self.fine_flow.controls[:, first],
+            self.accurate_flow.controls[:, first],
         )
         held, flat = np.repeat(controls, STEP_PARTS + 1, axis=1), at.ravel()
         x, lam, nothing = (
@@ -109,7 +109,7 @@ class SwitchedFlow:
             state_multipliers=np.zeros((n, first.size)),
             control_multipliers=np.zeros(controls.shape),
             state_impulses=np.zeros((n, first.size + 1)),
-            integrals=self.fine_flow.final_state[n : n + leg.integrals.size],
+            integrals=self.accurate_flow.final_state[n : n + leg.integrals.size],
         )
         nu = self.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
         return replace(known, phases={leg.name: grown}, constraint_multipliers=nu)
@@ -118,7 +118,7 @@ class SwitchedFlow:
     def find_missing_arc(self) -> tuple[int, float, float] | None:
         """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
         s, times = self.s, self.grid_times
-        controls = np.column_stack([self.fine_flow.controls, self.fine_flow.controls[:, -1]])
+        controls = np.column_stack([self.accurate_flow.controls, self.accurate_flow.controls[:, -1]])
         values = s.functions.switching_functions(times, self.states, controls, self.costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
